@@ -19,7 +19,7 @@ RUN_LOCK = CHECKOUT / "requirements.lock"
 TEST_LOCK = CHECKOUT / "requirements-dev.lock"
 """Contains everything of RUN_LOCK."""
 
-USER_CAN_HELP = 2
+EXIT_CODE_USER_CAN_MEND = 2
 """Exit code of StopError: the user must change something first."""
 
 
@@ -35,7 +35,7 @@ def require_python() -> None:
     this = f"{sys.version_info[0]}.{sys.version_info[1]} at {sys.executable}"
     say(f"skincal needs Python {needed}; this is Python {this}.")
     say(f"Run it with another one, for example: python3.12 {sys.argv[0]}")
-    sys.exit(USER_CAN_HELP)
+    sys.exit(EXIT_CODE_USER_CAN_MEND)
 
 
 def interpreter() -> Path:

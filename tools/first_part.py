@@ -23,7 +23,7 @@ from app.window import Window
 from skincal.files.formats import ExportFormat
 
 LINK, FRAME, SENSOR, ELBOW = "l_forearm", "l_forearm_dh_frame", "l_arm_ft", "l_elbow"
-ELBOW_DEG = 70.0
+ELBOW_ANGLE_DEG = 70.0
 LAYOUT_AT = (-60, -30)  # Pixels from the middle of the picture, right and down
 LANDMARK_CLICKS = {"elbow side": (-280, -20), "wrist": (200, 80), "below": (-60, 190), "above": (-120, -195)}
 POKE_COUNT = 24
@@ -70,7 +70,7 @@ def _describe_part(window: Window, urdf: Path, until: Until) -> Iterator[str]:
     _settle(page, until)
     yield "sensor"
     joints = _open(page, JointsStep, until)
-    joints.rows[ELBOW].angle.setValue(ELBOW_DEG)
+    joints.rows[ELBOW].angle.setValue(ELBOW_ANGLE_DEG)
     _settle(page, until)
     yield "joints"
     skin = _open(page, SkinStep, until)

@@ -77,13 +77,13 @@ UNUSED_VTK = (
 
 XZ_FILTERS = ({"id": lzma.FILTER_X86}, {"id": lzma.FILTER_LZMA2, "preset": 9, "dict_size": 128 << 20})
 """Machine code is prepared for the compression, whose dictionary holds the largest libraries at once."""
-STALL_S = 300.0
+WINDOW_HANGS_AFTER_S = 300.0
 """s. A window hangs if neither its picture nor its session changes for longer."""
 MAX_POKES_WITHOUT_TAXEL = 60
 """Maximum accepted pokes before the first taxel is drawn."""
-BALL_PX = 7
+MIN_DRAWN_BALL_SIDE_PX = 7
 """px. A square of this side fits into a taxel's ball, but not into a line."""
-TIMED_STARTS = 5
+STARTS_IN_MEDIAN_TIME = 5
 """Starts for the reported median time."""
 
 
@@ -212,7 +212,7 @@ def _environment(folder: Path, command: Sequence[str]) -> dict[str, str]:
 def _median_s(program: Sequence[str], folder: Path) -> float:
     """Return the median wall time of `solve` on the sample, seconds."""
     times: list[float] = []
-    for _ in range(TIMED_STARTS):
+    for _ in range(STARTS_IN_MEDIAN_TIME):
         begin = time.monotonic()
         _run([*program, "solve", "sample", "--json"], folder)
         times.append(time.monotonic() - begin)
@@ -280,7 +280,7 @@ class WindowProgress:
 
     def is_stuck(self) -> bool:
         """Whether the window hangs, or pokes show no taxel."""
-        return time.monotonic() - self._changed_s > STALL_S or self.pokes > MAX_POKES_WITHOUT_TAXEL
+        return time.monotonic() - self._changed_s > WINDOW_HANGS_AFTER_S or self.pokes > MAX_POKES_WITHOUT_TAXEL
 
 
 def _time_window(program: Sequence[str], folder: Path, grab: Callable[[], QImage]) -> float:
@@ -317,7 +317,7 @@ def shows_taxels(picture: QImage) -> bool:
     pixels = np.frombuffer(picture.constBits(), dtype=np.uint8).reshape(shape)[: shape[0] * 3 // 4, : shape[1] * 6 // 10, :3]
     most, least = pixels.max(axis=2).astype(int), pixels.min(axis=2).astype(int)
     hued = (most > 80) & (3 * (most - least) > most)
-    return bool(minimum_filter(hued, BALL_PX).any())
+    return bool(minimum_filter(hued, MIN_DRAWN_BALL_SIDE_PX).any())
 
 
 def _pack() -> None:

@@ -74,7 +74,7 @@ def run(command: Callable[[Sequence[str]], int]) -> int:
         return command(sys.argv[1:])
     except StopError as stop:
         say(str(stop))
-        return checkout.USER_CAN_HELP
+        return checkout.EXIT_CODE_USER_CAN_MEND
     except KeyboardInterrupt:
         say("\nStopped. What is unfinished is done at the next start.")
         return INTERRUPTED_EXIT_CODE

@@ -41,7 +41,7 @@ from skincal.simulate.virtual_session import simulate_session
 from skincal.studies import STUDIES
 from skincal.taxels.result import Method
 
-PART_COLOURS = 200
+PART_PICTURE_COLOURS = 200
 PICTURES_FOLDER = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 
 
@@ -173,7 +173,7 @@ def draw_part() -> None:
         path = PICTURES_FOLDER / f"part-{name}.png"
         picture.save(str(path))
         # A quarter of the size, and no eye sees the difference.
-        Image.open(path).convert("RGB").quantize(PART_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+        Image.open(path).convert("RGB").quantize(PART_PICTURE_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
     window.leave()
 
 

@@ -34,9 +34,9 @@ from skincal.session.draft_summary import State, summarize
 from skincal.session.part_draft import METRE_DIGITS, LandmarkDraft, free_scene_path, rounded
 from skincal.session.robot_copy import is_with_robot, size_words
 
-NORMAL_DIGITS = 3
+LANDMARK_NORMAL_DECIMALS = 3
 STATE_SIGNS = {State.COMPLETE: "\N{CHECK MARK}", State.OPTIONAL: "\N{BLACK UP-POINTING TRIANGLE}", State.NEEDED: "\N{BALLOT X}"}
-MAX_LIST_HEIGHT_PX = 110
+LANDMARK_LIST_MAX_HEIGHT_PX = 110
 
 
 class CheckStep(Step):
@@ -58,7 +58,7 @@ class CheckStep(Step):
         self.mode = Mode.POINT
         self.list = QListWidget()
         self.list.setAccessibleName("landmarks")
-        self.list.setMaximumHeight(MAX_LIST_HEIGHT_PX)
+        self.list.setMaximumHeight(LANDMARK_LIST_MAX_HEIGHT_PX)
         self.list.currentRowChanged.connect(self._show_chosen)
         self.mark_name = QLineEdit()
         self.mark_name.setAccessibleName("name of the landmark")
@@ -167,7 +167,7 @@ class CheckStep(Step):
         normal = None
         if surface is not None:
             near, triangles = nearest_points(surface, point[None])
-            normal = rounded(surface.normals[triangles[0]], NORMAL_DIGITS)
+            normal = rounded(surface.normals[triangles[0]], LANDMARK_NORMAL_DECIMALS)
             point = near[0] if on_mesh else point
         mark = LandmarkDraft(name, rounded(point, METRE_DIGITS), normal)
         self.change(replace(self.draft, landmarks=(*marks, mark)))

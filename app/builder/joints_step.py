@@ -14,7 +14,7 @@ from app.builder.step import Step
 from skincal.model.readings import Stream
 from skincal.session.draft_preview import JointState, PartPreview
 
-FREE_LIMIT_DEG = 180.0
+SLIDER_RANGE_WITHOUT_LIMITS_DEG = 180.0
 SLIDER_STEPS_PER_DEGREE = 10
 
 
@@ -24,7 +24,11 @@ class JointRow:
     def __init__(self, grid: QGridLayout, name: str, limits: tuple[float, float] | None, *, can_fix: bool) -> None:
         self.name = name
         at = grid.rowCount()
-        low, high = (-FREE_LIMIT_DEG, FREE_LIMIT_DEG) if limits is None else np.degrees(limits).tolist()
+        low, high = (
+            (-SLIDER_RANGE_WITHOUT_LIMITS_DEG, SLIDER_RANGE_WITHOUT_LIMITS_DEG)
+            if limits is None
+            else np.degrees(limits).tolist()
+        )
         self.label = QLabel(name)
         self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.slider = QSlider(Qt.Orientation.Horizontal)

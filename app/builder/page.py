@@ -47,10 +47,10 @@ from skincal.session.draft_summary import State, can_start, summarize
 from skincal.session.part_changes import with_part_file
 from skincal.session.part_draft import DraftHistory, PartDraft, open_draft, save_draft
 
-SIDE_PX = 500
+FIELDS_COLUMN_WIDTH_PX = 500
 """Width of the side with the fields at 100 %."""
-HISTORY_BUTTON_PX = 36
-MAX_FINDINGS = 3
+UNDO_BUTTON_WIDTH_PX = 36
+FINDINGS_SHOWN_MAX = 3
 AnyStep = TypeVar("AnyStep", bound=Step)
 
 
@@ -106,7 +106,7 @@ class BuilderPage(QWidget):
             button("\N{RIGHTWARDS ARROW WITH HOOK}", "redo (Ctrl+Y)"),
         )
         for each in (self.undo_button, self.redo_button):
-            each.setFixedWidth(scaled(HISTORY_BUTTON_PX))
+            each.setFixedWidth(scaled(UNDO_BUTTON_WIDTH_PX))
             each.setEnabled(False)
         self.leave_button, self.back, self.next = button("&Close"), button("\N{LEFTWARDS ARROW} &Back"), button("Ne&xt")
         self.start = button("&Save and start")
@@ -118,7 +118,7 @@ class BuilderPage(QWidget):
             buttons.addWidget(widget)
         side = QFrame()
         side.setObjectName("card")
-        side.setMinimumWidth(scaled(SIDE_PX))
+        side.setMinimumWidth(scaled(FIELDS_COLUMN_WIDTH_PX))
         column = QVBoxLayout(side)
         column.setSpacing(WIDGET_GAP_PX)
         column.addLayout(bar)
@@ -131,7 +131,7 @@ class BuilderPage(QWidget):
         self.across.setStretchFactor(0, 1)
         self.across.setChildrenCollapsible(False)
         self.across.setHandleWidth(WIDGET_GAP_PX)
-        self.across.setSizes([10_000, scaled(SIDE_PX)])
+        self.across.setSizes([10_000, scaled(FIELDS_COLUMN_WIDTH_PX)])
         whole = QVBoxLayout(self)
         whole.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
         whole.addWidget(self.across)
@@ -315,7 +315,7 @@ class BuilderPage(QWidget):
         lines = [f"\N{BALLOT X} {problem}"] if problem else []
         found = preview.findings.get(self.open_step.name, ())
         sign = "\N{BULLET}" if self.open_step.name == "part" else "\N{BLACK UP-POINTING TRIANGLE}"
-        lines += [f"{sign} {sentence}" for sentence in found if sentence not in (problem or "")][:MAX_FINDINGS]
+        lines += [f"{sign} {sentence}" for sentence in found if sentence not in (problem or "")][:FINDINGS_SHOWN_MAX]
         self.findings.setText("\n".join(lines))
 
     # The end

@@ -19,7 +19,7 @@ from skincal.session.part_changes import sensors_between
 from skincal.session.part_draft import IDENTITY_POSE, pose_rows
 from skincal.session.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
 
-FLANGE_POINTS = 3
+POINTS_PICKED_ON_FLANGE = 3
 PICK_WORDS = (
     "Click the first of three points on the rim of the sensor's flange.",
     "Click the second point, about a third of the rim further.",
@@ -28,7 +28,7 @@ PICK_WORDS = (
 SIGN_CHOICES = {"": "as the URDF says", "1": "the force on the part", "-1": "its reaction"}
 FEELS_THE_PART = "between part and base"
 ADD_POINT = "Add the position as the next point"
-MAX_DEPTH_MM = 1000.0
+SENSOR_DEPTH_MAX_MM = 1000.0
 
 
 class SensorStep(Step):
@@ -70,7 +70,7 @@ class SensorStep(Step):
         form = QFormLayout(self.free_form)
         form.setContentsMargins(0, 0, 0, 0)
         self.under = button("The part &stands on the sensor")
-        self.bottom_gap = number_field("distance from the part's bottom to the sensor's origin", " mm", MAX_DEPTH_MM)
+        self.bottom_gap = number_field("distance from the part's bottom to the sensor's origin", " mm", SENSOR_DEPTH_MAX_MM)
         self.bottom_gap.setToolTip("From the bottom face down to the sensor's origin; see its drawing")
         self.same = button("Same &frame as the part")
         self.pick = button("&Pick three points of the flange")
@@ -208,7 +208,7 @@ class SensorStep(Step):
         if self.preview is None or self.preview.surface is None:
             return
         self.points = np.concatenate([self.points, point[None]])
-        if len(self.points) < FLANGE_POINTS:
+        if len(self.points) < POINTS_PICKED_ON_FLANGE:
             self._show_picking()
             self.picture_changed.emit()
             return

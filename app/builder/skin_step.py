@@ -13,8 +13,8 @@ from app.builder.fields import button, choice, count_field, number_field, quiet_
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
 from skincal.files.layout_sources import (
+    GRID_ROWS_OR_COLUMNS_MAX,
     LAYOUT_ENDINGS,
-    MAX_GRID_SIDE,
     MAX_LAYOUT_CHANNELS,
     MAX_MODULES,
     Grid,
@@ -111,7 +111,9 @@ class SkinStep(Step):
 
     def _make_grid_page(self) -> QWidget:
         page = QWidget()
-        self.rows, self.columns = (count_field(name, 1, MAX_GRID_SIDE) for name in ("rows of the grid", "columns of the grid"))
+        self.rows, self.columns = (
+            count_field(name, 1, GRID_ROWS_OR_COLUMNS_MAX) for name in ("rows of the grid", "columns of the grid")
+        )
         self.pitch = number_field("spacing of the grid", " mm", 1000.0, 2)
         self.pitch.setMinimum(0.1)
         for box, value in ((self.rows, 4), (self.columns, 4)):

@@ -18,7 +18,7 @@ from skincal.session.draft_preview import PartPreview
 from skincal.session.part_draft import PartDraft
 
 NO_POINTS: FloatArray = np.empty((0, 3))
-TITLE_PT = 13.0
+STEP_TITLE_FONT_SIZE_PT = 13.0
 
 
 class Step(QWidget):
@@ -53,7 +53,7 @@ class Step(QWidget):
         self.column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
         self.column.setSpacing(WIDGET_GAP_PX)
         head = QLabel(self.title)
-        set_bold(head, TITLE_PT)
+        set_bold(head, STEP_TITLE_FONT_SIZE_PT)
         self.column.addWidget(head)
         self.hint_label = quiet_label(self.hint)
         self.column.addWidget(self.hint_label)

@@ -9,7 +9,7 @@ from app.panels.widgets import secondary_label
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 
-BUTTON_PX = 420
+START_BUTTON_WIDTH_PX = 420
 BUTTON_TEXTS = {
     "part": "&Describe your own part\N{HORIZONTAL ELLIPSIS}   Ctrl+Shift+N",
     "new": "&New session\N{HORIZONTAL ELLIPSIS}   Ctrl+N",
@@ -39,7 +39,7 @@ class StartPage(QWidget):
         self._column.addWidget(self.words)
         for name, text in BUTTON_TEXTS.items():
             button = QPushButton(text)
-            button.setFixedWidth(scaled(BUTTON_PX))
+            button.setFixedWidth(scaled(START_BUTTON_WIDTH_PX))
             button.clicked.connect(lambda _=False, name=name: self.command_wanted.emit(name))
             self._column.addWidget(button, 0, Qt.AlignmentFlag.AlignHCenter)
             self.buttons[name] = button

@@ -27,18 +27,18 @@ from skincal.model.skin import Layout
 from skincal.session.draft_preview import FIRST_SIDE, PartPreview
 from skincal.session.robot_shape import RobotShape
 
-AXIS_SHARE = 0.28  # Length of the chosen sensor's axes, of the part's longest side
+SENSOR_AXIS_LENGTH_OVER_PART_SIZE = 0.28  # Length of the chosen sensor's axes, of the part's longest side
 MIN_DRAWN_AXIS_LENGTH_M = 0.03
-OTHER_AXIS_SHARE = 0.4  # Of other sensors' axes, of the chosen one's
-MARK_SHARE = 0.025  # Radius of landmarks and picked points, of the part's longest side
+OTHER_SENSORS_AXIS_LENGTH_RATIO = 0.4  # Of other sensors' axes, of the chosen one's
+MARK_SIZE_OVER_PART_SIZE = 0.025  # Radius of landmarks and picked points, of the part's longest side
 BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 FIRST_VIEW = np.array(FIRST_SIDE)
 """Unit: from where a part or a robot is seen first, obliquely from above; its z axis is upright."""
 ROOT_XY_MASK = np.array([1.0, 1.0, 0.0])
-MIN_SIDE_OFFSET_M = 0.02
-MIN_UPRIGHT_SIN = 0.3  # Seen more steeply from above, nothing is upright
-LABEL_GAP_PX = 6.0
-MIN_FACING = 0.05
+LABEL_MIN_DISTANCE_FROM_PART_AXIS_M = 0.02
+MIN_SIN_VIEW_TO_UPRIGHT_AXIS = 0.3  # Seen more steeply from above, nothing is upright
+MODULE_TO_LABEL_GAP_PX = 6.0
+MIN_LABEL_FACING_COSINE = 0.05
 _NO_MESH = make_surface(np.array([[0.0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]]), np.array([[0, 1, 2]]))
 """Drawn, hidden, before there is a mesh."""
 
@@ -157,11 +157,11 @@ class SensorsLayer(Layer):
         if picture.step == "sensor":
             others += [(name, pose) for name, pose in preview.sensors.items() if name != preview.draft.sensor]
         for actor, frames, size in (
-            (self.chosen, chosen, self.size), (self.others, others, OTHER_AXIS_SHARE * self.size),
+            (self.chosen, chosen, self.size), (self.others, others, OTHER_SENSORS_AXIS_LENGTH_RATIO * self.size),
         ):  # fmt: skip
             ends = [np.stack([pose[:3, 3], pose[:3, 3] + size * pose[:3, axis]]) for _, pose in frames for axis in range(3)]
             actor.show(np.array(ends).reshape(-1, 3), np.tile(hues.repeat(2, axis=0), (len(frames), 1)))
-        self.labels = [Label(name, pose[:3, 3], LABEL_GAP_PX, 2.0) for name, pose in (*chosen, *others)]
+        self.labels = [Label(name, pose[:3, 3], MODULE_TO_LABEL_GAP_PX, 2.0) for name, pose in (*chosen, *others)]
         if chosen:
             pose = chosen[0][1]
             tips = pose[:3, 3] + 1.12 * self.size * pose[:3, :3].T
@@ -215,10 +215,10 @@ class MarksLayer(Layer):
             return
         marks = picture.preview.draft.landmarks if picture.step == "check" else ()
         places = np.array([mark.place for mark in marks]).reshape(-1, 3)
-        radius = MARK_SHARE * self.size / AXIS_SHARE
+        radius = MARK_SIZE_OVER_PART_SIZE * self.size / SENSOR_AXIS_LENGTH_OVER_PART_SIZE
         normals = self._normals[: len(places)]
         position = self.viewpoint.pose.position
-        seen = facing(normals, places, position) >= MIN_FACING if len(places) else np.empty(0, bool)
+        seen = facing(normals, places, position) >= MIN_LABEL_FACING_COSINE if len(places) else np.empty(0, bool)
         diamonds = rings(places[seen], normals[seen], radius, sides=4).reshape(-1, 3)
         towards = position - picture.points
         towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
@@ -226,7 +226,7 @@ class MarksLayer(Layer):
             rings(picture.points, towards, radius).reshape(-1, 3), crosses(picture.points, towards, 0.6 * radius).reshape(-1, 3)
         ])  # fmt: skip
         self.lines.show(np.concatenate([diamonds, points]), self.colours.ink)
-        gap = radius / self.viewpoint.pixel + LABEL_GAP_PX
+        gap = radius / self.viewpoint.pixel + MODULE_TO_LABEL_GAP_PX
         self.labels = [
             Label(mark.name, np.array(mark.place), gap, 2.0) for mark, is_seen in zip(marks, seen, strict=True) if is_seen
         ]
@@ -251,7 +251,7 @@ class DraftModulesLayer(ModulesLayer):
             offsets = np.linalg.norm(np.cross(places - places[0], along), axis=1)
             corners = dict.fromkeys((0, int(offsets.argmax()), len(channels) - 1))
             self._numbers = [
-                (Label(f"channel {channels[row]}", places[row], LABEL_GAP_PX, 3.0), laid.normals[channels[row]])
+                (Label(f"channel {channels[row]}", places[row], MODULE_TO_LABEL_GAP_PX, 3.0), laid.normals[channels[row]])
                 for row in corners
             ]
 
@@ -292,7 +292,10 @@ class DraftRenderer(SceneRenderer):
         if is_new or self.static.surface is not preview.surface:
             self.static = DraftStatic(preview.surface, preview.layout, preview.laid)
         self._show_layout(picture)
-        size = max(MIN_DRAWN_AXIS_LENGTH_M, AXIS_SHARE * (0.0 if preview.size_mm is None else max(preview.size_mm) * 1e-3))
+        size = max(
+            MIN_DRAWN_AXIS_LENGTH_M,
+            SENSOR_AXIS_LENGTH_OVER_PART_SIZE * (0.0 if preview.size_mm is None else max(preview.size_mm) * 1e-3),
+        )
         self.sensors.size = self.marks.size = size
         for layer in (self.links, self.sensors, self.marks, self.handle):
             layer.show_picture(picture)
@@ -339,7 +342,7 @@ class DraftRenderer(SceneRenderer):
             if preview.surface is not None and len(points):
                 # From the side of the robot on which the part is.
                 offset = turn.T @ (preview.surface.vertices.mean(axis=0) - (points.min(axis=0) + points.max(axis=0)) / 2.0)
-                view = np.where(offset * ROOT_XY_MASK < -MIN_SIDE_OFFSET_M, -1.0, 1.0) * FIRST_VIEW
+                view = np.where(offset * ROOT_XY_MASK < -LABEL_MIN_DISTANCE_FROM_PART_AXIS_M, -1.0, 1.0) * FIRST_VIEW
         if picture.step in SENSOR_STEPS[:2]:
             chosen = [] if preview.sensor_pose is None else [preview.sensor_pose]
             tips = [pose[:3, 3] + self.sensors.size * pose[:3, :3].T for pose in chosen or preview.sensors.values()]
@@ -348,7 +351,7 @@ class DraftRenderer(SceneRenderer):
             return PLAIN_POSE
         back = turn @ view if self.static.facing is None else self.static.facing
         right = np.cross(turn[:, 2], back)
-        right = right / np.linalg.norm(right) if np.linalg.norm(right) > MIN_UPRIGHT_SIN else turn[:, 0]
+        right = right / np.linalg.norm(right) if np.linalg.norm(right) > MIN_SIN_VIEW_TO_UPRIGHT_AXIS else turn[:, 0]
         axes = np.stack([right, np.cross(back, right), back])
         return fit_from(points, (points.min(axis=0) + points.max(axis=0)) / 2.0, axes, aspect, min_half_height)
 

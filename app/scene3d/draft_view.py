@@ -17,7 +17,7 @@ from skincal.geometry import FloatArray
 if TYPE_CHECKING:
     from app.scene3d.draft_renderer import DraftRenderer
 
-DEGREES_PER_NOTCH = 5.0
+LAYOUT_TURN_PER_WHEEL_NOTCH_DEG = 5.0
 """Turn of the layout for one notch of the wheel over it."""
 
 
@@ -64,7 +64,7 @@ class _LayoutTool(PointerTool):
         view = self._view
         if view.mode is not Mode.LAYOUT or view.module_at(x, y) is None:
             return False
-        view.layout_turned.emit(DEGREES_PER_NOTCH * notches)
+        view.layout_turned.emit(LAYOUT_TURN_PER_WHEEL_NOTCH_DEG * notches)
         return True
 
 

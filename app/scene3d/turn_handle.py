@@ -12,9 +12,9 @@ from app.scene3d.lines import circles, closed, tangents
 from app.scene3d.mesh_actors import FRONT, Dots, Layer, Segments
 from app.scene3d.scene_state import DARK, StaticScene
 
-RING_SIDES = 120
+TURN_RING_CORNERS = 120
 RING_PX, KNOB_PX, GRIP_PX = 3.0, 18.0, 11.0  # Line, knob, and distance from the ring within which a press is on it
-MIN_FACING = 0.2  # Cosine: a ring that is turned away more is hidden
+MIN_RING_FACING_COSINE = 0.2  # Cosine: a ring that is turned away more is hidden
 
 
 class TurnHandleLayer(Layer):
@@ -36,8 +36,8 @@ class TurnHandleLayer(Layer):
         handle, self._corners, knob = self._handle, NO_PLACES, NO_PLACES
         if handle is not None and self.viewpoint is not None:
             at, normal = handle.anchor.point[None], handle.anchor.normal[None]
-            if facing(normal, at, self.viewpoint.pose.position)[0] >= MIN_FACING:
-                self._corners = circles(at, normal, handle.radius, RING_SIDES)[0]
+            if facing(normal, at, self.viewpoint.pose.position)[0] >= MIN_RING_FACING_COSINE:
+                self._corners = circles(at, normal, handle.radius, TURN_RING_CORNERS)[0]
                 knob = at + handle.radius * handle.anchor.x
         red, green, blue = bytes.fromhex((theme.DARK if self.colours is DARK else theme.LIGHT).accent[1:])
         self.ring.show(closed(self._corners).reshape(-1, 3), (red, green, blue))

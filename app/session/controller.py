@@ -656,13 +656,15 @@ class Controller(QObject):
         lines: list[str] = []
 
         def send() -> str:
-            from skincal.robot.skin_manager import ANSWER_MAX_S, apply_positions, calibrated_positions, result_text
+            from skincal.robot.skin_manager import WAIT_FOR_ANSWER_MAX_S, apply_positions, calibrated_positions, result_text
 
             with raise_sentences("The positions are not sent"):
                 positions = calibrated_positions(calibration, method, None)
                 _make_folder(folder)
                 before = folder / f"before-{positions.part}.txt"
-                words = result_text(apply_positions(address, positions, before, ANSWER_MAX_S, lines.append), positions.part)
+                words = result_text(
+                    apply_positions(address, positions, before, WAIT_FOR_ANSWER_MAX_S, lines.append), positions.part
+                )
                 return f"{words[:1].upper()}{words[1:]}."
 
         self._applying.submit(

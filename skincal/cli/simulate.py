@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SERVED_MOMENT_NOISE_NM = 2e-6
 """N m. A served sensor without noise would look frozen: the last digits that most formats have."""
-SERVED_QUIET_S = 0.5
+REST_BEFORE_FIRST_SERVED_POKE_S = 0.5
 """s of rest before the first poke: a host that connects at once gets its tare."""
 DEFAULT_SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
@@ -164,7 +164,7 @@ def simulate(
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _make_operator(operator, rig, habits, operator_rng, (pokes, names))
     spoken = _speakers(speak_as, loaded)
-    settings = DeviceSettings(emulated=spoken, flicker=SERVED_MOMENT_NOISE_NM, start_quiet_s=SERVED_QUIET_S)
+    settings = DeviceSettings(emulated=spoken, flicker=SERVED_MOMENT_NOISE_NM, start_quiet_s=REST_BEFORE_FIRST_SERVED_POKE_S)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})

@@ -9,11 +9,11 @@ import typer
 
 from skincal.model.errors import plain_text
 
-PROGRESS_S = 0.5
+PROGRESS_UPDATE_PERIOD_S = 0.5
 """Between two updates of the progress on a terminal..."""
-PROGRESS_LINE_S = 10.0
+PROGRESS_LINE_IN_FILE_PERIOD_S = 10.0
 """...and between two lines of it in a file."""
-TIME_LEFT_AFTER_S = 2.0
+SHOW_TIME_LEFT_AFTER_S = 2.0
 """The time left is estimated after this time."""
 
 
@@ -39,10 +39,10 @@ class ProgressLine:
     def show(self, share: float) -> None:
         """Show the finished share, 0 to 1."""
         now_s = time.monotonic()
-        if now_s - self._last_s < (PROGRESS_S if self._is_terminal else PROGRESS_LINE_S):
+        if now_s - self._last_s < (PROGRESS_UPDATE_PERIOD_S if self._is_terminal else PROGRESS_LINE_IN_FILE_PERIOD_S):
             return
         self._last_s, elapsed_s = now_s, now_s - self._begin_s
-        left = f", {elapsed_s / share - elapsed_s:.0f} s left" if share > 0 and elapsed_s >= TIME_LEFT_AFTER_S else ""
+        left = f", {elapsed_s / share - elapsed_s:.0f} s left" if share > 0 and elapsed_s >= SHOW_TIME_LEFT_AFTER_S else ""
         text = f"{self._title}: {share:.0%}{left}"
         if self._is_terminal:
             typer.echo(f"\r{text}\x1b[K", nl=False, err=True)  # noqa: TID251 - rewrites the line

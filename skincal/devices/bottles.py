@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from skincal.devices.decoding import STAMP_MAX_S
+from skincal.devices.decoding import TIME_STAMP_MAX_S
 from skincal.geometry import FloatArray
 from skincal.model.readings import Stream
 
@@ -42,7 +42,7 @@ def measures(groups: list[Value], which: int) -> list[tuple[FloatArray, float]]:
     for measure in group if isinstance(group, list) else []:
         if isinstance(measure, list) and len(measure) == 2 and isinstance(measure[1], float):
             values = as_vector(measure[0])
-            if values is not None and abs(measure[1]) < STAMP_MAX_S:
+            if values is not None and abs(measure[1]) < TIME_STAMP_MAX_S:
                 found.append((values, measure[1]))
     return found
 

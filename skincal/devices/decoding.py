@@ -26,7 +26,7 @@ US_PER_S = 1e6
 NO_SEQ = -1
 SEQ_MAX = 1 << 62
 """Largest counter that a batch can hold."""
-STAMP_MAX_S = 5e9
+TIME_STAMP_MAX_S = 5e9
 """s. Times of any clock are nearer to 0 (the year 2128); a larger one has a wrong digit."""
 CRC_CCITT_INITIAL_VALUE = 0xFFFF
 SATURATED_BIT = 1

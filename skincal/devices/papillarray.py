@@ -16,7 +16,7 @@ from __future__ import annotations
 import struct
 from typing import ClassVar
 
-from skincal.devices.decoding import STAMP_MAX_S, US_PER_S, FrameDecoder, FrameSplitter, HeadSplitter
+from skincal.devices.decoding import TIME_STAMP_MAX_S, US_PER_S, FrameDecoder, FrameSplitter, HeadSplitter
 from skincal.devices.family import Family, Form, Handshake, Route, Vector
 from skincal.model.readings import Loss, Stream
 
@@ -80,7 +80,7 @@ class PapillArrayDecoder(FrameDecoder):
         if not whole:
             values = [abs(force[2]) for force in forces]
         device_s = time_us / US_PER_S
-        return self._add(Stream.SKIN, number, device_s if device_s < STAMP_MAX_S else float("nan"), values)
+        return self._add(Stream.SKIN, number, device_s if device_s < TIME_STAMP_MAX_S else float("nan"), values)
 
 
 def _blocks(data: bytes) -> dict[int, bytes]:

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any, ClassVar, cast
 
-from skincal.devices.decoding import NO_SEQ, STAMP_MAX_S, FrameDecoder, FrameSplitter, pack, packet_splitter
+from skincal.devices.decoding import NO_SEQ, TIME_STAMP_MAX_S, FrameDecoder, FrameSplitter, pack, packet_splitter
 from skincal.devices.family import DeviceAddress, Family, Form, Route, Vector
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
@@ -33,7 +33,7 @@ from skincal.ros.types import MessageError, MessageTypes
 MESSAGE_MAX_BYTES = 1 << 22
 """Bytes. The definitions of a type fit, and a skin of 100,000 channels."""
 HEAD_KIND, LOSS_KIND = 0, 255
-TOPICS_MAX = 100
+TOPICS_PER_SKIN_MAX = 100
 TIMES_STRUCT = struct.Struct("<2q")
 LOSSES_STRUCT = struct.Struct("<2I")
 PACE_TIME_S, PACE_ERROR_MAX = 4.0, 0.015
@@ -80,7 +80,7 @@ class TopicClock:
 
     def time_of(self, stamp: float | None, source_s: float) -> float:
         """Return the time of a message by one clock, seconds; NaN if there is none."""
-        if stamp is None or not abs(stamp) < STAMP_MAX_S or stamp == self._last or not self._keeps_pace(stamp, source_s):
+        if stamp is None or not abs(stamp) < TIME_STAMP_MAX_S or stamp == self._last or not self._keeps_pace(stamp, source_s):
             self._has_stamps = False
         self._last = math.nan if stamp is None else stamp
         return stamp if stamp is not None and self._has_stamps else source_s
@@ -276,7 +276,7 @@ def topics_of(address: DeviceAddress) -> TopicChoice:
 def has_topics(address: DeviceAddress) -> bool:
     """Check the names of the topics, and their number."""
     try:
-        return len(topics_of(address).topics) <= TOPICS_MAX
+        return len(topics_of(address).topics) <= TOPICS_PER_SKIN_MAX
     except InputError:
         return False
 

@@ -24,7 +24,7 @@ from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
 from skincal.ros.types import full_type_name, read_definition
 
 TYPE_SERVICE = "/rosapi/topic_type"
-SHOWN_MAX_CHARS = 80
+SERVER_TEXT_SHOWN_MAX_CHARS = 80
 
 
 def _read_json(payload: bytes) -> dict[str, Any]:
@@ -84,7 +84,7 @@ class RosbridgeHandshake(Handshake):
                     f"it knows no type of {self._topics[topic]}; start its publisher and the node rosapi, or name the type by "
                     "?type=geometry_msgs/WrenchStamped"
                 )
-            self._types[topic] = found[:SHOWN_MAX_CHARS]
+            self._types[topic] = found[:SERVER_TEXT_SHOWN_MAX_CHARS]
             if self.is_ready:
                 return self._subscriptions()
         return b""
@@ -115,7 +115,7 @@ class RosbridgeDecoder(TopicDecoder):
         except (ValueError, InputError):
             return Loss.UNREADABLE
         if message.get("op") == "status" and message.get("level") == "error":
-            self._problem = f"The server says: {str(message.get('msg'))[:SHOWN_MAX_CHARS]}"
+            self._problem = f"The server says: {str(message.get('msg'))[:SERVER_TEXT_SHOWN_MAX_CHARS]}"
         if message.get("op") != "publish":
             return None
         topic = message.get("topic")

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from skincal.devices.decoding import NO_SEQ, STAMP_MAX_S, FrameDecoder, FrameSplitter, LengthSplitter, ProtocolError
+from skincal.devices.decoding import NO_SEQ, TIME_STAMP_MAX_S, FrameDecoder, FrameSplitter, LengthSplitter, ProtocolError
 from skincal.devices.family import Family, Form, Handshake, HandshakeError, Route, Vector
 from skincal.model.readings import Loss, Stream
 
@@ -119,7 +119,7 @@ class RtdeDecoder(FrameDecoder):
             self._problem = f"Packets of {len(frame)} bytes arrive where {2 + 8 * (1 + 6 * len(self._streams))} are expected"
             return Loss.BAD_WIDTH
         self.valid_records += 1
-        device_s = float(values[0]) if math.isfinite(values[0]) and abs(values[0]) < STAMP_MAX_S else math.nan
+        device_s = float(values[0]) if math.isfinite(values[0]) and abs(values[0]) < TIME_STAMP_MAX_S else math.nan
         for index, stream in enumerate(self._streams):
             field = values[1 + 6 * index : 7 + 6 * index].astype(np.float64)
             # As every decoder hands on angles: degrees.

@@ -27,7 +27,15 @@ from typing import ClassVar
 import numpy as np
 
 from skincal.devices.bottles import Value, is_measures, values_of
-from skincal.devices.decoding import NO_SEQ, SEQ_MAX, STAMP_MAX_S, FrameDecoder, FrameSplitter, LengthSplitter, ProtocolError
+from skincal.devices.decoding import (
+    NO_SEQ,
+    SEQ_MAX,
+    TIME_STAMP_MAX_S,
+    FrameDecoder,
+    FrameSplitter,
+    LengthSplitter,
+    ProtocolError,
+)
 from skincal.devices.family import DeviceAddress, Family, Form, Handshake, HandshakeError, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.errors import InputError
@@ -160,7 +168,7 @@ def split_envelope(body: bytes) -> tuple[int, float, bytes]:
         command, seq, stamp = words[0], int(words[1]), float(words[2])
     except (IndexError, ValueError):
         raise ProtocolError("an envelope cannot be read") from None
-    if command not in (b"D", b"d", b"do") or not abs(seq) < SEQ_MAX or not abs(stamp) < STAMP_MAX_S:
+    if command not in (b"D", b"d", b"do") or not abs(seq) < SEQ_MAX or not abs(stamp) < TIME_STAMP_MAX_S:
         raise ProtocolError("an envelope cannot be right")
     return seq, stamp, body[8 + length :]
 

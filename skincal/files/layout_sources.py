@@ -19,7 +19,7 @@ from skincal.model.skin import KINDS, Layout, read_layout
 from skincal.model.tables import read_text
 
 CHANNELS_PER_TRIANGLE = 12
-MAX_GRID_SIDE = 300
+GRID_ROWS_OR_COLUMNS_MAX = 300
 MAX_MODULES = 2000
 MAX_TAXELS = 20_000
 MAX_LAYOUT_CHANNELS = 100_000
@@ -62,7 +62,7 @@ def parse_grid(text: str) -> Grid:
         spacing = float(pitch.removesuffix("mm"))
     except ValueError:
         rows, columns, spacing = 0, 0, 0.0
-    if not (1 <= rows <= MAX_GRID_SIDE and 1 <= columns <= MAX_GRID_SIDE and 0.1 <= spacing <= 1000.0):
+    if not (1 <= rows <= GRID_ROWS_OR_COLUMNS_MAX and 1 <= columns <= GRID_ROWS_OR_COLUMNS_MAX and 0.1 <= spacing <= 1000.0):
         raise InputError(f"{text}: is no grid; expected ROWSxCOLUMNS@PITCHmm, such as 6x8@9mm.")
     return Grid(rows, columns, spacing)
 

@@ -22,7 +22,7 @@ from skincal.model.given import read_regular
 from skincal.model.urdf import MAX_URDF_BYTES, element_pose, parse_xml
 from skincal.taxels.result import Method
 
-DISC_HEIGHT = 0.001
+DRAWN_TAXEL_HEIGHT_M = 0.001
 """m, of the drawn taxels."""
 
 
@@ -37,7 +37,7 @@ def tactile_urdf_text(calibration: Calibration, method: Method) -> str:
     ET.SubElement(sensor, "parent", link=link)
     ET.SubElement(sensor, "origin", xyz="0 0 0", rpy="0 0 0")
     tactile = ET.SubElement(sensor, "tactile", channel=name)
-    size = {"radius": f"{taxel_radius(calibration):.9g}", "length": f"{DISC_HEIGHT:g}"}
+    size = {"radius": f"{taxel_radius(calibration):.9g}", "length": f"{DRAWN_TAXEL_HEIGHT_M:g}"}
     for channel, (_, position, angles) in zip(taxels.channels.tolist(), named_poses(taxels), strict=True):
         taxel = ET.SubElement(tactile, "taxel", idx=str(channel), xyz=number_words(position), rpy=number_words(angles))
         ET.SubElement(ET.SubElement(taxel, "geometry"), "cylinder", size)

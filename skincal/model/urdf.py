@@ -28,11 +28,11 @@ from skincal.model.given import read_regular
 
 MAX_URDF_BYTES = 16 << 20
 """The official URDF of a whole iCub has 0.2 MB."""
-MAX_DEPTH = 200
+URDF_TREE_MAX_DEPTH = 200
 """Joints between the root and a link. The longest chain of a humanoid has 40."""
-MAX_LINKS = 5000
+URDF_MAX_LINKS = 5000
 """A humanoid with all its frames has 250."""
-MAX_LENGTH_M = 100.0
+URDF_MAX_LENGTH_M = 100.0
 MOVING = ("revolute", "continuous")
 """Kinds of joints whose angle is streamed."""
 KINDS = (*MOVING, "fixed", "prismatic", "floating", "planar")
@@ -143,7 +143,11 @@ class UrdfChain:
                 continue
             low, high = np.degrees(_limits(joint))
             advice = self._limit_advice(np.asarray(angles, dtype=float))
-            limits = f"its limits are {low:.0f} to {high:.0f}" if joint.limits else f"within {MAX_TURNS} turns are expected"
+            limits = (
+                f"its limits are {low:.0f} to {high:.0f}"
+                if joint.limits
+                else f"within {UNLIMITED_JOINT_MAX_TURNS} turns are expected"
+            )
             return f"joint {joint.name} (column {column}) is at {np.degrees(angle):.1f} degrees; {limits}; {advice}."
         return None
 
@@ -155,7 +159,7 @@ class UrdfChain:
         for two.
         """
         reach, moved = np.degrees(np.abs([lowest, highest]).max()), np.degrees((highest - lowest).max())
-        if reach > np.pi or moved < MIN_MOVE_OF_RADIANS:
+        if reach > np.pi or moved < RADIANS_CHECK_MIN_JOINT_RANGE_RAD:
             return None
         return (
             f"the arm moves, and all its angles stay within {reach:.1f} degrees of 0; if the stream is in radians, convert it "
@@ -182,14 +186,14 @@ class UrdfChain:
 
 LIMIT_SLACK = float(np.radians(3.0))
 """Tolerance of the joint limits, rad: encoders have offsets."""
-MAX_TURNS = 3
+UNLIMITED_JOINT_MAX_TURNS = 3
 """Expected turns of a joint without limits, either way: cables wind up."""
-MIN_MOVE_OF_RADIANS = 1.0
+RADIANS_CHECK_MIN_JOINT_RANGE_RAD = 1.0
 """rad, smallest range of a joint that is called moving: 1 degree if the stream is right, 57 degrees if it is in radians."""
 
 
 def _limits(joint: UrdfJoint) -> tuple[float, float]:
-    return joint.limits or (-2.0 * np.pi * MAX_TURNS, 2.0 * np.pi * MAX_TURNS)
+    return joint.limits or (-2.0 * np.pi * UNLIMITED_JOINT_MAX_TURNS, 2.0 * np.pi * UNLIMITED_JOINT_MAX_TURNS)
 
 
 def _fits(joint: UrdfJoint, angle: float) -> bool:
@@ -513,8 +517,8 @@ def _require_tree(links: Sequence[str], joints: Sequence[UrdfJoint], path: Path)
         twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
             raise InputError(f"{path}: two {what}s are named {twice[0]!r}; expected a name for each.")
-    if len(links) > MAX_LINKS:
-        raise InputError(f"{path}: has {len(links)} links; expected at most {MAX_LINKS}.")
+    if len(links) > URDF_MAX_LINKS:
+        raise InputError(f"{path}: has {len(links)} links; expected at most {URDF_MAX_LINKS}.")
     known, above = set(links), dict[str, UrdfJoint]()
     for joint in joints:
         for end in (joint.parent, joint.child):
@@ -530,9 +534,11 @@ def _require_tree(links: Sequence[str], joints: Sequence[UrdfJoint], path: Path)
         at, depth = link, 0
         while at in above:
             at, depth = above[at].parent, depth + 1
-            if at == link or depth > MAX_DEPTH:
+            if at == link or depth > URDF_TREE_MAX_DEPTH:
                 what = "is part of a circle" if at == link else f"lies below {plural(depth - 1, 'joint')}"
-                raise InputError(f"{path}: link {link} {what}; expected a tree of at most {MAX_DEPTH} joints in depth.")
+                raise InputError(
+                    f"{path}: link {link} {what}; expected a tree of at most {URDF_TREE_MAX_DEPTH} joints in depth."
+                )
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
         raise InputError(f"{path}: no joint connects {roots[0]} and {roots[1]}; expected one tree: add the missing joint.")
@@ -576,8 +582,8 @@ def _pose_of(xyz: FloatArray, rpy: FloatArray, where: str) -> FloatArray:
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr],
     ]
-    if np.abs(pose[:3, 3]).max() > MAX_LENGTH_M:
-        raise InputError(f"{where} is {pose[:3, 3].tolist()}; expected metres, at most {MAX_LENGTH_M:g}.")
+    if np.abs(pose[:3, 3]).max() > URDF_MAX_LENGTH_M:
+        raise InputError(f"{where} is {pose[:3, 3].tolist()}; expected metres, at most {URDF_MAX_LENGTH_M:g}.")
     return pose
 
 

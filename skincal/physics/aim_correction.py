@@ -13,9 +13,9 @@ from skincal.geometry import FloatArray, axis_point, cross_matrix, crossed, leng
 
 SHIFT_SD_M, TURN_SD = 0.010, float(np.radians(1.0))
 """Prior sd of the motion, along and about each axis of the room."""
-AXIS_SD_M = 0.002
+FORCE_AXIS_TO_CONTACT_SD_M = 0.002
 """m, sd of the distance between a force axis and the true contact: sensor noise, and the tip's radius under friction."""
-MAX_MISS_M = 0.020
+FORCE_AXIS_MAX_DISTANCE_FROM_TIP_M = 0.020
 """m. An axis that passes farther from the tip has another cause, such as a second contact: it is not used."""
 
 
@@ -41,9 +41,9 @@ class AimCorrection:
         across = cross_matrix(turn @ force / length_of(force))
         miss = across @ turn @ (axis_point(force, moment) - contact)
         contact = turn @ contact + room_from_part[:3, 3]
-        if length_of(miss) > MAX_MISS_M:
+        if length_of(miss) > FORCE_AXIS_MAX_DISTANCE_FROM_TIP_M:
             return
-        rows = np.hstack([across, -across @ cross_matrix(contact)]) / AXIS_SD_M
+        rows = np.hstack([across, -across @ cross_matrix(contact)]) / FORCE_AXIS_TO_CONTACT_SD_M
         self._information += rows.T @ rows
-        self._sum += rows.T @ miss / AXIS_SD_M
+        self._sum += rows.T @ miss / FORCE_AXIS_TO_CONTACT_SD_M
         self._motion = np.asarray(np.linalg.solve(self._information, self._sum), dtype=np.float64)

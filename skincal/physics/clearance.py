@@ -17,17 +17,17 @@ from skincal.geometry import FloatArray, length_of, orthonormal_pair
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 
-HALF_PLANES = 8
+DETOUR_HALF_PLANES_TRIED = 8
 """Half planes through start and goal that are tried."""
-SAMPLE_M = 0.004
+PATH_SAMPLE_SPACING_M = 0.004
 """m, between the points of a straight way that are compared with the mesh."""
-MIN_DISTANCE_SHARE = 0.3
+MIN_PART_DISTANCE_OVER_TARGET_DISTANCE = 0.3
 """A point of an approach is at least this share of its distance from the target away from the part."""
-ENOUGH_DISTANCE_M = 0.006
+ALWAYS_FREE_PART_DISTANCE_M = 0.006
 """m. A point at least so far from the part is free in any case."""
-SLACK_M = 0.003
+OUTSIDE_HULL_TOLERANCE_M = 0.003
 """m. A tip so far inside the enlarged hull counts as outside: an arm does not arrive to the last micrometre."""
-THICKNESS_M = 1e-4
+HULL_ENLARGED_BY_M = 1e-4
 """m. The hull is larger on every side by this."""
 
 
@@ -57,7 +57,7 @@ class Clearance:
         if surface is not None:
             spatial: Any = import_module("scipy.spatial")
             # Thickened: a flat part has no hull, and a sharp edge gets a slanted face, without which its corner lies far away.
-            thick = (surface.vertices + THICKNESS_M * np.concatenate([np.eye(3), -np.eye(3)])[:, None]).reshape(-1, 3)
+            thick = (surface.vertices + HULL_ENLARGED_BY_M * np.concatenate([np.eye(3), -np.eye(3)])[:, None]).reshape(-1, 3)
             hull: Any = spatial.ConvexHull(thick)
             equations: FloatArray = np.asarray(hull.equations, dtype=np.float64).round(9)
             faces = np.unique(equations, axis=0)
@@ -72,7 +72,7 @@ class Clearance:
 
     def is_outside(self, place: FloatArray) -> bool:
         """Whether a point, (3,) metres, is outside the enlarged hull. Without a mesh every point is."""
-        return not len(self._offsets) or bool((self._normals @ place > self._offsets - SLACK_M).any())
+        return not len(self._offsets) or bool((self._normals @ place > self._offsets - OUTSIDE_HULL_TOLERANCE_M).any())
 
     def ways(self, start: FloatArray, goal: FloatArray) -> list[list[ViaPoint]]:
         """List ways between two points outside, the shortest first; a straight one has no point between them."""
@@ -82,7 +82,7 @@ class Clearance:
         middle, along = start + inside * (goal - start), (goal - start) / length_of(goal - start)
         found: list[tuple[float, list[ViaPoint]]] = []
         first, second = orthonormal_pair(along[None])[0]
-        for turn in 2.0 * np.pi * np.arange(HALF_PLANES) / HALF_PLANES:
+        for turn in 2.0 * np.pi * np.arange(DETOUR_HALF_PLANES_TRIED) / DETOUR_HALF_PLANES_TRIED:
             aside = np.cos(turn) * first + np.sin(turn) * second
             way = self._cut_corners(start, self._outline(middle, along, aside), goal)
             corners = [start, *(each.position for each in way), goal]
@@ -92,13 +92,18 @@ class Clearance:
     def is_approach_free(self, place: FloatArray, start: FloatArray) -> bool:
         """Whether the straight way from `start` (3,) to `place` (3,) touches the part nowhere but at its end."""
         way = start - place
-        away = np.arange(SAMPLE_M, length_of(way), SAMPLE_M)
+        away = np.arange(PATH_SAMPLE_SPACING_M, length_of(way), PATH_SAMPLE_SPACING_M)
         points = place + away[:, None] * way / length_of(way)
-        return bool((self._distances(points) >= np.minimum(MIN_DISTANCE_SHARE * away, ENOUGH_DISTANCE_M)).all())
+        return bool(
+            (
+                self._distances(points)
+                >= np.minimum(MIN_PART_DISTANCE_OVER_TARGET_DISTANCE * away, ALWAYS_FREE_PART_DISTANCE_M)
+            ).all()
+        )
 
     def is_straight_way_free(self, start: FloatArray, goal: FloatArray, least: float) -> bool:
         """Whether the straight way between two points (3,) stays at least `least`, metres, away from the part."""
-        count = 2 + int(length_of(goal - start) / SAMPLE_M)
+        count = 2 + int(length_of(goal - start) / PATH_SAMPLE_SPACING_M)
         points = start + np.linspace(0.0, 1.0, count)[:, None] * (goal - start)
         return bool((self._distances(points) >= least).all())
 
@@ -120,7 +125,7 @@ class Clearance:
         """Find the middle of the straight way's part inside the enlarged hull, as a share; `None` if it stays outside."""
         if not len(self._offsets):
             return None
-        from_start, slopes = self._offsets - SLACK_M - self._normals @ start, self._normals @ (goal - start)
+        from_start, slopes = self._offsets - OUTSIDE_HULL_TOLERANCE_M - self._normals @ start, self._normals @ (goal - start)
         parallel = np.abs(slopes) < 1e-12
         if (parallel & (from_start < 0.0)).any():
             return None

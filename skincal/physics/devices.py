@@ -13,12 +13,12 @@ from skincal.physics.engine import PERIOD_S
 from skincal.physics.rig import SimulatedRobot
 from skincal.simulate.board_formats import Encoder, make_encoder
 
-PERIODS_PER_BLOCK = 5
-BLOCK_S = PERIODS_PER_BLOCK * PERIOD_S
+CONTROL_PERIODS_PER_SENT_BLOCK = 5
+BLOCK_S = CONTROL_PERIODS_PER_SENT_BLOCK * PERIOD_S
 """s of readings that are sent together; also the time between two skin frames: 50 Hz, as in the paper (section III-B)."""
-JOINT_PERIODS = 2
+CONTROL_PERIODS_PER_JOINT_RECORD = 2
 """Periods between two records of the joints: 125 Hz."""
-HEADER_S = 2.0
+BOARD_HEADER_PERIOD_S = 2.0
 """s between two headers of a board."""
 US_PER_S = 1_000_000
 CLOCK_WRAP_US = 2**32
@@ -55,7 +55,7 @@ class RobotDevices:
             ),
         }
         if scene.arm is not None:
-            header = f"board=arm,rate={1 / (JOINT_PERIODS * PERIOD_S):g},unit=deg,kind=joints,fw=1"
+            header = f"board=arm,rate={1 / (CONTROL_PERIODS_PER_JOINT_RECORD * PERIOD_S):g},unit=deg,kind=joints,fw=1"
             self._boards[Stream.JOINTS] = _board(Stream.JOINTS, header, max(scene.arm.arm.joints, default=-1) + 1)
         self._periods = 0
         self._readings: dict[Stream, list[tuple[int, FloatArray]]] = {stream: [] for stream in self._boards}
@@ -71,15 +71,15 @@ class RobotDevices:
 
     @property
     def is_block_full(self) -> bool:
-        return self._periods > 0 and self._periods % PERIODS_PER_BLOCK == 0
+        return self._periods > 0 and self._periods % CONTROL_PERIODS_PER_SENT_BLOCK == 0
 
     def _collect(self) -> None:
         self._periods += 1
         time_us = round(self._periods * PERIOD_S * US_PER_S) % CLOCK_WRAP_US
         self._readings[Stream.WRENCH].append((time_us, self._robot.reading))
-        if self._periods % PERIODS_PER_BLOCK == 0:
+        if self._periods % CONTROL_PERIODS_PER_SENT_BLOCK == 0:
             self._readings[Stream.SKIN].append((time_us, self._robot.skin_frame()))
-        if self._periods % JOINT_PERIODS == 0 and Stream.JOINTS in self._boards:
+        if self._periods % CONTROL_PERIODS_PER_JOINT_RECORD == 0 and Stream.JOINTS in self._boards:
             self._readings[Stream.JOINTS].append((time_us, np.degrees(self._robot.joint_record())))
 
     def greeting(self, link: str) -> bytes:
@@ -101,7 +101,7 @@ class RobotDevices:
             if data:
                 sent.append((round(self.now * 1e9), stream.value, data))
         if has_header:
-            self._next_header_s += HEADER_S
+            self._next_header_s += BOARD_HEADER_PERIOD_S
         return sent
 
 

@@ -57,5 +57,5 @@ SENSOR_DELAY_S = 0.020
 """s, delay of a filtered sensor's readings."""
 BASE_TURN_PER_M = 0.25 * 3.141592653589793 / 180 / 0.001
 """rad of rotation error of the base frame for each metre of position error."""
-STICKING_FRICTION = 10.0
+FRICTION_COEFFICIENT_WITHOUT_SLIP = 10.0
 """Coulomb coefficient of a tip that does not slip."""

@@ -19,27 +19,27 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.physics.mjcf import (
     CONTACT_IMPEDANCE,
-    LAYER_DAMPING_TIME_S,
-    LAYER_STIFFNESS,
-    LAYER_THICKNESS_M,
-    TIMESTEP_S,
+    FOAM_DAMPING_OVER_STIFFNESS_S,
+    FOAM_STIFFNESS_N_PER_M,
+    FOAM_THICKNESS_M,
+    PHYSICS_TIME_STEP_S,
 )
 
-STEPS_PER_PERIOD = 4
-PERIOD_S = STEPS_PER_PERIOD * TIMESTEP_S
+PHYSICS_STEPS_PER_CONTROL_PERIOD = 4
+PERIOD_S = PHYSICS_STEPS_PER_CONTROL_PERIOD * PHYSICS_TIME_STEP_S
 """s between two commands, and two readings of the sensor."""
-NEAR_M = 0.008
+FACET_UPDATE_MAX_DISTANCE_M = 0.008
 """m. Farther from the mesh the facet is not placed in each period."""
-PERIOD_MAX_M = 0.002
+TIP_MAX_MOVE_PER_PERIOD_M = 0.002
 """m, way of the tip in a period at 0.5 m/s: no arm here is faster."""
-SAME_PLACE_M = 1e-6
+KEEP_FACET_MAX_TIP_MOVE_M = 1e-6
 """m. A tip that moved less keeps its facet."""
 IK_STEPS, IK_DAMPING = 60, 1e-3
-IK_TOLERANCE_M = 1e-4
+INVERSE_KINEMATICS_TOLERANCE_M = 1e-4
 """m, and 10 times as many radians."""
-IK_MAX_TURN = 0.2
+MAX_JOINT_CHANGE_PER_STEP_RAD = 0.2
 """rad, largest change of a joint in one step of the inverse kinematics."""
-DIRECTION_WEIGHT_M = 0.1
+LENGTH_EQUAL_TO_ONE_RAD_M = 0.1
 """m. A direction error of 1 rad counts as much as this position error."""
 
 
@@ -122,14 +122,14 @@ class Engine:
         return float(self.data.time)
 
     def _set_layer_stiffness(self) -> None:
-        """Make the contact a spring of `LAYER_STIFFNESS`.
+        """Make the contact a spring of `FOAM_STIFFNESS_N_PER_M`.
 
         MuJoCo's reference acceleration is -b v - k r, and a constant impedance d makes the force k r / ((1 - d) A), A the
         engine's estimate of the inverse mass at the contact (MuJoCo documentation, Computation, Constraint model).
         """
         inverse_mass = float(self.model.body_invweight0[[self._facet, self._wrist], 0].sum())
-        stiffness = LAYER_STIFFNESS * (1.0 - CONTACT_IMPEDANCE) * inverse_mass
-        self.model.pair_solref[0] = -stiffness, -stiffness * LAYER_DAMPING_TIME_S
+        stiffness = FOAM_STIFFNESS_N_PER_M * (1.0 - CONTACT_IMPEDANCE) * inverse_mass
+        self.model.pair_solref[0] = -stiffness, -stiffness * FOAM_DAMPING_OVER_STIFFNESS_S
 
     def advance(self) -> None:
         """Advance by one period."""
@@ -138,15 +138,15 @@ class Engine:
         else:
             self._place_facet()
         # Goals that jump each period would make the part's inertia felt in every reading.
-        change = (self._goals - self.data.ctrl) / STEPS_PER_PERIOD
-        for _ in range(STEPS_PER_PERIOD):
+        change = (self._goals - self.data.ctrl) / PHYSICS_STEPS_PER_CONTROL_PERIOD
+        for _ in range(PHYSICS_STEPS_PER_CONTROL_PERIOD):
             self.data.ctrl[:] += change
             self.mujoco.mj_step(self.model, self.data)
 
     def _place_facet(self) -> None:
         """Place the facet tangent to the layer's outer face, under the tip."""
         centre = self.tip_in_part()[0]
-        if length_of(centre - self._facet_for) < SAME_PLACE_M:
+        if length_of(centre - self._facet_for) < KEEP_FACET_MAX_TIP_MOVE_M:
             return
         self._facet_for = centre
         points, triangles = nearest_points(self.surface, centre[None])
@@ -154,8 +154,12 @@ class Engine:
         distance, outward = length_of(away), self.surface.normals[triangles[0]]
         # The tip is outside unless it went through the layer: then the triangle's normal says where outside is.
         normal = away / distance if distance > 1e-9 and away @ outward > 0 else outward
-        self._far_for = int((distance - NEAR_M) / PERIOD_MAX_M) if distance > NEAR_M else 0
-        self.model.body_pos[self._facet] = points[0] + LAYER_THICKNESS_M * normal
+        self._far_for = (
+            int((distance - FACET_UPDATE_MAX_DISTANCE_M) / TIP_MAX_MOVE_PER_PERIOD_M)
+            if distance > FACET_UPDATE_MAX_DISTANCE_M
+            else 0
+        )
+        self.model.body_pos[self._facet] = points[0] + FOAM_THICKNESS_M * normal
         self.mujoco.mju_quatZ2Vec(self.model.body_quat[self._facet], normal)
 
     def touch(self) -> Touch | None:
@@ -230,7 +234,7 @@ class Engine:
 
         Returns
         -------
-        The angles within their limits, and the remaining error, metres (`DIRECTION_WEIGHT_M`).
+        The angles within their limits, and the remaining error, metres (`LENGTH_EQUAL_TO_ONE_RAD_M`).
         """
         angles, error = start.copy(), np.inf
         for _ in range(steps):
@@ -239,14 +243,18 @@ class Engine:
             if along @ direction < 0:
                 # Beyond 90 degrees the cross product shrinks again.
                 turn = turn / max(length_of(turn), 1e-9)
-            off = np.concatenate([position - at, DIRECTION_WEIGHT_M * turn])
+            off = np.concatenate([position - at, LENGTH_EQUAL_TO_ONE_RAD_M * turn])
             error = length_of(off)
-            if error < IK_TOLERANCE_M / 10:
+            if error < INVERSE_KINEMATICS_TOLERANCE_M / 10:
                 break
             jacobian = self._jacobian(along)
             step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + IK_DAMPING**2 * np.eye(6), off)
             largest = float(np.abs(step).max())
-            angles = np.clip(angles + step * min(1.0, IK_MAX_TURN / max(largest, 1e-9)), self.limits[:, 0], self.limits[:, 1])
+            angles = np.clip(
+                angles + step * min(1.0, MAX_JOINT_CHANGE_PER_STEP_RAD / max(largest, 1e-9)),
+                self.limits[:, 0],
+                self.limits[:, 1],
+            )
         return angles, error
 
     def _jacobian(self, along: FloatArray) -> FloatArray:
@@ -260,4 +268,4 @@ class Engine:
         turn = data.xmat[self._part].reshape(3, 3).T
         position = turn @ (moved[0] - moved[1])[:, self._dofs]
         spin = turn @ (turned[0] - turned[1])[:, self._dofs]
-        return np.concatenate([position, DIRECTION_WEIGHT_M * (spin - np.outer(along, along @ spin))])
+        return np.concatenate([position, LENGTH_EQUAL_TO_ONE_RAD_M * (spin - np.outer(along, along @ spin))])

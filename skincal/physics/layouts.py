@@ -13,29 +13,29 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.model.urdf import MOVING, UrdfJoint
 from skincal.physics.effects import Effects
-from skincal.physics.engine import IK_TOLERANCE_M, Engine
+from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, Engine
 from skincal.physics.mjcf import Joint, RigPlan, write_mjcf
 from skincal.physics.rig import RigLayout, SimulatedRobot, rotation_by, soft_axes
 
 TOOL_LENGTH_M = 0.10
-LIFT_M = 0.40
+PART_CENTRE_HEIGHT_M = 0.40
 """m, height of the part's centre over the floor."""
-STAND_OFF_M = 0.45
+ARM_BASE_TO_PART_M = 0.45
 """m, from the part's centre to the axis of the arm's base."""
 UPPER_ARM_M, FOREARM_M = 0.40, 0.40
-LINK_MASS_KG = 1.0
+LINK_MASS_BEFORE_SENSOR_KG = 1.0
 """kg of a link before the sensor. Assumed: the URDF's are not read."""
-LIGHT_LINK_KG = 0.05
+LINK_MASS_AFTER_SENSOR_KG = 0.05
 """kg of a link between sensor and part."""
-WIDE_ANGLE = 2.0
+MAX_TRIED_JOINT_ANGLE_RAD = 2.0
 """rad, largest angle of an arm pose that is tried for the tip's place."""
 TRIED_POSES, TRIED_PLACES = 24, 16
-TRIED_TILT = 0.25
+TRIED_PUSH_SLOPE_SD = 0.25
 """Slope, sd in each direction, of the pushes that are tried."""
-TRIED_HEIGHT_M = 0.03
-START_HEIGHT_M = 0.06
+TRIED_TIP_HEIGHT_M = 0.03
+TIP_START_HEIGHT_M = 0.06
 """m, from the skin to the tip at the start."""
-OTHER_STARTS = 4
+INVERSE_KINEMATICS_RESTARTS = 4
 
 
 def _pose(shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0), rotation: FloatArray | None = None) -> FloatArray:
@@ -56,7 +56,7 @@ def poking_arm(scene: Scene, surface: Surface, pose: str = "") -> RigLayout:
         link_from_sensor = scene.arm.arm.link_from_sensor(angles)
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     centre = (low + high) / 2.0
-    world_from_link = _pose(np.array([0.0, 0.0, LIFT_M]) - centre)
+    world_from_link = _pose(np.array([0.0, 0.0, PART_CENTRE_HEIGHT_M]) - centre)
     part_chain = [
         Joint(world_from_link @ link_from_sensor, None, mass=1.0, trembles=True),
         Joint(np.eye(4), None, sensor_pose=np.eye(4)),
@@ -65,7 +65,7 @@ def poking_arm(scene: Scene, surface: Surface, pose: str = "") -> RigLayout:
     y, z = np.eye(3)[1:]
     # All joints turn about z or y; at 0 the arm is stretched upwards.
     tip_chain = [
-        Joint(_pose((0.0, STAND_OFF_M, 0.2)), z, mass=3.0),
+        Joint(_pose((0.0, ARM_BASE_TO_PART_M, 0.2)), z, mass=3.0),
         Joint(_pose((0.0, 0.0, 0.1)), y, (-2.4, 2.4), 2.0, np.array([0.0, 0.0, UPPER_ARM_M / 2.0])),
         Joint(_pose((0.0, 0.0, UPPER_ARM_M)), y, (-2.7, 2.7), 1.5, np.array([0.0, 0.0, FOREARM_M / 2.0])),
         Joint(_pose((0.0, 0.0, FOREARM_M)), z, (-6.0, 6.0), 0.3),
@@ -113,7 +113,7 @@ def moving_part(scene: Scene, surface: Surface) -> RigLayout:
                 joint.origin if turns else joint.transform(fixed.get(joint.name, 0.0)),
                 joint.axis if turns else None,
                 joint.limits or (-np.pi, np.pi),
-                LINK_MASS_KG if number < behind else LIGHT_LINK_KG * turns,
+                LINK_MASS_BEFORE_SENSOR_KG if number < behind else LINK_MASS_AFTER_SENSOR_KG * turns,
                 sensor_pose=_sensor_in_child(scene, joints[number + 1 :], fixed) if number == behind else None,
             )
         )
@@ -151,10 +151,10 @@ def _place_tip(
     places, normals = _planned_skin(scene, surface)
     rng = np.random.default_rng(0)
     limits = np.array([joint.limits for joint in chain if joint.axis is not None])
-    low, high = np.maximum(limits[:, 0], -WIDE_ANGLE), np.minimum(limits[:, 1], WIDE_ANGLE)
+    low, high = np.maximum(limits[:, 0], -MAX_TRIED_JOINT_ANGLE_RAD), np.minimum(limits[:, 1], MAX_TRIED_JOINT_ANGLE_RAD)
     best: tuple[int, RigPlan, FloatArray, Engine] | None = None
     tries = rng.choice(len(places), TRIED_PLACES)
-    tilts = TRIED_TILT * rng.standard_normal((TRIED_PLACES, 3))
+    tilts = TRIED_PUSH_SLOPE_SD * rng.standard_normal((TRIED_PLACES, 3))
     for _ in range(TRIED_POSES):
         angles = low + (high - low) * rng.uniform(0.15, 0.85, len(limits))
         plan = RigPlan(chain, middle, [Joint(_tip_base(chain, angles, places, normals), None)], TOOL_LENGTH_M, True)
@@ -163,12 +163,12 @@ def _place_tip(
         for place, normal, tilt in zip(places[tries], normals[tries], tilts, strict=True):
             push = tilt - normal
             push = push / length_of(push)
-            count += engine.solve_angles(angles, place - TRIED_HEIGHT_M * push, push)[1] < IK_TOLERANCE_M
+            count += engine.solve_angles(angles, place - TRIED_TIP_HEIGHT_M * push, push)[1] < INVERSE_KINEMATICS_TOLERANCE_M
         if best is None or count > best[0]:
             best = count, plan, angles, engine
     assert best is not None
     _, plan, start, _ = best
-    seeds = np.clip(start + 0.5 * rng.standard_normal((OTHER_STARTS, len(start))), limits[:, 0], limits[:, 1])
+    seeds = np.clip(start + 0.5 * rng.standard_normal((INVERSE_KINEMATICS_RESTARTS, len(start))), limits[:, 0], limits[:, 1])
     return plan, start, seeds
 
 
@@ -185,7 +185,7 @@ def _tip_base(chain: Sequence[Joint], angles: FloatArray, places: FloatArray, no
     wrist = np.eye(4)
     wrist[:3, :2] = orthonormal_pair(push[None])[0].T
     wrist[:3, 2] = push
-    wrist[:3, 3] = middle - (TOOL_LENGTH_M + START_HEIGHT_M) * push
+    wrist[:3, 3] = middle - (TOOL_LENGTH_M + TIP_START_HEIGHT_M) * push
     return wrist
 
 

@@ -13,27 +13,27 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.physics.effects import STICKING_FRICTION, Effects
+from skincal.physics.effects import FRICTION_COEFFICIENT_WITHOUT_SLIP, Effects
 
 TIP_RADIUS_M = 0.002
-TIMESTEP_S = 0.001
-LAYER_STIFFNESS = 8000.0
+PHYSICS_TIME_STEP_S = 0.001
+FOAM_STIFFNESS_N_PER_M = 8000.0
 """N/m, of the layer under the tip: foam of 0.75 MPa, 2.5 mm thick, under a patch of 27 mm^2."""
-LAYER_THICKNESS_M = 0.0025
+FOAM_THICKNESS_M = 0.0025
 """m, from the taxels to the outer face: 2 to 3 mm of foam and fabric on an iCub."""
 CONTACT_IMPEDANCE = 0.9
 """Constant impedance d of the contact: it makes the contact a linear spring (`contact_reference`)."""
-LAYER_DAMPING_TIME_S = 0.004
+FOAM_DAMPING_OVER_STIFFNESS_S = 0.004
 """s, damping of the layer over its stiffness."""
-WRIST_STIFFNESS = 3000.0
+WRIST_STIFFNESS_N_PER_M = 3000.0
 """N/m, along the tip's direction: a rubber buffer or a passive compliance of a small arm. Assumed."""
-WRIST_BEND_STIFFNESS = 60.0
+WRIST_BENDING_STIFFNESS_NM_PER_RAD = 60.0
 """N m/rad across it. Assumed."""
-MOTOR_STIFFNESS = 2e4
+JOINT_STIFFNESS_NM_PER_RAD = 2e4
 """N m/rad of an arm's joint without sag."""
-MOUNT_STIFFNESS = 5e4
+VIBRATING_MOUNT_STIFFNESS_N_PER_M = 5e4
 """N/m of the sensor's mount where it vibrates: with the part a resonance of about 30 Hz."""
-LIGHT_PART_KG = 1e-3
+WEIGHTLESS_PART_MASS_KG = 1e-3
 """kg of a part without weight."""
 FACET_HALF = (0.02, 0.02, 0.005)
 
@@ -80,7 +80,7 @@ def write_mjcf(plan: RigPlan, effects: Effects) -> str:
     """Write the MJCF text of a rig."""
     root = Element("mujoco", model="skincal-robot")
     _add(root, "compiler", angle="radian", autolimits="true")
-    _add(root, "option", timestep=f"{TIMESTEP_S}", integrator="implicitfast", cone="elliptic", impratio="1000")
+    _add(root, "option", timestep=f"{PHYSICS_TIME_STEP_S}", integrator="implicitfast", cone="elliptic", impratio="1000")
     world = _add(root, "worldbody")
     actuators = _add(root, "actuator")
     part = _add_chain(world, plan.part_chain, "p", actuators if plan.part_is_actuated else None, effects)
@@ -112,7 +112,7 @@ def pose_attributes(pose: FloatArray) -> dict[str, str]:
 
 def _add_chain(parent: Element, chain: Sequence[Joint], prefix: str, actuators: Element | None, effects: Effects) -> Element:
     """Add the bodies of a chain; with `actuators` its hinges are driven. Return the last body."""
-    stiffness = 1.0 / (1.0 / MOTOR_STIFFNESS + effects.sag)
+    stiffness = 1.0 / (1.0 / JOINT_STIFFNESS_NM_PER_RAD + effects.sag)
     for number, joint in enumerate(chain):
         name = f"{prefix}{number}"
         # Without sag the drives hold the arm's weight, too.
@@ -129,7 +129,7 @@ def _add_chain(parent: Element, chain: Sequence[Joint], prefix: str, actuators: 
             for axis in "xyz":
                 _add(
                     parent, "joint", name=f"mount_{axis}", type="slide", axis=numbers([float(axis == each) for each in "xyz"]),
-                    stiffness=f"{MOUNT_STIFFNESS}", damping="25",
+                    stiffness=f"{VIBRATING_MOUNT_STIFFNESS_N_PER_M}", damping="25",
                 )  # fmt: skip
         if joint.sensor_pose is not None:
             # The sensor reads the load between this body and the one before.
@@ -143,7 +143,7 @@ def _add_chain(parent: Element, chain: Sequence[Joint], prefix: str, actuators: 
 
 def _add_part(parent: Element, plan: RigPlan, effects: Effects) -> None:
     # A mount that trembles is felt by the part's inertia.
-    mass = effects.weight or (Effects().weight if effects.vibration else LIGHT_PART_KG)
+    mass = effects.weight or (Effects().weight if effects.vibration else WEIGHTLESS_PART_MASS_KG)
     part = _add(parent, "body", name="part")
     for number, (axis, point) in enumerate(plan.soft_axes if effects.sag else ()):
         _add(
@@ -162,10 +162,12 @@ def _add_part(parent: Element, plan: RigPlan, effects: Effects) -> None:
 
 def _add_tip(parent: Element, length: float) -> None:
     wrist = _add(parent, "body", name="wrist", gravcomp="1")
-    damping = {"slide": f"{2 * np.sqrt(WRIST_STIFFNESS * 0.1)}", "hinge": "0.3"}
+    damping = {"slide": f"{2 * np.sqrt(WRIST_STIFFNESS_N_PER_M * 0.1)}", "hinge": "0.3"}
     for kind, axis, stiffness in (
-        ("slide", "0 0 1", WRIST_STIFFNESS), ("hinge", "1 0 0", WRIST_BEND_STIFFNESS), ("hinge", "0 1 0", WRIST_BEND_STIFFNESS)
-    ):  # fmt: skip
+        ("slide", "0 0 1", WRIST_STIFFNESS_N_PER_M),
+        ("hinge", "1 0 0", WRIST_BENDING_STIFFNESS_NM_PER_RAD),
+        ("hinge", "0 1 0", WRIST_BENDING_STIFFNESS_NM_PER_RAD),
+    ):
         _add(
             wrist, "joint", name=f"wrist_{kind}_{axis.replace(' ', '')}", type=kind, axis=axis, stiffness=f"{stiffness}",
             damping=damping[kind],
@@ -177,7 +179,7 @@ def _add_tip(parent: Element, length: float) -> None:
 
 
 def _add_contact(root: Element, effects: Effects) -> None:
-    friction = effects.friction or STICKING_FRICTION
+    friction = effects.friction or FRICTION_COEFFICIENT_WITHOUT_SLIP
     _add(
         _add(root, "contact"), "pair", geom1="facet", geom2="tip", condim="3",
         friction=numbers([friction, friction, 0.0, 0.0, 0.0]),

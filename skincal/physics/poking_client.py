@@ -37,9 +37,9 @@ TOO_STRONG = "the force exceeded the limit"
 NO_FRESH_READING = "no fresh force reading"
 """Reasons why a target failed, for `fault`."""
 MEASURE_AGAIN = "{count} targets in a row failed ({reason}): measure the tip and the pose of the part again"
-CHECKED_M = 0.06
+REACH_CHECK_SPACING_M = 0.06
 """m, between the points of a way that the arm must reach."""
-MIN_DIRECTION = 0.1
+MIN_LENGTH_OF_MEAN_DIRECTION = 0.1
 """Two directions whose mean is shorter are opposite: nothing is known of the turn between them."""
 
 
@@ -361,12 +361,12 @@ class PokingClient:
     def _can_follow(self, way: list[ViaPoint]) -> bool:
         """Whether the arm reaches the corners of a way and points between them."""
         for a, b in pairwise(way):
-            count = 1 + int(length_of(b.position - a.position) / CHECKED_M)
+            count = 1 + int(length_of(b.position - a.position) / REACH_CHECK_SPACING_M)
             for share in np.arange(1, count + 1) / count:
                 direction = (1.0 - share) * a.direction + share * b.direction
                 size = length_of(direction)
                 place = a.position + share * (b.position - a.position)
-                if size > MIN_DIRECTION and not self._is_reachable(place, direction / size):
+                if size > MIN_LENGTH_OF_MEAN_DIRECTION and not self._is_reachable(place, direction / size):
                     return False
         return True
 

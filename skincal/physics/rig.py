@@ -15,25 +15,25 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.physics.arm import TipPose, WrenchReading
 from skincal.physics.effects import BASE_TURN_PER_M, SENSOR_DELAY_S, Effects
-from skincal.physics.engine import IK_TOLERANCE_M, PERIOD_S, Engine, Touch
+from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, PERIOD_S, Engine, Touch
 from skincal.physics.mjcf import TIP_RADIUS_M, RigPlan, write_mjcf
 from skincal.physics.skin import Pads
 
-SENSOR_GRAIN_N = 0.005
+SENSOR_LAST_DIGIT_SD_N = 0.005
 """N, sd of one reading of a sensor without noise: its last digit. Readings that never change look like a frozen sensor."""
-MOMENT_OF_FORCE_M = 0.02
+MOMENT_NOISE_OVER_FORCE_NOISE_M = 0.02
 """m, noise of a moment over that of a force: 0.005 N m for 0.25 N (FT45)."""
 MAX_TURN_SPEED, MAX_TURN_ACCELERATION = 1.0, 3.0
 """rad/s and rad/s^2, largest with which the tip's direction turns."""
-MAX_ACCELERATION = 0.5
+TIP_MAX_ACCELERATION_M_PER_S2 = 0.5
 """m/s^2, largest acceleration of the commanded tip."""
-CARRIED_SHARE = 0.3
+ACCELERATION_SHARE_WITH_CARRIED_PART = 0.3
 """Share of these limits for a part that the arm carries: it presses on its sensor when it accelerates."""
-PAYLOAD_ERROR = 0.02
+PART_MASS_ERROR_SD_SHARE = 0.02
 """sd of the part's mass as a moving robot knows it, to take its weight out of the readings. Assumed."""
-SERVO_RAD_S = 2.0 * np.pi * 4.0
+OVERSHOOTING_SERVO_RAD_PER_S = 2.0 * np.pi * 4.0
 """rad/s, natural frequency of a servo that overshoots."""
-SETTLE_S = 0.5
+RIG_SETTLING_TIME_S = 0.5
 """s until a new rig has come to rest."""
 
 
@@ -84,8 +84,8 @@ class SimulatedRobot:
         # A robot that turns its part compensates the weight, as the controllers of UR and of the iCub do.
         self.carries_part = layout.plan.part_is_actuated
         """The part moves with the arm against a fixed tip."""
-        self._payload = (1.0 + PAYLOAD_ERROR * sensor.standard_normal()) * self.carries_part
-        self._share = CARRIED_SHARE if self.carries_part else 1.0
+        self._payload = (1.0 + PART_MASS_ERROR_SD_SHARE * sensor.standard_normal()) * self.carries_part
+        self._share = ACCELERATION_SHARE_WITH_CARRIED_PART if self.carries_part else 1.0
         self._late: deque[FloatArray] = deque(maxlen=1 + (round(SENSOR_DELAY_S / PERIOD_S) if effects.low_pass else 0))
         self._wrench: WrenchReading | None = None
         self._pose: tuple[FloatArray, FloatArray] | None = None
@@ -97,13 +97,13 @@ class SimulatedRobot:
 
     def _settle(self) -> None:
         """Let the rig come to rest; then scale the vibration to its size."""
-        for _ in range(round(SETTLE_S / PERIOD_S)):
+        for _ in range(round(RIG_SETTLING_TIME_S / PERIOD_S)):
             self.engine.advance()
         if not self.effects.vibration:
             return
         self._tremble = 1.0
         read: list[FloatArray] = []
-        for _ in range(round(4 * SETTLE_S / PERIOD_S)):
+        for _ in range(round(4 * RIG_SETTLING_TIME_S / PERIOD_S)):
             self._shake()
             self.engine.advance()
             read.append(self.engine.sensor_wrench()[:3])
@@ -137,7 +137,7 @@ class SimulatedRobot:
 
     def is_reachable(self, position: FloatArray, direction: FloatArray) -> bool:
         starts = [self._angles, self._layout.start, *self._layout.seeds]
-        return any(self.engine.solve_angles(start, position, direction)[1] < IK_TOLERANCE_M for start in starts)
+        return any(self.engine.solve_angles(start, position, direction)[1] < INVERSE_KINEMATICS_TOLERANCE_M for start in starts)
 
     def command(self, position: FloatArray, direction: FloatArray, speed_m_s: float) -> None:
         if not (np.isfinite(position).all() and np.isfinite(direction).all() and length_of(direction) > 0.5):
@@ -172,7 +172,9 @@ class SimulatedRobot:
             # Overshoot = exp(-pi zeta / sqrt(1 - zeta^2)).
             log = np.log(self.effects.overshoot)
             damping = -log / np.hypot(np.pi, log)
-            velocity = velocity + PERIOD_S * (SERVO_RAD_S**2 * (position - at) - 2.0 * damping * SERVO_RAD_S * velocity)
+            velocity = velocity + PERIOD_S * (
+                OVERSHOOTING_SERVO_RAD_PER_S**2 * (position - at) - 2.0 * damping * OVERSHOOTING_SERVO_RAD_PER_S * velocity
+            )
             position = at + PERIOD_S * velocity
         # A servo that overshoots stands still for a moment before it comes back.
         if self._aim is aim and max(length_of(position - at), length_of(position - aim.position)) < 2e-6:
@@ -187,7 +189,7 @@ class SimulatedRobot:
             before = true if self._filtered is None else self._filtered
             true = self._filtered = before + share * (true - before)
         self._late.append(true)
-        sd = max(effects.noise, SENSOR_GRAIN_N) * np.repeat([1.0, MOMENT_OF_FORCE_M], 3)
+        sd = max(effects.noise, SENSOR_LAST_DIGIT_SD_N) * np.repeat([1.0, MOMENT_NOISE_OVER_FORCE_NOISE_M], 3)
         read = self._late[0] + sd * self._sensor_rng.standard_normal(6)
         if self._payload:
             read = read - self._payload * self.engine.believed_weight(self._angles)
@@ -247,7 +249,7 @@ def _moved_towards(
     way = goal.position - aim.position
     distance, cosine = length_of(way), float(np.clip(aim.direction @ goal.direction, -1.0, 1.0))
     angle = float(np.arccos(cosine))
-    hasten, spin = share * MAX_ACCELERATION, share * MAX_TURN_ACCELERATION
+    hasten, spin = share * TIP_MAX_ACCELERATION_M_PER_S2, share * MAX_TURN_ACCELERATION
     move = min(speed, before[0] + hasten * PERIOD_S, float(np.sqrt(2.0 * hasten * distance)))
     turn = min(share * MAX_TURN_SPEED, before[1] + spin * PERIOD_S, float(np.sqrt(2.0 * spin * angle)))
     # The slower of both sets the pace, so that they end together.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from skincal.mesh.surface import Surface
-from skincal.physics.devices import PERIODS_PER_BLOCK, RobotDevices
+from skincal.physics.devices import CONTROL_PERIODS_PER_SENT_BLOCK, RobotDevices
 from skincal.physics.rig import SimulatedRobot
 from skincal.physics.session import make_client
 from skincal.robot.target_client import TargetClient
@@ -27,7 +27,7 @@ class PokingDevices(RobotDevices):
 
     def advance(self) -> list[tuple[int, str, bytes]]:
         """Let the robot poke for one block, and encode its readings."""
-        for _ in range(PERIODS_PER_BLOCK):
+        for _ in range(CONTROL_PERIODS_PER_SENT_BLOCK):
             self.client.run_period()
         return super().advance()
 

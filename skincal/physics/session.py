@@ -24,11 +24,11 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.robot.target_server import TargetServer
 
-CARRIED_SPEED = 0.05
+TRAVEL_SPEED_WITH_CARRIED_PART_M_PER_S = 0.05
 """m/s, travel of a part that the arm carries: its inertia would look like a press."""
-CARRIED_ARRIVE_M = 0.0003
+ARRIVED_WITHIN_WITH_CARRIED_PART_M = 0.0003
 """Corners are rounded less: a jolt of the part looks like a press, too."""
-START_NS = 1_000_000_000
+SESSION_START_TIME_NS = 1_000_000_000
 """ns, host's clock at the start; any value works."""
 
 
@@ -86,7 +86,7 @@ class RobotSession:
         self.pipeline = Pipeline(scene, self._links, surface, journal)
         self._guide = RobotGuide(self.pipeline, cast("TargetServer", self.targets), method)
         for link in self._links:
-            self.pipeline.feed(LinkEvent(link.name, START_NS, LinkState.OPEN))
+            self.pipeline.feed(LinkEvent(link.name, SESSION_START_TIME_NS, LinkState.OPEN))
         robot.add_listener(self._process_step)
 
     @property
@@ -98,14 +98,14 @@ class RobotSession:
         if not self._devices.is_block_full:
             return
         for at_ns, link, data in self._devices.advance():
-            self.pipeline.feed(Chunk(link, START_NS + at_ns, data))
-        now_ns = START_NS + round(self._devices.now * 1e9)
+            self.pipeline.feed(Chunk(link, SESSION_START_TIME_NS + at_ns, data))
+        now_ns = SESSION_START_TIME_NS + round(self._devices.now * 1e9)
         self.pipeline.tick(now_ns)
         self._guide.guide_robot(now_ns)
 
     def close(self) -> None:
         """End the links and the journal."""
-        now_ns = START_NS + round(self._devices.now * 1e9)
+        now_ns = SESSION_START_TIME_NS + round(self._devices.now * 1e9)
         for link in self._links:
             self.pipeline.feed(LinkEvent(link.name, now_ns, LinkState.ENDED))
         self.pipeline.close()
@@ -117,7 +117,12 @@ def make_client(
     """Make the client of a simulated robot; a robot that carries the part moves slowly."""
     settings = PokeSettings(corrects_aim=corrects_aim)
     if robot.carries_part:
-        settings = replace(settings, travel_speed=CARRIED_SPEED, retreat_speed=CARRIED_SPEED, arrive=CARRIED_ARRIVE_M)
+        settings = replace(
+            settings,
+            travel_speed=TRAVEL_SPEED_WITH_CARRIED_PART_M_PER_S,
+            retreat_speed=TRAVEL_SPEED_WITH_CARRIED_PART_M_PER_S,
+            arrive=ARRIVED_WITHIN_WITH_CARRIED_PART_M,
+        )
     return PokingClient(robot, surface, answer, settings)
 
 

@@ -18,21 +18,21 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.model.skin import Anchor, Layout
 from skincal.physics.engine import Touch
-from skincal.physics.mjcf import LAYER_THICKNESS_M, TIP_RADIUS_M
+from skincal.physics.mjcf import FOAM_THICKNESS_M, TIP_RADIUS_M
 
 PAD_RADIUS_M = 0.002
 """m, of an electrode (Maiolino et al., IEEE Sensors Journal 2013: about 4 mm across)."""
-PAD_REACH_M = 0.015
+PAD_MAX_DISTANCE_FROM_LOAD_M = 0.015
 """m. Farther pads are not computed: there the load is below 0.1 %."""
-LOAD_SCALE_N = 2.5
+LOAD_FOR_63_PERCENT_RESPONSE_N = 2.5
 """N on a pad for 63 % of its range: a compressed layer stiffens. Assumed."""
-RANGE_SHARE = 0.75
+MAX_RESPONSE_OVER_RANGE = 0.75
 """Largest response over the range from rest to the pressed end. Assumed."""
-REST_SHARE = 240.0 / 255.0
+REST_READING_OVER_RANGE = 240.0 / 255.0
 """Reading at rest, from the pressed end (iCub: 235 to 244 of 255)."""
-GAIN_SD = 0.10
+PAD_LOG_GAIN_SD = 0.10
 """sd of the logarithm of a pad's sensitivity. Assumed."""
-FRAME_NOISE = 1.0 / 255.0
+READING_NOISE_SD_OVER_RANGE = 1.0 / 255.0
 """sd of one reading over the range."""
 MOUNT_SHIFT_M, MOUNT_TURN = 0.003, float(np.radians(2.0))
 """sd of the skin's offset from its plan, in each direction, and of its turn: the calibration has to find it."""
@@ -53,11 +53,11 @@ class Pads:
         self.channels, self.places, self.normals = _mount(scene, surface, rng)
         low, high = scene.skin.range or DEFAULT_RANGE
         self._low, self._high, self._polarity = low, high, scene.skin.polarity
-        rest = REST_SHARE if self._polarity < 0 else 1.0 - REST_SHARE
+        rest = REST_READING_OVER_RANGE if self._polarity < 0 else 1.0 - REST_READING_OVER_RANGE
         self._rest = low + rest * (high - low)
         self._idle = np.full(scene.skin.channels, high if self._polarity < 0 else low)
         self._idle[self.channels] = self._rest
-        self.gains = np.exp(GAIN_SD * rng.standard_normal(len(self.channels)))
+        self.gains = np.exp(PAD_LOG_GAIN_SD * rng.standard_normal(len(self.channels)))
         axes = [tangent_axes(np.array([1.0, 0.0, 0.0]), normal, fallback=True) for normal in self.normals]
         x, y = np.moveaxis(np.array(axes), 1, 0)
         offsets = PAD_RADIUS_M * (DISC_POINTS[None, :, :1] * x[:, None] + DISC_POINTS[None, :, 1:] * y[:, None])
@@ -68,7 +68,7 @@ class Pads:
 
         `patch` is the radius of the contact patch as a share of the circle that the tip cuts out of the face; 0: a point.
         """
-        rows = np.flatnonzero(np.sum((self.places - touch.point) ** 2, axis=1) < PAD_REACH_M**2)
+        rows = np.flatnonzero(np.sum((self.places - touch.point) ** 2, axis=1) < PAD_MAX_DISTANCE_FROM_LOAD_M**2)
         radius = patch * np.sqrt(max(touch.depth * (2.0 * TIP_RADIUS_M - touch.depth), 0.0))
         x, y = tangent_axes(np.array([1.0, 0.0, 0.0]), touch.normal, fallback=True)
         sources = touch.point + radius * (DISC_POINTS[:, :1] * x + DISC_POINTS[:, 1:] * y)
@@ -77,7 +77,7 @@ class Pads:
         squares = np.sum(away * away, axis=-1)
         depths = -np.einsum("pcsi,pi->pcs", away, self.normals[rows])
         # A hard pad under a thin layer: the stress does not exceed that at half its thickness.
-        squares = np.maximum(squares, (LAYER_THICKNESS_M / 2.0) ** 2)
+        squares = np.maximum(squares, (FOAM_THICKNESS_M / 2.0) ** 2)
         stress = 3.0 * depths**2 * np.maximum(away @ touch.force, 0.0) / (2.0 * np.pi * squares**2.5)
         stress[depths <= 0] = 0.0
         area = np.pi * PAD_RADIUS_M**2
@@ -89,9 +89,11 @@ class Pads:
         values = self._idle.copy()
         if touch is not None:
             rows, loads = self.loads(touch, patch)
-            room = RANGE_SHARE * span * REST_SHARE
-            values[self.channels[rows]] += self._polarity * room * -np.expm1(-self.gains[rows] * loads / LOAD_SCALE_N)
-        values[self.channels] += FRAME_NOISE * span * rng.standard_normal(len(self.channels))
+            room = MAX_RESPONSE_OVER_RANGE * span * REST_READING_OVER_RANGE
+            values[self.channels[rows]] += (
+                self._polarity * room * -np.expm1(-self.gains[rows] * loads / LOAD_FOR_63_PERCENT_RESPONSE_N)
+            )
+        values[self.channels] += READING_NOISE_SD_OVER_RANGE * span * rng.standard_normal(len(self.channels))
         return np.clip(np.rint(values), self._low, self._high)
 
 

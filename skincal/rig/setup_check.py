@@ -33,26 +33,26 @@ from skincal.model.urdf import UrdfChain
 from skincal.modules.pose import rotations
 from skincal.rig.frame_check import STANDARD_GRAVITY
 
-MIN_POKES = 6
-MAX_POKES = 40
+SETUP_CHECK_MIN_POKES = 6
+SETUP_CHECK_MAX_POKES = 40
 """Pokes of a check: of more an even selection is used."""
-MISS_SCALE_M = 0.007
+TYPICAL_POKE_MISS_M = 0.007
 """m, scale of a poke's miss in each direction: hand, sensor, an ordinary rig's errors."""
-STUDENT_DOF = 3.0
-MOUNT_SHIFT_SD_M = 0.008
+STUDENT_T_DEGREES_OF_FREEDOM = 3.0
+SENSOR_MOUNT_SHIFT_SD_M = 0.008
 """m, sd of the skin's shift from its plan, each direction: laid by hand, with an ordinary rig's errors."""
-MESH_SHIFT_SD_M = 0.150
+WRONG_MESH_ORIGIN_SHIFT_SD_M = 0.150
 """m, the same of a mesh with a wrong origin."""
-INSIDE_PUSH_COST = 6.0
+COST_OF_PUSH_FROM_INSIDE = 6.0
 """Cost of a push from inside the part: one poke in twenty at an edge."""
-NAME_IF_COST_FALLS_BY = 12.0
+NAME_MISTAKE_IF_COST_FALLS_BY = 12.0
 """A mistake is named if it is 400 times likelier than the scene. In 40 right sessions of a simulated iCub no mistake was
 likelier at any number of pokes (6 to 40); half of the sessions had the errors of the paper's rig."""
-RIVAL_WITHIN = 6.0
+NAME_OTHER_MISTAKES_WITHIN_COST_OF = 6.0
 """Other mistakes that are at most 20 times less likely are named, too."""
-NORMAL_COST_PER_POKE = 0.7
+SCENE_FITS_BELOW_COST_PER_POKE = 0.7
 """Pokes that cost less fit the scene: nothing is tried."""
-LAYOUT_COST_PER_POKE = 3.0
+LAYOUT_FITS_BELOW_COST_PER_POKE = 3.0
 """Pokes that cost less lie within 10 mm of their taxels: the layout as a whole is right. An ordinary rig's cost at most 2.5."""
 MOMENT_SCALES = (1.0, 1e-3, 1e-2, STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
 """Right moments over reported ones: none wrong, in N mm, in N cm, in kgf m, forces in kgf."""
@@ -60,8 +60,8 @@ ANGLE_STEP, ANGLE_STEPS = 1e-4, 4
 """rad, of the numeric slopes; Gauss-Newton steps."""
 MIN_TURN_DEG, TURN_STEP_DEG = 30, 15
 """Of a turned flange. Smaller turns look like the errors of an ordinary rig."""
-SHIFT_STEPS = 10
-FIXED_ANGLE_STEP_DEG = 10
+SHIFT_FIT_STEPS = 10
+TRIED_FIXED_ANGLE_STEP_DEG = 10
 
 
 class MistakeKind(Enum):
@@ -129,7 +129,7 @@ class _Pokes:
     """(n, 3) float, m: planned centre of the taxels that answered."""
     normals: FloatArray
     """(n, 3) float, unit, outward."""
-    shift_sd: float = MOUNT_SHIFT_SD_M
+    shift_sd: float = SENSOR_MOUNT_SHIFT_SD_M
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,18 +155,18 @@ def check_setup(
     """
     layout = scene.skin.layout
     planned = [] if laid is None else [each for each in contacts if np.isfinite(laid.places[each.strongest_channel]).all()]
-    if laid is None or layout is None or len(planned) < MIN_POKES:
+    if laid is None or layout is None or len(planned) < SETUP_CHECK_MIN_POKES:
         return None
-    count = min(len(planned), MAX_POKES)
+    count = min(len(planned), SETUP_CHECK_MAX_POKES)
     used = [planned[len(planned) * i // count] for i in range(count)]
     asked = _as_described(used, laid)
     (described,) = _judge([asked])
-    limit = described.cost - NAME_IF_COST_FALLS_BY
+    limit = described.cost - NAME_MISTAKE_IF_COST_FALLS_BY
     found: list[tuple[float, Mistake]] = []
-    if described.cost > NORMAL_COST_PER_POKE * count:
+    if described.cost > SCENE_FITS_BELOW_COST_PER_POKE * count:
         hypotheses = list(_hypotheses(asked, used, scene, laid))
         # To lay the layout takes up to a second.
-        if described.cost > LAYOUT_COST_PER_POKE * count:
+        if described.cost > LAYOUT_FITS_BELOW_COST_PER_POKE * count:
             hypotheses += _layouts(asked, used, layout, scene.skin.anchor, surface)
         priors, mistakes, pokes = zip(*hypotheses, strict=True)
         found = [
@@ -174,7 +174,9 @@ def check_setup(
             for prior, mistake, judged in zip(priors, mistakes, _judge(pokes), strict=True)
         ]
     best = min((cost for cost, _ in found), default=np.inf)
-    likely = sorted((each for each in found if each[0] <= min(limit, best + RIVAL_WITHIN)), key=lambda each: each[0])
+    likely = sorted(
+        (each for each in found if each[0] <= min(limit, best + NAME_OTHER_MISTAKES_WITHIN_COST_OF)), key=lambda each: each[0]
+    )
     by_kind = {mistake.kind: mistake for _, mistake in reversed(likely)}
     kinds = dict.fromkeys(mistake.kind for _, mistake in likely)
     return SetupDiagnosis(count, float(np.median(described.reported)), tuple(by_kind[kind] for kind in kinds))
@@ -218,21 +220,26 @@ def _judge(every: Sequence[_Pokes]) -> list[_Judged]:
     sizes, shifts = np.zeros(misses.shape[:2]), np.zeros((len(every), 3))
     # A large shift and some slips make two minima: one is found from no shift, the other from that of least squares.
     for by_least_squares in (False, True):
-        weights = np.full(misses.shape[:2], 1.0 / MISS_SCALE_M**2)
+        weights = np.full(misses.shape[:2], 1.0 / TYPICAL_POKE_MISS_M**2)
         shift = np.zeros((len(every), 3))
-        for step in range(SHIFT_STEPS):
+        for step in range(SHIFT_FIT_STEPS):
             if step or not by_least_squares:
                 off = misses + np.einsum("hnij,hj->hni", across, shift)
                 squared = np.sum(off * off, axis=2)
-                weights = np.asarray((STUDENT_DOF + 2.0) / (STUDENT_DOF * MISS_SCALE_M**2 + squared), dtype=np.float64)
+                weights = np.asarray(
+                    (STUDENT_T_DEGREES_OF_FREEDOM + 2.0) / (STUDENT_T_DEGREES_OF_FREEDOM * TYPICAL_POKE_MISS_M**2 + squared),
+                    dtype=np.float64,
+                )
             matrix = np.einsum("hn,hnij->hij", weights, across) + np.eye(3) / shift_sds[:, None, None] ** 2
             steps = np.asarray(np.linalg.solve(matrix, np.einsum("hn,hni->hi", weights, misses)[..., None]), dtype=np.float64)
             shift = -steps[..., 0]
         off = misses + np.einsum("hnij,hj->hni", across, shift)
         squared = np.sum(off * off, axis=2)
-        cost = (STUDENT_DOF + 2.0) * np.sum(np.log1p(squared / (STUDENT_DOF * MISS_SCALE_M**2)), axis=1)
-        cost += np.sum(shift * shift, axis=1) / shift_sds**2 + 6.0 * np.log(shift_sds / MOUNT_SHIFT_SD_M)
-        cost += INSIDE_PUSH_COST * np.sum(outward, axis=1)
+        cost = (STUDENT_T_DEGREES_OF_FREEDOM + 2.0) * np.sum(
+            np.log1p(squared / (STUDENT_T_DEGREES_OF_FREEDOM * TYPICAL_POKE_MISS_M**2)), axis=1
+        )
+        cost += np.sum(shift * shift, axis=1) / shift_sds**2 + 6.0 * np.log(shift_sds / SENSOR_MOUNT_SHIFT_SD_M)
+        cost += COST_OF_PUSH_FROM_INSIDE * np.sum(outward, axis=1)
         better = cost < best
         best = np.where(better, cost, best)
         sizes, shifts = np.where(better[:, None], np.sqrt(squared), sizes), np.where(better[:, None], shift, shifts)
@@ -252,7 +259,7 @@ def _prior(choices: int) -> float:
 def _hypotheses(asked: _Pokes, used: Sequence[Contact], scene: Scene, laid: PlacedLayout) -> _Hypotheses:
     assert scene.skin.layout is not None
     yield from _sensors(asked)
-    yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, 0.0), replace(asked, shift_sd=MESH_SHIFT_SD_M)
+    yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, 0.0), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)
     if scene.arm is not None and (angles := _angles(used, scene.arm)) is not None:
         yield from _joints(asked, angles, scene.arm.arm)
         if scene.robot is not None:
@@ -330,7 +337,7 @@ def _robots(asked: _Pokes, angles: FloatArray, robot: RobotSpec, link: str) -> _
     """Try other angles of the fixed joints, and the other arm."""
     chain = robot.chain
     fixed = [joint.name for joint, _, _ in chain.steps if joint.kind != "fixed" and joint not in chain.moving]
-    for name, degrees in product(fixed, range(-180, 180, FIXED_ANGLE_STEP_DEG)):
+    for name, degrees in product(fixed, range(-180, 180, TRIED_FIXED_ANGLE_STEP_DEG)):
         steps = tuple((joint, up, math.radians(degrees) if joint.name == name else angle) for joint, up, angle in chain.steps)
         mistake = Mistake(MistakeKind.JOINT_ANGLE, 0.0, names=(name,), degrees=float(degrees))
         yield _prior(36 * len(fixed)), mistake, _with_angles(asked, replace(chain, steps=steps), angles)

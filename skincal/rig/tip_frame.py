@@ -26,21 +26,21 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
 from skincal.taxels.noise import row_precision
 
-MIN_POKES_FOR_FRAME = 12
-REFIT_GROWTH = 1.25
+TIP_FRAME_MIN_POKES = 12
+REFIT_AT_POKE_COUNT_RATIO = 1.25
 """Factor of the number of pokes between two fits: a fit moves every taxel, so there are few of them."""
 TIP_SD_MIN_M, TIP_SD_MAX_M = 0.0003, 0.010
 """Below the first no tracker measures; above the second the positions are of another frame, or late."""
-FRAME_SHIFT_SD_MAX_M = 0.005
+TIP_FRAME_SHIFT_MAX_SD_M = 0.005
 """sd of the frame's position at the pokes, across the mean push, above which it is not used."""
-MIN_CHI2_OF_OTHER_POSE = 16.0
+OTHER_FRAME_MIN_CHI2_INCREASE = 16.0
 """Another pose of the frame must fit this much worse: 4 standard deviations."""
 OTHER_POSE_ANGLE_RAD, OTHER_POSE_SHIFT_M = 0.2, 0.02
-UNIT_RATIO_MAX = 20.0
+WRONG_UNIT_IF_SPREAD_RATIO_ABOVE = 20.0
 """Spread of the force axes over that of the tips, or its inverse, above which the unit is wrong."""
 START_STEPS, FIT_STEPS = 12, 30
-START_POKES_MAX = 150
-HUBER_LIMIT = 2.5
+POKES_IN_FIRST_FRAME_GUESS_MAX = 150
+HUBER_THRESHOLD_SDS = 2.5
 """Standard deviations beyond which a poke counts less."""
 
 
@@ -94,10 +94,10 @@ class TipFrame:
 
 
 def pokes_of_fit(count: int) -> int:
-    """Count the first pokes that a fit uses: 0 below `MIN_POKES_FOR_FRAME`, then in steps of `REFIT_GROWTH`."""
-    used = 0 if count < MIN_POKES_FOR_FRAME else MIN_POKES_FOR_FRAME
-    while used and int(used * REFIT_GROWTH) <= count:
-        used = int(used * REFIT_GROWTH)
+    """Count the first pokes that a fit uses: 0 below `TIP_FRAME_MIN_POKES`, then in steps of `REFIT_AT_POKE_COUNT_RATIO`."""
+    used = 0 if count < TIP_FRAME_MIN_POKES else TIP_FRAME_MIN_POKES
+    while used and int(used * REFIT_AT_POKE_COUNT_RATIO) <= count:
+        used = int(used * REFIT_AT_POKE_COUNT_RATIO)
     return used
 
 
@@ -142,13 +142,13 @@ def fit_tip_frame(contacts: Sequence[Contact], noise: NoiseSettings) -> TipFrame
     noise : of the scene
     """
     none = TipFrame(TipState.FEW_POKES, len(contacts), np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), np.inf)
-    if len(contacts) < MIN_POKES_FOR_FRAME:
+    if len(contacts) < TIP_FRAME_MIN_POKES:
         return none
     axes = TipAxes.from_contacts(contacts)
     ratio = _spread(axes.nearest) / max(_spread(axes.tips), 1e-9)
-    if not 1.0 / UNIT_RATIO_MAX < ratio < UNIT_RATIO_MAX:
+    if not 1.0 / WRONG_UNIT_IF_SPREAD_RATIO_ABOVE < ratio < WRONG_UNIT_IF_SPREAD_RATIO_ABOVE:
         return TipFrame(TipState.WRONG_UNIT, len(contacts), np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), np.inf, ratio)
-    turns, shifts = _start_poses(axes.select(slice(None, None, -(-len(contacts) // START_POKES_MAX))))
+    turns, shifts = _start_poses(axes.select(slice(None, None, -(-len(contacts) // POKES_IN_FIRST_FRAME_GUESS_MAX))))
     costs = [float(np.median(np.abs(_misses(axes, turn, shift)))) for turn, shift in zip(turns, shifts, strict=True)]
     best = int(np.argmin(costs))
     fit = _Fit.at(axes, turns[best], shifts[best], TIP_SD_MAX_M**2, noise)
@@ -157,7 +157,7 @@ def fit_tip_frame(contacts: Sequence[Contact], noise: NoiseSettings) -> TipFrame
     state, sd = TipState.USED, float(np.sqrt(fit.variance))
     if sd > TIP_SD_MAX_M:
         state = TipState.DISAGREES
-    elif _across_sd(axes, fit.covariance) > FRAME_SHIFT_SD_MAX_M or _has_rival(axes, fit, turns, shifts):
+    elif _across_sd(axes, fit.covariance) > TIP_FRAME_SHIFT_MAX_SD_M or _has_rival(axes, fit, turns, shifts):
         state = TipState.AMBIGUOUS
     return TipFrame(state, len(contacts), fit.turn, fit.shift, fit.centre + fit.shift, fit.covariance, sd, ratio)
 
@@ -227,7 +227,7 @@ class _Fit:
         misses = _misses(axes, turn, shift)
         precision = row_precision(axes.pairs, lever, axes.forces, np.full(count, variance), noise)
         squares = np.einsum("ni,nij,nj->n", misses, precision, misses)
-        trust = np.minimum(1.0, HUBER_LIMIT / np.sqrt(np.maximum(squares, 1e-12)))
+        trust = np.minimum(1.0, HUBER_THRESHOLD_SDS / np.sqrt(np.maximum(squares, 1e-12)))
         slopes = np.concatenate([axes.turned @ -cross_matrix(turned - centre), axes.turned], axis=2)
         weights = precision * trust[:, None, None]
         information = np.einsum("nik,nij,njl->kl", slopes, weights, slopes)
@@ -263,6 +263,6 @@ def _has_rival(axes: TipAxes, best: _Fit, turns: FloatArray, shifts: FloatArray)
         angle = np.arccos(np.clip((np.trace(turn @ best.turn.T) - 1.0) / 2.0, -1.0, 1.0))
         apart = np.linalg.norm((turn - best.turn) @ centre + shift - best.shift)
         is_other = angle > OTHER_POSE_ANGLE_RAD or apart > OTHER_POSE_SHIFT_M
-        if is_other and chi2(turn, shift) - least < MIN_CHI2_OF_OTHER_POSE:
+        if is_other and chi2(turn, shift) - least < OTHER_FRAME_MIN_CHI2_INCREASE:
             return True
     return False

@@ -18,7 +18,7 @@ tip has W_k = E' (D + ...)^-1 E. Three errors are common to the answers of a tax
 (`uncertainty.h`), and s^2 / radius, the mean depth of an offset contact on a bent skin. This estimate replaces that of the
 free method, also where the axes alone leave the depth unknown.
 
-A tip that disagrees with its axis (chi-square above `OUTLIER_CHI2_2DOF`) is not used.
+A tip that disagrees with its axis (chi-square above `CHI2_2DOF_QUANTILE_9999`) is not used.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import POSITION_MAX_SD_M, Cause, Estimate, Method, State
 
-OUTLIER_CHI2_2DOF = 18.4
+CHI2_2DOF_QUANTILE_9999 = 18.4
 """Exceeded by one in 10,000 (chi-square, two degrees of freedom)."""
-COMMON_OFFSET_WEAKNESS = 0.4
+NEIGHBOURS_SHARE_ONE_OFFSET_FROM = 0.4
 """Mean of sqrt(ln 1/k) from which all neighbours' offsets are one (`EVEN` of `uncertainty.h`)."""
 UNKNOWN_DEPTH_CAUSES = (Cause.ONE_AXIS, Cause.ALIKE_AXES)
 
@@ -67,7 +67,7 @@ class TipFusion:
         tip = self._frame.tip_sd**2 * np.eye(2) + slopes @ self._frame.covariance @ slopes.transpose(0, 2, 1)
         pulled = np.linalg.solve(sensor + tip, misses[:, :, None])
         shifts = (axes.pairs.transpose(0, 2, 1) @ sensor @ pulled)[:, :, 0]
-        for row in np.flatnonzero(np.sum(misses * pulled[:, :, 0], axis=1) < OUTLIER_CHI2_2DOF).tolist():
+        for row in np.flatnonzero(np.sum(misses * pulled[:, :, 0], axis=1) < CHI2_2DOF_QUANTILE_9999).tolist():
             contact = some[row]
             shift = contact.link_from_sensor[:3, :3].T @ shifts[row]
             found[contact.poke] = replace(contact, moment=contact.moment + np.cross(shift, contact.force))
@@ -136,7 +136,7 @@ class TipFusion:
         flat = np.eye(3) - np.outer(normal, normal)
         # Neighbours' offsets do not average out: see `uncertainty.h`.
         weakness, share = np.sqrt(-np.log(evidence.weights)), trust * evidence.weights**2
-        common = noise.reach * weakness * min(1.0, float(share @ weakness / share.sum()) / COMMON_OFFSET_WEAKNESS)
+        common = noise.reach * weakness * min(1.0, float(share @ weakness / share.sum()) / NEIGHBOURS_SHARE_ONE_OFFSET_FROM)
         offsets = offset_square(evidence.weights, noise)
         sensor = np.linalg.inv(row_precision(pairs, place - evidence.sensors, evidence.forces, zero, noise))
         measured = turned @ sensor @ pairs + self._frame.tip_sd**2 * along

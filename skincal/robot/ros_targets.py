@@ -30,7 +30,12 @@ from skincal.robot.target_lines import (
     TipPose,
     read_answer_line,
 )
-from skincal.robot.target_server import LINES_PER_S_MAX, REPEAT_AFTER_S, SAME_SENTENCE_CHARS, RobotChange
+from skincal.robot.target_server import (
+    REPEAT_SAME_SENTENCE_AFTER_S,
+    ROBOT_LINES_PER_S_MAX,
+    SAME_SENTENCE_FIRST_CHARS,
+    RobotChange,
+)
 from skincal.ros.dds import DdsError, Message, Participant, TopicWriter, default_domain, read_domain
 from skincal.ros.types import MessageError
 from skincal.streams.transports.target_tips import report_tip
@@ -40,15 +45,15 @@ ROS_TARGETS = "ros2:"
 """Begin of `--targets` for this way."""
 POSE, STRING = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String"
 POINT, MARKERS = "geometry_msgs/msg/Point", "visualization_msgs/msg/MarkerArray"
-SPHERE_LIST = 7
-"""`Marker.SPHERE_LIST`."""
-DELETE_ALL = 3
+MARKER_TYPE_SPHERE_LIST = 7
+"""`Marker.MARKER_TYPE_SPHERE_LIST`."""
+MARKER_ACTION_DELETE_ALL = 3
 """`Marker.DELETEALL`."""
-TAXEL_DIAMETER_M = 0.004
+TAXEL_MARKER_DIAMETER_M = 0.004
 TAXEL_COLOR = (0.1, 0.6, 0.3, 1.0)
 """Red, green, blue and opacity."""
-ANSWER_MAX_CHARS = 512
-LAST_WORDS_MAX_S = 0.5
+ROBOT_ANSWER_MAX_CHARS = 512
+DELIVER_STOP_MAX_S = 0.5
 """s for the robot to receive that the session is over."""
 
 
@@ -121,7 +126,7 @@ class RosTargets:
         self._said: list[str] = []
         self._reported_s: dict[str, float] = {}
         """By the beginning of a sentence: when it was last reported, host's monotonic clock, seconds."""
-        self._answer_times_ns: deque[int] = deque(maxlen=LINES_PER_S_MAX)
+        self._answer_times_ns: deque[int] = deque(maxlen=ROBOT_LINES_PER_S_MAX)
         self._shown: Sequence[Estimate] = ()
 
     def send(self, lines: Sequence[AskedLine]) -> None:
@@ -141,7 +146,7 @@ class RosTargets:
         for message in self._take_messages():
             try:
                 text = str(self._types.decode(message.data, STRING).data)
-                answer = read_answer_line(text[:ANSWER_MAX_CHARS])
+                answer = read_answer_line(text[:ROBOT_ANSWER_MAX_CHARS])
             except (InputError, MessageError) as error:
                 self._report(f"A message on /skincal/reached is not used: {error}")
                 continue
@@ -164,8 +169,8 @@ class RosTargets:
         for message in messages:
             times = self._answer_times_ns
             # By the robot's clock: answers wait here while the program is busy.
-            if len(times) == LINES_PER_S_MAX and message.source_ns - times[0] < 10**9:
-                self._report(f"The robot sends more than {LINES_PER_S_MAX} lines in a second; those beyond are not used.")
+            if len(times) == ROBOT_LINES_PER_S_MAX and message.source_ns - times[0] < 10**9:
+                self._report(f"The robot sends more than {ROBOT_LINES_PER_S_MAX} lines in a second; those beyond are not used.")
                 continue
             times.append(message.source_ns)
             taken.append(message)
@@ -178,8 +183,8 @@ class RosTargets:
             self._report(str(error))
 
     def _report(self, sentence: str) -> None:
-        kind, now_s = sentence[:SAME_SENTENCE_CHARS], time.monotonic()
-        if now_s - self._reported_s.get(kind, -REPEAT_AFTER_S) >= REPEAT_AFTER_S:
+        kind, now_s = sentence[:SAME_SENTENCE_FIRST_CHARS], time.monotonic()
+        if now_s - self._reported_s.get(kind, -REPEAT_SAME_SENTENCE_AFTER_S) >= REPEAT_SAME_SENTENCE_AFTER_S:
             self._reported_s[kind] = now_s
             self._said.append(plain_text(sentence))
 
@@ -199,7 +204,7 @@ class RosTargets:
     def close(self) -> None:
         """Withdraw the target, tell the robot to stop, and leave the graph."""
         self.send([NoTarget.WAIT, NoTarget.STOP])
-        self._verdict.wait_for_readers(LAST_WORDS_MAX_S)
+        self._verdict.wait_for_readers(DELIVER_STOP_MAX_S)
         self._participant.close()
 
     def _header(self, frame: str) -> Any:
@@ -223,10 +228,10 @@ class RosTargets:
             "visualization_msgs/msg/Marker",
             header=self._header(frame),
             ns="skincal",
-            type=SPHERE_LIST,
-            action=0 if places else DELETE_ALL,
+            type=MARKER_TYPE_SPHERE_LIST,
+            action=0 if places else MARKER_ACTION_DELETE_ALL,
             pose=self._pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
-            scale=self._vector("geometry_msgs/msg/Vector3", "xyz", [TAXEL_DIAMETER_M] * 3),
+            scale=self._vector("geometry_msgs/msg/Vector3", "xyz", [TAXEL_MARKER_DIAMETER_M] * 3),
             color=self._vector("std_msgs/msg/ColorRGBA", "rgba", TAXEL_COLOR),
             frame_locked=True,
             points=[self._vector(POINT, "xyz", place.tolist()) for place in places],

@@ -29,9 +29,9 @@ from skincal.taxels.result import Method
 
 Command: TypeAlias = "list[str | int | float]"
 
-ANSWER_MAX_S = 2.0
+WAIT_FOR_ANSWER_MAX_S = 2.0
 """s. skinManager answers between two of its cycles, of 20 to 50 ms; while it calibrates it may take a cycle more."""
-SAME_POSITION_M = 2.0 * 10.0**-POSITION_DECIMAL_PLACES
+SAME_POSITION_MAX_DISTANCE_M = 2.0 * 10.0**-POSITION_DECIMAL_PLACES
 """m. Positions nearer than this are the same: a file has so many decimals."""
 BACKUP_MARKER = "positions that skinManager had before others were applied"
 """Comment of a backup file. Its zeros are the robot's own values; in other files zeros mean an unknown position."""
@@ -223,7 +223,7 @@ class _Upload:
 
     def _differs(self, old: FloatArray, channel: int) -> bool:
         distance = float(np.abs(old[:6] - self._positions.rows[channel]).max())
-        return distance > SAME_POSITION_M or (len(old) == 7 and self._has_wrong_confidence(old, channel))
+        return distance > SAME_POSITION_MAX_DISTANCE_M or (len(old) == 7 and self._has_wrong_confidence(old, channel))
 
     def _has_wrong_confidence(self, old: FloatArray, channel: int) -> bool:
         return bool(old[6] > 0) != self._positions.has_taxel(channel)
@@ -245,7 +245,9 @@ class _Upload:
         """Read the poses again: the robot may have confirmed what it did not do."""
         new = self._read_poses(f"{plural(len(due), 'taxel')} were changed, and could not be read again; {self._restore}.")
         rows = self._positions.rows
-        wrong = [channel for channel in due if float(np.abs(new[channel][:6] - rows[channel]).max()) > SAME_POSITION_M]
+        wrong = [
+            channel for channel in due if float(np.abs(new[channel][:6] - rows[channel]).max()) > SAME_POSITION_MAX_DISTANCE_M
+        ]
         if wrong:
             raise InputError(
                 f"skinManager took every position, but has others at channels {list_channels(wrong)}; {self._restore}."

@@ -32,11 +32,11 @@ from skincal.robot.target_lines import (
     read_number,
     write_answer,
 )
-from skincal.robot.target_server import POLL_S, READ_MAX_BYTES, RECONNECT_AFTER_S
+from skincal.robot.target_server import ACCEPT_ROBOT_AGAIN_AFTER_S, READ_MAX_BYTES, SEND_POLL_PERIOD_S
 
 FORCE_MAX_N = SETTING_MAX
 """N. Maximum of a scene's thresholds; a robot has limits of its own."""
-HOLD_MAX_S = 2.0 * MAX_TIME_SETTING_S
+HOLD_TIME_MAX_S = 2.0 * MAX_TIME_SETTING_S
 """s. Twice the longest still window."""
 
 
@@ -74,7 +74,10 @@ def _target_of(words: list[str]) -> PokeTarget:
     size = float(np.linalg.norm(push))
     # NaN fails every comparison.
     if not (
-        (np.abs(place) < COORDINATE_MAX_M).all() and 0.5 < size < 2.0 and 0 < force <= FORCE_MAX_N and 0 <= hold <= HOLD_MAX_S
+        (np.abs(place) < COORDINATE_MAX_M).all()
+        and 0.5 < size < 2.0
+        and 0 < force <= FORCE_MAX_N
+        and 0 <= hold <= HOLD_TIME_MAX_S
     ):
         raise ValueError(words)
     channel = None if what in (NO_TAXEL, KNOWN_POINT) else read_number(what)
@@ -122,17 +125,17 @@ class TargetClient:
             # The server may be away, or send something else: try again.
             with (
                 contextlib.suppress(OSError, InputError),
-                socket.create_connection(self._place, RECONNECT_AFTER_S) as connection,
+                socket.create_connection(self._place, ACCEPT_ROBOT_AGAIN_AFTER_S) as connection,
             ):
                 self._talk(connection)
             if self._is_connected:
                 self._is_connected = False
                 self._lost()
-            self._stop.wait(RECONNECT_AFTER_S)
+            self._stop.wait(ACCEPT_ROBOT_AGAIN_AFTER_S)
 
     def _talk(self, connection: socket.socket) -> None:
         lines = LineCutter()
-        connection.settimeout(POLL_S)
+        connection.settimeout(SEND_POLL_PERIOD_S)
         self._is_connected = True
         _send(connection, self._greeting)
         while not self._stop.is_set():

@@ -130,7 +130,7 @@ RobotLine: TypeAlias = Answer | RobotPace | TipPose
 ANSWER_HELP = "reached N, skip N [REASON], fault N TEXT, robot SPEED SECONDS or tip X Y Z PX PY PZ"
 COORDINATE_MAX_M = 10.0
 """m. No part reaches so far from its frame's origin."""
-PACE_MAX = 1000.0
+ROBOT_SPEED_AND_POKE_TIME_MAX = 1000.0
 """m/s and s. Largest speed and time of a robot."""
 
 
@@ -190,7 +190,7 @@ def read_answer_line(line: str) -> RobotLine | None:
 def _pace_of(speed: str, poke_s: str) -> RobotPace:
     pace = RobotPace(float(speed), float(poke_s))
     # NaN fails every comparison.
-    if not (0.0 < pace.speed <= PACE_MAX and 0.0 < pace.poke_s <= PACE_MAX):
+    if not (0.0 < pace.speed <= ROBOT_SPEED_AND_POKE_TIME_MAX and 0.0 < pace.poke_s <= ROBOT_SPEED_AND_POKE_TIME_MAX):
         raise ValueError(speed)
     return pace
 

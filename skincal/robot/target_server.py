@@ -34,20 +34,20 @@ from skincal.streams.transports.target_tips import report_tip
 from skincal.streams.transports.tcp import enable_keepalive
 
 LOCAL = "127.0.0.1"
-POLL_S = 0.02
+SEND_POLL_PERIOD_S = 0.02
 """s. Longest delay until lines are sent."""
-LINES_PER_S_MAX = 50
+ROBOT_LINES_PER_S_MAX = 50
 """More than a robot has to say: a poke takes a second."""
-PENDING_MAX_BYTES = 1 << 16
+UNSENT_MAX_BYTES = 1 << 16
 """Bytes that wait for a robot that does not read: some hundred targets."""
-RECONNECT_AFTER_S = 0.5
+ACCEPT_ROBOT_AGAIN_AFTER_S = 0.5
 """s. After a disconnection no client is accepted for so long."""
 READ_MAX_BYTES = 4096
-REPEAT_AFTER_S = 60.0
+REPEAT_SAME_SENTENCE_AFTER_S = 60.0
 """s. A robot that connects and is disconnected again and again causes one sentence in so long."""
-SAME_SENTENCE_CHARS = 40
+SAME_SENTENCE_FIRST_CHARS = 40
 """Sentences that begin with the same characters are the same."""
-QUEUED_MAX = 1000
+QUEUED_LINES_MAX = 1000
 """Lines and answers that wait; more are part of a flood."""
 
 
@@ -81,12 +81,12 @@ class TargetServer:
         self.host, self.port = host, int(self._listener.getsockname()[1])
         self._lock = threading.Lock()
         self._target: AskedLine = NoTarget.WAIT
-        self._lines: deque[str] = deque(maxlen=QUEUED_MAX)
-        self._received: queue.Queue[RobotLine | RobotChange | str] = queue.Queue(QUEUED_MAX)
+        self._lines: deque[str] = deque(maxlen=QUEUED_LINES_MAX)
+        self._received: queue.Queue[RobotLine | RobotChange | str] = queue.Queue(QUEUED_LINES_MAX)
         self._client: socket.socket | None = None
         self._pending = b""
         self._cutter = LineCutter()
-        self._line_times: deque[float] = deque(maxlen=LINES_PER_S_MAX)
+        self._line_times: deque[float] = deque(maxlen=ROBOT_LINES_PER_S_MAX)
         self._ignore_until_s = 0.0
         self._reported_s: dict[str, float] = {}
         """By the beginning of a sentence: when it was last reported, host's monotonic clock, seconds."""
@@ -141,9 +141,9 @@ class TargetServer:
     def _poll_once(self) -> None:
         is_open = time.monotonic() >= self._ignore_until_s
         sockets = [each for each in (self._listener if is_open else None, self._client) if each is not None]
-        ready = select.select(sockets, [], [], POLL_S)[0] if sockets else []
+        ready = select.select(sockets, [], [], SEND_POLL_PERIOD_S)[0] if sockets else []
         if not sockets:
-            self._stop.wait(POLL_S)
+            self._stop.wait(SEND_POLL_PERIOD_S)
         # First: a robot that disconnects and comes back at once finds the place free.
         if self._client is not None and self._client in ready:
             self._read(self._client)
@@ -191,7 +191,7 @@ class TargetServer:
             pass
         except OSError:
             self._disconnect()
-        if len(self._pending) > PENDING_MAX_BYTES:
+        if len(self._pending) > UNSENT_MAX_BYTES:
             self._disconnect("it takes nothing of what it is sent.")
 
     def _read(self, client: socket.socket) -> None:
@@ -213,8 +213,8 @@ class TargetServer:
     def _take_line(self, line: str) -> None:
         now_s = time.monotonic()
         self._line_times.append(now_s)
-        if len(self._line_times) == LINES_PER_S_MAX and now_s - self._line_times[0] < 1.0:
-            raise InputError(f"it sends more than {LINES_PER_S_MAX} lines in a second.")
+        if len(self._line_times) == ROBOT_LINES_PER_S_MAX and now_s - self._line_times[0] < 1.0:
+            raise InputError(f"it sends more than {ROBOT_LINES_PER_S_MAX} lines in a second.")
         answer = read_answer_line(line)
         if isinstance(answer, TipPose):
             report_tip(answer.place)
@@ -228,7 +228,7 @@ class TargetServer:
             if self._client is not None:
                 with contextlib.suppress(OSError):
                     self._client.send(f"{write_line(Refused(reason))}\n".encode())
-            self._ignore_until_s = time.monotonic() + RECONNECT_AFTER_S
+            self._ignore_until_s = time.monotonic() + ACCEPT_ROBOT_AGAIN_AFTER_S
         else:
             self._report("The robot hung up; what is asked for now is said again when it comes back.")
         self._put(RobotChange.LEFT)
@@ -242,8 +242,8 @@ class TargetServer:
         self._client, self._pending = None, b""
 
     def _report(self, sentence: str) -> None:
-        kind, now_s = sentence[:SAME_SENTENCE_CHARS], time.monotonic()
-        if now_s - self._reported_s.get(kind, -REPEAT_AFTER_S) >= REPEAT_AFTER_S:
+        kind, now_s = sentence[:SAME_SENTENCE_FIRST_CHARS], time.monotonic()
+        if now_s - self._reported_s.get(kind, -REPEAT_SAME_SENTENCE_AFTER_S) >= REPEAT_SAME_SENTENCE_AFTER_S:
             self._reported_s[kind] = now_s
             self._put(plain_text(sentence))
 

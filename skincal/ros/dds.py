@@ -29,13 +29,13 @@ LOOPBACK_CONFIG = (
     "</Domain></CycloneDDS>"
 )
 TOPIC_PREFIX = "rt"
-DOMAIN_MAX = 232
+ROS_DOMAIN_ID_MAX = 232
 """Larger domains have no ports."""
-TAKEN_MAX = 1000
+MESSAGES_PER_READ_MAX = 1000
 """Messages of one topic that are taken at once."""
-WAITING_MAX = 4000
+UNREAD_MESSAGES_MAX = 4000
 """Messages of one topic that wait for this program: four seconds at 1 kHz. Those beyond are counted."""
-WRITE_MAX_MS = 100
+WRITER_WAIT_FOR_READER_MAX_MS = 100
 """ms. Longest wait of a writer for a slow reader."""
 _TYPE_LOCK = threading.RLock()
 """`cyclonedds` builds types in one thread at a time."""
@@ -48,8 +48,8 @@ def default_domain() -> int:
 
 def read_domain(text: str, where: str) -> int:
     """Read the number of a domain. Raises InputError."""
-    if not (text.isascii() and text.isdigit() and len(text) < 4 and int(text) <= DOMAIN_MAX):
-        raise InputError(f"{where} is {text!r}; expected the number of a ROS 2 domain, 0 to {DOMAIN_MAX}.")
+    if not (text.isascii() and text.isdigit() and len(text) < 4 and int(text) <= ROS_DOMAIN_ID_MAX):
+        raise InputError(f"{where} is {text!r}; expected the number of a ROS 2 domain, 0 to {ROS_DOMAIN_ID_MAX}.")
     return int(text)
 
 
@@ -95,7 +95,7 @@ def ros_type_name(dds_name: str) -> str:
 
 
 def _reliability() -> Any:
-    return _module("core").Policy.Reliability.Reliable(_module("util").duration(milliseconds=WRITE_MAX_MS))
+    return _module("core").Policy.Reliability.Reliable(_module("util").duration(milliseconds=WRITER_WAIT_FOR_READER_MAX_MS))
 
 
 class DdsError(InputError):
@@ -168,7 +168,7 @@ class Participant:
     def publishers(self) -> list[tuple[str, str]]:
         """List topic and type of each publisher that is known now, the newest last; the type is empty if it is not ROS's."""
         alive = _module("core").InstanceState.Alive
-        while found := self._discovery.take(TAKEN_MAX):
+        while found := self._discovery.take(MESSAGES_PER_READ_MAX):
             for each in found:
                 key, info = str(each.key), each.sample_info
                 if info.instance_state != alive:
@@ -194,7 +194,7 @@ class Participant:
             policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
             # Not the last ones: a message that finds no room is counted, one that is overwritten is not.
             policy.History.KeepAll,
-            policy.ResourceLimits(max_samples=WAITING_MAX),
+            policy.ResourceLimits(max_samples=UNREAD_MESSAGES_MAX),
             # Other makers describe the members of a message by other names.
             policy.TypeConsistency.AllowTypeCoercion(True, True, True),
         )
@@ -213,7 +213,7 @@ class Participant:
         qos = core.Qos(
             _reliability(),
             policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
-            policy.History.KeepLast(TAKEN_MAX),
+            policy.History.KeepLast(MESSAGES_PER_READ_MAX),
             policy.DurabilityService(0, policy.History.KeepLast(1), -1, -1, -1),
         )
         with _in_words(topic):
@@ -261,8 +261,8 @@ class TopicReader:
         self._take: Any = _module("_clayer").ddspy_take
 
     def take_messages(self) -> list[Message]:
-        """Return the messages that wait, at most `TAKEN_MAX`."""
-        found = self._take(self._reader._ref, self._any, TAKEN_MAX)  # noqa: SLF001 - its own way would decode the bytes
+        """Return the messages that wait, at most `MESSAGES_PER_READ_MAX`."""
+        found = self._take(self._reader._ref, self._any, MESSAGES_PER_READ_MAX)  # noqa: SLF001 - its own way would decode the bytes
         if isinstance(found, int):
             raise DdsError(f"DDS cannot read ({found}).")
         return [Message(info.source_timestamp, data) for data, info in found if info.valid_data]

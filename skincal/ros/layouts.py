@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.ros.messages import MAX_DEPTH, MessageReader
+from skincal.ros.messages import FIELD_PATH_MAX_DEPTH, MessageReader
 from skincal.ros.types import Field, MessageError, MessageTypes
 
 NUMBER_SIZES = {f"{sign}int{8 * size}": size for sign in ("", "u") for size in (1, 2, 4, 8)} | {"float32": 4, "float64": 8}
@@ -28,9 +28,9 @@ CDR_HEAD_BYTES = 4
 """Of the encapsulation, from whose end numbers are aligned; its second byte is 1 for little-endian."""
 
 
-MIN_RUN_MESSAGES = 8
+LAYOUT_SEARCH_MIN_MESSAGES = 8
 """For fewer, finding a layout takes longer than reading them one by one."""
-FAILED_SEARCHES_MAX = 20
+FAILED_LAYOUT_SEARCHES_MAX = 20
 """Searches for a layout in a row that helped one run each: then the messages of a topic differ too often."""
 
 
@@ -53,7 +53,7 @@ class _Walk:
 
     def message(self, type_name: str, depth: int = 0) -> dict[str, Any]:
         """Build the message with the offset of each number in place of its value."""
-        if depth > MAX_DEPTH:
+        if depth > FIELD_PATH_MAX_DEPTH:
             raise _LayoutError
         return {field.name: self._field(field, depth) for field in self.types.fields_of(type_name)}
 
@@ -217,15 +217,15 @@ class RunReader:
     def __init__(self, types: MessageTypes, reader: MessageReader) -> None:
         self._types, self._reader = types, reader
         self._layout: MessageLayout | None = None
-        self._searches_left = FAILED_SEARCHES_MAX
+        self._searches_left = FAILED_LAYOUT_SEARCHES_MAX
 
     def read(self, messages: Sequence[bytes]) -> tuple[FloatArray, FloatArray] | None:
         """Read (n, width) values and (n,) stamps, NaN for no stamp. `None`: few messages, or they have not one layout."""
-        if len(messages) < MIN_RUN_MESSAGES:
+        if len(messages) < LAYOUT_SEARCH_MIN_MESSAGES:
             return None
         found = self._layout.read(messages) if self._layout is not None else None
         if found is not None:
-            self._searches_left = FAILED_SEARCHES_MAX
+            self._searches_left = FAILED_LAYOUT_SEARCHES_MAX
         elif self._searches_left:
             self._searches_left -= 1
             self._layout = find_layout(self._types, self._reader, messages[0])

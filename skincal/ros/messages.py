@@ -39,13 +39,13 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.ros.types import HEADER_TYPE, TIME_TYPES, XELA_PACKAGES, Field, MessageError, MessageTypes, full_type_name
 
-MAX_DEPTH = 12
+FIELD_PATH_MAX_DEPTH = 12
 """Nested messages in a field path; a type that contains itself has no end."""
 LAYOUT_TYPE = "std_msgs/msg/MultiArrayLayout"
 JOINT_STATE = "sensor_msgs/msg/JointState"
-SHOWN_NAMES = 8
+NAMES_LISTED_MAX = 8
 """Names that a sentence lists."""
-JOINT_SILENT_MAX_S = 1.0
+REPORT_JOINT_SILENT_AFTER_S = 1.0
 """s by the stamps, after which a joint that other messages do not have is reported."""
 _XELA_RAW, _XELA_FORCES = "sensors.taxels.z", "sensors.forces.z"
 _ANY_STREAM = (Stream.SKIN, Stream.WRENCH, Stream.JOINTS, Stream.TIP)
@@ -228,21 +228,21 @@ class MessageReader:
         missing = [name for name in self.joints if name and name not in self.seen_joints]
         if not self.by_name or not missing:
             return ""
-        seen = ", ".join(list(self.seen_joints)[:SHOWN_NAMES]) or "none"
+        seen = ", ".join(list(self.seen_joints)[:NAMES_LISTED_MAX]) or "none"
         return f"No position of {', '.join(missing)} came; the messages have {seen}. Check the joint names of the scene."
 
     @property
     def silent_joints(self) -> str:
         """Sentence on the wanted joints whose last position is over a second older than the newest; empty if none is."""
         newest_s = max(self._joint_stamps.values(), default=0.0)
-        silent = [name for name, stamp in self._joint_stamps.items() if newest_s - stamp > JOINT_SILENT_MAX_S]
+        silent = [name for name, stamp in self._joint_stamps.items() if newest_s - stamp > REPORT_JOINT_SILENT_AFTER_S]
         return (
             f"No position of {', '.join(silent)} comes any more; the last one is used. Check its publisher." if silent else ""
         )
 
     def _keep_joints(self, names: Sequence[str], positions: Sequence[float]) -> None:
         for name, position in zip(names, positions, strict=True):
-            if name in self.joints or name in self.seen_joints or len(self.seen_joints) < SHOWN_NAMES:
+            if name in self.joints or name in self.seen_joints or len(self.seen_joints) < NAMES_LISTED_MAX:
                 self.seen_joints[name] = position
 
     def _angles(self, message: Any) -> FloatArray | None:
@@ -279,7 +279,7 @@ def _plan(types: MessageTypes, type_name: str, path: str) -> tuple[list[_Step], 
             raise InputError(f"The field {path!r} of {type_name} does not exist: {part!r} is not among {known}.")
         at = fields[found[1]]
         indices = [int(each) for each in re.findall(r"\d+", found[2])]
-        if len(indices) > (1 if at.is_array else 0) or len(steps) > MAX_DEPTH:
+        if len(indices) > (1 if at.is_array else 0) or len(steps) > FIELD_PATH_MAX_DEPTH:
             raise InputError(f"The field {path!r} of {type_name} does not exist: {found[1]!r} has no such element.")
         steps.append(_Step(at.name, many=at.is_array and at.kind == "message" and not indices))
         if indices:
@@ -296,7 +296,7 @@ def _walk(types: MessageTypes, type_name: str, prefix: str = "", depth: int = 0)
     for each in types.fields_of(type_name):
         if each.kind != "message":
             yield f"{prefix}{each.name}", each
-        elif each.type_name not in (*TIME_TYPES, HEADER_TYPE, LAYOUT_TYPE) and depth < MAX_DEPTH:
+        elif each.type_name not in (*TIME_TYPES, HEADER_TYPE, LAYOUT_TYPE) and depth < FIELD_PATH_MAX_DEPTH:
             inner.append(each)
     for each in inner:
         yield from _walk(types, each.type_name, f"{prefix}{each.name}.", depth + 1)

@@ -10,11 +10,11 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 
-WAITING_MAX = 20
+WAITING_READINGS_PER_PATCH_MAX = 20
 """Readings of a patch that wait for those of the others."""
-UNPAIRED_MAX = 25
+SEVERAL_CLOCKS_AFTER_UNPAIRED_READINGS = 25
 """Readings of each patch without a partner, and without a frame between them, after which the stamps are of several clocks."""
-PERIOD_NEWEST_WEIGHT = 0.1
+NEWEST_PERIOD_WEIGHT_IN_MEAN = 0.1
 
 
 class SkinPatches:
@@ -45,7 +45,7 @@ class SkinPatches:
         tolerance_s = 0.5 * float(np.max(self._periods_s)) if self._has_one_clock else math.nan
         waiting = self._waiting[patch]
         waiting.append((stamp_s, values))
-        self._keep_newest(patch, 1 if math.isnan(tolerance_s) else WAITING_MAX)
+        self._keep_newest(patch, 1 if math.isnan(tolerance_s) else WAITING_READINGS_PER_PATCH_MAX)
         while all(self._waiting):
             unpaired = self._without_partner(tolerance_s)
             if not unpaired:
@@ -53,7 +53,7 @@ class SkinPatches:
             for each in unpaired:
                 self._drop(each)
             self._unpaired += len(unpaired)
-        if self._unpaired > UNPAIRED_MAX * len(self.topics):
+        if self._unpaired > SEVERAL_CLOCKS_AFTER_UNPAIRED_READINGS * len(self.topics):
             self._has_one_clock = False
             for each in range(len(self.topics)):
                 self._keep_newest(each, 1)
@@ -66,7 +66,7 @@ class SkinPatches:
             self._periods_s[patch] = step_s if step_s > 0.0 else math.nan
         elif step_s > 0.0:
             # A pause is no period.
-            self._periods_s[patch] += PERIOD_NEWEST_WEIGHT * (min(step_s, 2.0 * period_s) - period_s)
+            self._periods_s[patch] += NEWEST_PERIOD_WEIGHT_IN_MEAN * (min(step_s, 2.0 * period_s) - period_s)
 
     def _without_partner(self, tolerance_s: float) -> list[int]:
         """List the patches whose oldest reading is too old for the others, or whose next one fits better."""

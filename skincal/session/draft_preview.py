@@ -37,9 +37,9 @@ UNREPORTED_FINDINGS = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS
 NOT_PLACED = "The layout is shown on the part, but not placed yet: click where its middle lies, or drag it."
 FIRST_SIDE = (0.83, 0.42, 0.36)
 """Unit, link frame: the side of a part that is seen first."""
-MIN_DOUBTED_TILT_DEG = 0.5
+WARN_OF_SENSOR_TILT_FROM_DEG = 0.5
 """Of a sensor against the axes of the part: most flanges are parallel to one."""
-CACHE_SIZE = 8
+CACHED_RESULTS_PER_KIND = 8
 """Kept results of each kind of work."""
 
 
@@ -138,7 +138,7 @@ class PartPreviewer:
         """Call `make(*key)`, or return the result of an earlier call."""
         kept = self._kept.setdefault(make, {})
         if key not in kept:
-            while len(kept) >= CACHE_SIZE:
+            while len(kept) >= CACHED_RESULTS_PER_KIND:
                 del kept[next(iter(kept))]
             kept[key] = make(*key)
         return kept[key]
@@ -258,7 +258,7 @@ class _Work:
         elif draft.sensor_pose is not None:
             pose = self.values["sensor_pose"] = np.array(draft.sensor_pose)
             tilt = float(np.degrees(np.arccos(min(1.0, np.abs(pose[:3, 2]).max()))))
-            if tilt > MIN_DOUBTED_TILT_DEG:
+            if tilt > WARN_OF_SENSOR_TILT_FROM_DEG:
                 self.findings["sensor"] = (
                     f"The sensor's z axis is {tilt:.0f} degrees off the nearest axis of the part. If its flange is not tilted, "
                     "pick the points again or type the direction.",

@@ -11,7 +11,7 @@ from pathlib import Path
 from skincal.contacts.outcome import Contact
 from skincal.files.importers.preview import RecordingFiles
 from skincal.files.importers.registry import StoppedError
-from skincal.files.importers.timeline import START_NS, OpenRecording
+from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME, describe_lock_holder
 from skincal.model.actions import SetPose
@@ -98,10 +98,12 @@ def play_recording(
     """
     try:
         if pose:
-            pipeline.act(SetPose(pose), START_NS)
+            pipeline.act(SetPose(pose), SESSION_START_TIME_NS)
         span_ns = max(recording.span_ns, 1)
         for count, chunk in enumerate(pipeline.ahead(recording.chunks())):
-            if count % CHUNKS_PER_PROGRESS_REPORT == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
+            if count % CHUNKS_PER_PROGRESS_REPORT == 0 and not go_on(
+                min(1.0, (chunk.host_ns - SESSION_START_TIME_NS) / span_ns)
+            ):
                 raise StoppedError
             pipeline.feed(chunk)
             if pipeline.journal_failure:

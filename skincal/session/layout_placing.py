@@ -22,12 +22,12 @@ from skincal.model.errors import InputError, plural
 from skincal.model.skin import Anchor, Layout, Module
 from skincal.session.part_draft import AnchorDraft
 
-OFF_MESH_M = 0.0005
+TAXEL_OFF_MESH_MIN_DISTANCE_M = 0.0005
 """m. A taxel further from the mesh is off it: covers are no thinner."""
-OVERLAP_SHARE = 0.4
+MODULES_OVERLAP_BELOW_SPACINGS = 0.4
 """Of the spacing: two modules with nearer taxels overlap."""
 _MODULE_START = re.compile(r"(?m)^(?=\[\[modules\]\])")
-MIN_LEVEL_SIN = 0.3  # On a surface that is tilted less, no direction is level: the link's x axis is taken
+MIN_SURFACE_TILT_SIN_FOR_LEVEL_AXIS = 0.3  # On a surface that is tilted less, no direction is level: the link's x axis is taken
 FLAT_NORMAL = np.array([0.0, 0.0, 1.0])
 
 
@@ -48,7 +48,7 @@ def anchor_at(
         near, triangles = nearest_points(surface, point[None])
         point, normal = near[0], surface.normals[triangles[0]]
     level = np.cross([0.0, 0.0, 1.0], normal)
-    if np.linalg.norm(level) < MIN_LEVEL_SIN:
+    if np.linalg.norm(level) < MIN_SURFACE_TILT_SIN_FOR_LEVEL_AXIS:
         level = np.array([1.0, 0.0, 0.0])
     x = level if before is None else before.x
     x, _ = tangent_axes(x, normal, fallback=True)
@@ -139,7 +139,7 @@ def find_laid_problems(layout: Layout, laid: PlacedLayout | None, surface: Surfa
     known = layout.channels[np.isfinite(laid.places[layout.channels, 0])]
     if surface is not None and len(known):
         near, _ = nearest_points(surface, laid.places[known])
-        off = known[np.linalg.norm(near - laid.places[known], axis=1) > OFF_MESH_M]
+        off = known[np.linalg.norm(near - laid.places[known], axis=1) > TAXEL_OFF_MESH_MIN_DISTANCE_M]
     if len(off):
         modules = sorted({layout.modules[int(index)].id for index in layout.module_of[off]})
         verb = "is" if len(off) == 1 else "are"
@@ -153,7 +153,7 @@ def _overlaps(layout: Layout, laid: PlacedLayout) -> list[str]:
     known = layout.channels[np.isfinite(laid.places[layout.channels, 0])]
     if len(layout.modules) < 2 or not len(known):
         return []
-    pairs = pairs_within(laid.places[known], OVERLAP_SHARE * layout.spacing)
+    pairs = pairs_within(laid.places[known], MODULES_OVERLAP_BELOW_SPACINGS * layout.spacing)
     owners = layout.module_of[known[pairs]]
     both = sorted({(int(min(pair)), int(max(pair))) for pair in owners if pair[0] != pair[1]})
     if not both:

@@ -29,9 +29,9 @@ Pose: TypeAlias = tuple[Vector, ...]
 IDENTITY_POSE: Pose = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
 MM_DIGITS, UNIT_DIGITS, METRE_DIGITS = 3, 6, 6
 """Decimals in a scene file: a micrometre, and 0.06 thousandths of a degree."""
-MAX_HISTORY = 500
-COMMENT_COLUMN = 39
-MAX_PARENTS_IN_NAME = 3
+UNDO_STEPS_MAX = 500
+SCENE_FILE_COMMENT_COLUMN = 39
+PARENT_FOLDERS_IN_RELATIVE_PATH_MAX = 3
 """A file further away is named by its whole path."""
 LAYOUT_FILE = "modules.toml"
 NEW_SCENE = "# A part and its skin; docs/scene.md says what else a scene can hold.\n"
@@ -139,7 +139,7 @@ class DraftHistory:
             return self
         if merge and merge == self.merged:
             return replace(self, now=draft, future=())
-        return DraftHistory((*self.past, self.now)[-MAX_HISTORY:], draft, (), merge)
+        return DraftHistory((*self.past, self.now)[-UNDO_STEPS_MAX:], draft, (), merge)
 
     def saved_as(self, saved: PartDraft) -> DraftHistory:
         """Make `saved`, read from the written file, the present draft; earlier and later ones are changes of that file."""
@@ -421,7 +421,7 @@ def _trivia_of(item: Any) -> tuple[str, str]:
 
 def _set_comment(key: str, item: Any, comment: str) -> None:
     item.comment(comment)
-    item.trivia.comment_ws = " " * max(2, COMMENT_COLUMN - len(f"{key} = {item.as_string()}"))
+    item.trivia.comment_ws = " " * max(2, SCENE_FILE_COMMENT_COLUMN - len(f"{key} = {item.as_string()}"))
 
 
 def _plain(value: Any) -> Any:
@@ -577,7 +577,7 @@ def _named(path: Path, folder: Path) -> str:
         relative = Path(os.path.relpath(whole, folder.resolve()))
     except ValueError:  # another drive of Windows
         return whole.as_posix()
-    return (whole if relative.parts.count("..") > MAX_PARENTS_IN_NAME else relative).as_posix()
+    return (whole if relative.parts.count("..") > PARENT_FOLDERS_IN_RELATIVE_PATH_MAX else relative).as_posix()
 
 
 def free_scene_path(scenes: Path, name: str) -> Path:

@@ -9,7 +9,7 @@ from skincal.geometry import FloatArray
 from skincal.model.scene import Scene
 
 _NUMBERED_SKIN_FRAME = re.compile(r"(.*(?:skin|tactile|module|triangle|taxel).*?)(\d+)", re.IGNORECASE)
-MIN_FRAMES = 2
+MODULE_FRAMES_MIN = 2
 """Frames that number the modules: a single one may be the frame of the whole skin."""
 
 
@@ -33,6 +33,6 @@ def robot_places(scene: Scene) -> TaxelPositions | None:
         if match is not None and (channel := known.get(int(match[2]))) is not None:
             series.setdefault(match[1], {})[channel] = pose[:3, 3]
     places = max(series.values(), key=len, default=dict[int, FloatArray]())
-    if len(places) < MIN_FRAMES:
+    if len(places) < MODULE_FRAMES_MIN:
         return None
     return TaxelPositions(f"{robot.urdf.path.name}, frames", scene.link, places, modules)

@@ -15,7 +15,7 @@ from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.urdf import MOVING, Robot, find_mesh
 
 PACKAGE_SCHEME = "package://"
-MAX_SHAPE_TRIANGLES = 2_000_000
+DRAWN_ROBOT_MAX_TRIANGLES = 2_000_000
 """Of a whole robot in the view: an iCub has 300,000. Links beyond it are not drawn."""
 
 
@@ -52,7 +52,7 @@ def load_robot_shape(robot: Robot, packages: Mapping[str, Path]) -> RobotShape:
             missing.append(str(error))
             continue
         total += len(faces)
-        if total > MAX_SHAPE_TRIANGLES or not len(faces) or not np.isfinite(points).all():
+        if total > DRAWN_ROBOT_MAX_TRIANGLES or not len(faces) or not np.isfinite(points).all():
             missing.append(f"{path}: is too large, empty or not finite")
             continue
         pose = mesh.origin

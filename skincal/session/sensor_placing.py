@@ -8,13 +8,13 @@ from skincal.geometry import FloatArray, tangent_axes
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 
-MIN_FLANGE_HEIGHT_M = 0.002
+FLANGE_POINTS_MIN_TRIANGLE_HEIGHT_M = 0.002
 """m. Height of the triangle of the three points: flatter ones give no plane."""
-MAX_MEAN_NORMAL_LENGTH_AT_EDGE = 0.95
+EDGE_IF_MEAN_NORMAL_SHORTER_THAN = 0.95
 """Length of the mean of unit normals around a corner: 0.95 at an edge of 36 degrees."""
-SNAP_OVER_PART_SIZE = 0.04
+SNAP_TO_EDGE_DISTANCE_OVER_PART_SIZE = 0.04
 """Of the part's longest side: a click this near to an edge means the edge."""
-BOTTOM_SHARE = 0.02
+BOTTOM_FACE_HEIGHT_OVER_PART_HEIGHT = 0.02
 """Of the part's height: vertices this near to the lowest one are its bottom face."""
 
 
@@ -30,7 +30,7 @@ def pose_on_flange(points: FloatArray, part_centre: FloatArray) -> FloatArray:
     normal = np.cross(u, v)
     longest = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)), float(np.linalg.norm(c - b)))
     height = float(np.linalg.norm(normal)) / max(longest, 1e-12)
-    if height < MIN_FLANGE_HEIGHT_M:
+    if height < FLANGE_POINTS_MIN_TRIANGLE_HEIGHT_M:
         raise InputError(
             f"The three points are within {height * 1e3:.1f} mm of a line; pick them far apart around the rim of the flange."
         )
@@ -51,9 +51,9 @@ def nearest_edge_point(surface: Surface, point: FloatArray) -> FloatArray:
     normals = np.repeat(surface.normals, 3, axis=0)
     sums = np.stack([np.bincount(corners, normals[:, axis], count) for axis in range(3)], axis=1)
     mean_lengths = np.linalg.norm(sums, axis=1) / np.maximum(np.bincount(corners, minlength=count), 1)
-    sharp = surface.vertices[mean_lengths < MAX_MEAN_NORMAL_LENGTH_AT_EDGE]
+    sharp = surface.vertices[mean_lengths < EDGE_IF_MEAN_NORMAL_SHORTER_THAN]
     distances = np.linalg.norm(sharp - point, axis=1)
-    reach = SNAP_OVER_PART_SIZE * float(np.ptp(surface.vertices, axis=0).max())
+    reach = SNAP_TO_EDGE_DISTANCE_OVER_PART_SIZE * float(np.ptp(surface.vertices, axis=0).max())
     return sharp[distances.argmin()] if len(sharp) and distances.min() <= reach else point
 
 
@@ -74,7 +74,7 @@ def pose_under(surface: Surface, depth: float) -> FloatArray:
     `depth` is the distance from the bottom face down to the sensor's origin, metres.
     """
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    bottom = surface.vertices[surface.vertices[:, 2] <= low[2] + BOTTOM_SHARE * (high[2] - low[2])]
+    bottom = surface.vertices[surface.vertices[:, 2] <= low[2] + BOTTOM_FACE_HEIGHT_OVER_PART_HEIGHT * (high[2] - low[2])]
     middle = (bottom.min(axis=0) + bottom.max(axis=0)) / 2.0
     pose = np.eye(4)
     pose[:3, 3] = middle[0], middle[1], low[2] - depth

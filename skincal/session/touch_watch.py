@@ -9,13 +9,13 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import list_channels, plural
 
-REST_FRAMES = 25
+FRAMES_AT_REST_FIRST = 25
 """Frames without a touch at the start: half a second at 50 Hz."""
-MIN_SHARE_OF_LARGEST_CHANGE = 0.25
+ANSWER_MIN_SHARE_OF_LARGEST_CHANGE = 0.25
 """Of the largest change: channels with less did not answer, they only lie near."""
-MIN_CHANGE_NOISE_SDS = 6.0
+ANSWER_MIN_NOISE_SDS = 6.0
 """Standard deviations of a channel's own noise."""
-MIN_RAW_CHANGE = 1.0
+ANSWER_MIN_RAW_CHANGE = 1.0
 """Raw units: one step of a device."""
 
 
@@ -40,7 +40,7 @@ class Touch:
 
 
 class TouchWatch:
-    """Follows the frames of a skin of `channels` values; the first `REST_FRAMES` are those at rest."""
+    """Follows the frames of a skin of `channels` values; the first `FRAMES_AT_REST_FIRST` are those at rest."""
 
     def __init__(self, channels: int) -> None:
         self._rest: list[FloatArray] = []
@@ -50,7 +50,7 @@ class TouchWatch:
     @property
     def is_ready(self) -> bool:
         """Whether the values at rest are known."""
-        return len(self._rest) >= REST_FRAMES
+        return len(self._rest) >= FRAMES_AT_REST_FIRST
 
     def feed(self, frame: FloatArray) -> None:
         """Take a frame, (channels,) raw values; NaN is missing."""
@@ -69,7 +69,7 @@ class TouchWatch:
         rise, fall = self._high - self._mean, self._mean - self._low
         change = np.maximum(np.fmax(rise, fall), 0.0)
         change[~np.isfinite(change)] = 0.0
-        least = max(MIN_RAW_CHANGE, MIN_SHARE_OF_LARGEST_CHANGE * float(change.max(initial=0.0)))
-        channels = np.flatnonzero(change > np.maximum(least, MIN_CHANGE_NOISE_SDS * self._noise))
+        least = max(ANSWER_MIN_RAW_CHANGE, ANSWER_MIN_SHARE_OF_LARGEST_CHANGE * float(change.max(initial=0.0)))
+        channels = np.flatnonzero(change > np.maximum(least, ANSWER_MIN_NOISE_SDS * self._noise))
         falls = bool(len(channels)) and float(fall[channels].sum()) > float(rise[channels].sum())
         return Touch(channels, falls)

@@ -20,7 +20,7 @@ TOPIC_OF_STREAM: Mapping[Stream, tuple[str, str]] = MappingProxyType(
     }
 )
 """Topic and type of each stream."""
-CLOCK_START_S = 1_700_000_000
+ROBOT_CLOCK_START_UNIX_S = 1_700_000_000
 """s since 1970: the robot's clock has the time of day, but not this machine's."""
 LENGTH_STRUCT = struct.Struct("<I")
 
@@ -41,7 +41,7 @@ class _Cdr:
         self._body += raw
 
     def add_header(self, t_us: int, frame: str) -> None:
-        self.add("i", CLOCK_START_S + t_us // 1_000_000)
+        self.add("i", ROBOT_CLOCK_START_UNIX_S + t_us // 1_000_000)
         self.add("I", t_us % 1_000_000 * 1000)
         self.add_text(frame)
 

@@ -16,14 +16,14 @@ from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.types import MessageError, MessageTypes
 from skincal.streams.links import parse_address
 
-LISTEN_S = 2.0
+LISTEN_TO_TOPICS_S = 2.0
 """s. Publishers are found within some 0.2 s, and a topic of 2 Hz sends twice."""
-POLL_S = 0.05
-MAX_TOPICS = 60
+TOPIC_POLL_PERIOD_S = 0.05
+LISTED_TOPICS_MAX = 60
 """Topics that are read while they are listed."""
 WRENCH_VALUES = 6
 TEXT_TYPE = "std_msgs/msg/String"
-DESCRIPTION_MAX_S = 5.0
+WAIT_FOR_ROBOT_DESCRIPTION_MAX_S = 5.0
 """s for a latched message to come."""
 
 
@@ -71,9 +71,9 @@ class _Listened:
 
 
 def list_ros_topics() -> tuple[list[FoundTopic], int]:
-    """Listen to the domain of `ROS_DOMAIN_ID` for `LISTEN_S` and list the topics that can be read, by name.
+    """Listen to the domain of `ROS_DOMAIN_ID` for `LISTEN_TO_TOPICS_S` and list the topics that can be read, by name.
 
-    Returns the topics, and the number of those beyond `MAX_TOPICS` that were left out.
+    Returns the topics, and the number of those beyond `LISTED_TOPICS_MAX` that were left out.
 
     Raises InputError: DDS is not installed or refuses.
     """
@@ -82,15 +82,15 @@ def list_ros_topics() -> tuple[list[FoundTopic], int]:
     heard: dict[str, _Listened] = {}
     left_out = set[str]()
     try:
-        end_s = time.monotonic() + LISTEN_S
+        end_s = time.monotonic() + LISTEN_TO_TOPICS_S
         while time.monotonic() < end_s:
             new = [each for each in participant.publishers() if each[0] not in heard and _can_be_read(types, each[1])]
             for topic, name in sorted(new, key=lambda each: len(streams_of(types, each[1])) or len(Stream) + 1):
-                if sum(each.reader is not None for each in heard.values()) < MAX_TOPICS:
+                if sum(each.reader is not None for each in heard.values()) < LISTED_TOPICS_MAX:
                     heard[topic] = _Listened(name, _open_reader(participant, topic, name))
                 else:
                     left_out.add(topic)
-            time.sleep(POLL_S)
+            time.sleep(TOPIC_POLL_PERIOD_S)
             for each in heard.values():
                 for message in [] if each.reader is None else each.reader.take_messages():
                     each.count, each.first, each.newest = each.count + 1, each.first or message.data, message.data
@@ -167,7 +167,7 @@ def read_robot_description(address: str) -> bytes:
     types = participant.types
     try:
         reader = participant.reader(found.path, TEXT_TYPE, latched=True)
-        participant.wait(DESCRIPTION_MAX_S)
+        participant.wait(WAIT_FOR_ROBOT_DESCRIPTION_MAX_S)
         messages = reader.take_messages()
         seen = dict(participant.publishers()).get(found.path)
     finally:

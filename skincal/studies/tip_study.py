@@ -37,10 +37,10 @@ RIG_CASES: Mapping[str, tuple[Callable[[], RigErrors], int]] = {
 TIP_SDS_MM: tuple[float | None, ...] = (None, 0.3, 1.0, 5.0)
 """`None` for force axes alone."""
 POKE_COUNTS = (42, 84, 126, 168, 252, 336, 504)
-ROUNDS_OF_POKES = 6
+POKES_PER_TAXEL = 6
 SEEDS, QUICK_SEEDS = 8, 2
 GOAL_ERROR_MM = 3.0
-KNOWN_SHARE_MIN = 0.95
+TAXELS_WITH_ESTIMATE_MIN_SHARE = 0.95
 """Share of the taxels that must have an estimate before a mean error counts."""
 COVERAGE_MIN = 0.90
 """Share of the taxels inside their 95 % regions, on the good rig."""
@@ -107,7 +107,7 @@ def _poke(rig: Rig, sd_mm: float | None, rng: np.random.Generator) -> list[Conta
     poses, contacts, first = list(rig.arm_poses), list[Contact](), 1
     fixed = np.eye(4)
     fixed[:3, :3], fixed[:3, 3] = rotations(rng.standard_normal((1, 3)))[0], rng.uniform(-1.0, 1.0, 3)
-    for turn in range(ROUNDS_OF_POKES):
+    for turn in range(POKES_PER_TAXEL):
         pose, pokes = poses[turn % len(poses)], unguided(rig, 1, rng)
         made = simulate_contacts(rig, pokes, rng, pose, first)
         contacts += made if sd_mm is None else add_tips(made, pokes, rig.arm_pose(pose), fixed, sd_mm * 1e-3, rng, first)
@@ -134,7 +134,7 @@ def _row(rig: str, sd_mm: float | None, found: Sequence[Mapping[int, Mapping[str
     Returns
     -------
     JSON: `rig`, `tip_sd_mm`, and for each method lists over `POKE_COUNTS`: `mean_mm` (`None` while fewer than
-    `KNOWN_SHARE_MIN` of the taxels are known), `inside`; and `pokes_to_goal`, `None` if it is not reached
+    `TAXELS_WITH_ESTIMATE_MIN_SHARE` of the taxels are known), `inside`; and `pokes_to_goal`, `None` if it is not reached
     """
     methods: dict[str, Any] = {}
     for name in (*(method.value for method in Method), MEAN_TIP):
@@ -152,7 +152,7 @@ def _row(rig: str, sd_mm: float | None, found: Sequence[Mapping[int, Mapping[str
 
 def _mean_if_known(found: Sequence[Mapping[str, Any] | None]) -> float | None:
     taxels = len(ExamplePart().channels)
-    known = [each for each in found if each is not None and each["missing"] <= (1.0 - KNOWN_SHARE_MIN) * taxels]
+    known = [each for each in found if each is not None and each["missing"] <= (1.0 - TAXELS_WITH_ESTIMATE_MIN_SHARE) * taxels]
     return float(np.mean([each["mean"] for each in known])) if len(known) == len(found) else None
 
 

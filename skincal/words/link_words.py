@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, plural
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
 
-REST_OF_SENTENCE_CHARS = 30
+CHARS_KEPT_FOR_NEXT_SENTENCE = 30
 """Characters kept free for the sentence that follows: `"No session was made."`."""
 
 
@@ -21,7 +21,7 @@ def silent_links(links: Sequence[LinkHealth]) -> str:
         )
         for brief in (False, True)
     ]
-    return said[0] if len(said[0]) < ERROR_SENTENCE_MAX_CHARS - REST_OF_SENTENCE_CHARS else said[1]
+    return said[0] if len(said[0]) < ERROR_SENTENCE_MAX_CHARS - CHARS_KEPT_FOR_NEXT_SENTENCE else said[1]
 
 
 def _why_silent(link: LinkHealth, *, brief: bool) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from skincal.rig.tip_frame import MIN_POKES_FOR_FRAME, TIP_SD_MAX_M, TipFrame, TipState
+from skincal.rig.tip_frame import TIP_FRAME_MIN_POKES, TIP_SD_MAX_M, TipFrame, TipState
 from skincal.words.units import millimetres
 
 MILLIMETRE_RATIO, RATIO_TOLERANCE = 0.001, 20.0
@@ -20,7 +20,7 @@ def tip_sentence(frame: TipFrame) -> str:
                 f"Tip positions are used; they scatter by {millimetres(frame.tip_sd)}."
             )
         case TipState.FEW_POKES:
-            return f"Robot base: unknown. Tip positions are used from {MIN_POKES_FOR_FRAME} pokes on."
+            return f"Robot base: unknown. Tip positions are used from {TIP_FRAME_MIN_POKES} pokes on."
         case TipState.AMBIGUOUS:
             return (
                 f"Robot base: not yet known after {frame.pokes} pokes. Tip positions are not used. "

@@ -50,7 +50,7 @@ def test_a_slow_window_has_time_while_its_session_grows_and_a_hung_one_has_not(t
         lines.write_bytes(b'["00000000",1]\n' * (second + 1))
         assert not progress.update()
         assert not progress.is_stuck()
-    clock[0] += freeze.STALL_S + 1.0
+    clock[0] += freeze.WINDOW_HANGS_AFTER_S + 1.0
     progress.update()
     assert progress.is_stuck()
     lines.write_bytes(b'["00000000",1,"contact 1",{}]\n' * (freeze.MAX_POKES_WITHOUT_TAXEL + 1))

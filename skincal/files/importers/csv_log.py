@@ -35,7 +35,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.devices.decoding import STAMP_MAX_S
+from skincal.devices.decoding import TIME_STAMP_MAX_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
 from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
 from skincal.geometry import FloatArray
@@ -46,9 +46,9 @@ from skincal.streams.links import LinkSpec
 
 MAX_LINE_CHARS = 4 << 20
 """100,000 channels have a quarter of it."""
-SHOWN_CHARS = 40
+FIELD_SHOWN_MAX_CHARS = 40
 """Characters of a field that a sentence shows."""
-BLOCK_ROWS = 64
+ROWS_PARSED_AT_ONCE = 64
 MAX_CACHED_FIELDS = 1 << 12
 """Raw values of a skin repeat, so their text is kept."""
 MAX_ROW_INTERVAL_S = 0.2
@@ -140,7 +140,7 @@ class _Table:
         """Give the times of the rows in blocks; count the rows that have none."""
         # Nothing after the time is read.
         rows = self._rows(self._time + 1)
-        while block := list(islice(rows, BLOCK_ROWS)):
+        while block := list(islice(rows, ROWS_PARSED_AT_ONCE)):
             stamps = [seconds for row in block if (seconds := self._seconds(row)) is not None]
             if len(stamps) < len(block):
                 self.skipped += len(block) - len(stamps)
@@ -154,14 +154,15 @@ class _Table:
             other = row[self._time] if self._time < len(row) else ""
             if _time_kind(other) not in ("", _time_kind(first)):
                 raise InputError(
-                    f"{self.path}: its times are {first[:SHOWN_CHARS]!r} and {other[:SHOWN_CHARS]!r}; expected one kind in the "
-                    "whole column: numbers, dates with a zone, or dates without one. Export them anew."
+                    f"{self.path}: its times are {first[:FIELD_SHOWN_MAX_CHARS]!r} and {other[:FIELD_SHOWN_MAX_CHARS]!r}; "
+                    "expected one kind in the whole column: numbers, dates with a zone, or dates without one. "
+                    "Export them again."
                 )
 
     def lines(self) -> Iterator[list[bytes]]:
         """Give the rows that have a time as log lines, in blocks."""
         rows = enumerate(self._rows())
-        while block := list(islice(rows, BLOCK_ROWS)):
+        while block := list(islice(rows, ROWS_PARSED_AT_ONCE)):
             yield [self._line(*each, seconds) for each in block if (seconds := self._seconds(each[1])) is not None]
 
     def _rows(self, splits: int = -1) -> Iterator[list[str]]:
@@ -169,7 +170,7 @@ class _Table:
 
     def _seconds(self, row: list[str]) -> float | None:
         seconds = self._seconds_of(row[self._time]) if self._time < len(row) else None
-        return None if seconds is None or not abs(seconds) <= STAMP_MAX_S else seconds
+        return None if seconds is None or not abs(seconds) <= TIME_STAMP_MAX_S else seconds
 
     def _line(self, index: int, row: list[str], seconds: float) -> bytes:
         """Format a row as a log line. A row of another width keeps it, so that it is counted."""
@@ -210,15 +211,15 @@ def open_recording(places: Mapping[Stream, RecordedPlace]) -> OpenRecording:
 def _check_times(table: _Table, timeline: Timeline) -> None:
     """Raise InputError: there are no times, they lack fractions of a second, or they are hardly seconds."""
     if not timeline.lines:
-        seen = f"seen {table.first_time[:SHOWN_CHARS]!r} as the time; " if table.first_time else ""
+        seen = f"seen {table.first_time[:FIELD_SHOWN_MAX_CHARS]!r} as the time; " if table.first_time else ""
         raise InputError(
             f"{table.path}: no row with a time was found; {seen}expected a number or a date (2024-05-01T12:00:00.5Z), "
             "and values. Numbers that are not seconds need their unit in the column's name: t_ms, t_ns."
         )
     if table.dated and timeline.lines > 1 and not timeline.interval:
         raise InputError(
-            f"{table.path}: most of its rows have the same time as the row before, such as {table.first_time[:SHOWN_CHARS]!r}. "
-            "Export times with fractions of a second."
+            f"{table.path}: most of its rows have the same time as the row before, such as "
+            f"{table.first_time[:FIELD_SHOWN_MAX_CHARS]!r}. Export times with fractions of a second."
         )
     if table.unit_assumed and table.stream is not Stream.JOINTS and timeline.interval > MAX_ROW_INTERVAL_S:
         raise InputError(

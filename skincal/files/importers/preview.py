@@ -13,7 +13,7 @@ import numpy as np
 
 from skincal.devices.decoding import WRENCH_VALUES
 from skincal.files.importers.registry import Importer, RecordedPlace, StreamGuess, find_recordings, importer_of
-from skincal.files.importers.timeline import START_NS, OpenRecording
+from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Batch, Stream
@@ -22,15 +22,15 @@ from skincal.streams.decoders.auto_detect import LinkDecoder
 if TYPE_CHECKING:
     from skincal.model.scene import Scene
 
-PREVIEW_S = 60.0
+PREVIEWED_TIME_S = 60.0
 """Length of the part that is decoded: several pokes, in a second or two."""
-CURVE_BIN_S = 0.1
+FORCE_CURVE_BIN_S = 0.1
 """The force curve has the largest force of each bin: a poke is longer."""
-JOINTS_MAX_WIDTH = 16
+MAX_JOINTS_IN_UNNAMED_STREAM = 16
 """A row of unknown meaning with more values is a skin: arms have fewer joints, skins more taxels."""
 MAX_FILES_TRIED = 2000
 """Each costs about a millisecond."""
-SHOWN_VALUES = 6
+FIRST_VALUES_SHOWN = 6
 """Values of the first row that are shown."""
 _NAME_PATTERNS = (
     (Stream.SKIN, re.compile(r"skin|tactile|taxel|touch")),
@@ -128,7 +128,7 @@ def _likely_stream(guess: StreamGuess, channels: int) -> Stream:
     name = (guess.place.topic or (path.parent.name if path.name == importer_of(path).marker else path.name)).lower()
     named = next((stream for stream, words in _NAME_PATTERNS if words.search(name)), None)
     by_width = Stream.SKIN
-    if guess.width != channels and guess.width <= JOINTS_MAX_WIDTH:
+    if guess.width != channels and guess.width <= MAX_JOINTS_IN_UNNAMED_STREAM:
         by_width = Stream.WRENCH if guess.width == WRENCH_VALUES else Stream.JOINTS
     is_sure = guess.stream in (Stream.WRENCH, Stream.JOINTS) or (guess.stream is not None and guess.place.topic)
     return guess.stream if guess.stream is not None and is_sure else named or guess.stream or by_width
@@ -160,7 +160,7 @@ class RecordingPreview:
     findings: tuple[str, ...]
     """Sentences on times and losses."""
     times: FloatArray
-    """(n,) float, s from the beginning: every `CURVE_BIN_S` of the first `PREVIEW_S`..."""
+    """(n,) float, s from the beginning: every `FORCE_CURVE_BIN_S` of the first `PREVIEWED_TIME_S`..."""
     force: FloatArray
     """(n,) float, N: largest deviation of the force from its median in each bin; NaN without a reading."""
 
@@ -192,7 +192,7 @@ class RecordingPreview:
 
 
 def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda: True) -> RecordingPreview:
-    """Read all times of a recording, and decode the readings of its first `PREVIEW_S`; nothing is written.
+    """Read all times of a recording, and decode the readings of its first `PREVIEWED_TIME_S`; nothing is written.
 
     Parameters
     ----------
@@ -204,19 +204,19 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
     decoders = {link.name: LinkDecoder(link.format, None, link.carries) for link in opened.links}
     readings: dict[str, list[Batch]] = defaultdict(list)
     for chunk in opened.chunks():
-        if chunk.host_ns > START_NS + PREVIEW_S * 1e9 or not wanted():
+        if chunk.host_ns > SESSION_START_TIME_NS + PREVIEWED_TIME_S * 1e9 or not wanted():
             break
         readings[chunk.link] += [batch for _, batch in decoders[chunk.link].feed(chunk.data, chunk.host_ns)]
     streams: list[StreamPreview] = []
     for link, timeline in zip(opened.links, opened.timelines, strict=True):
         values = _values(readings[link.name])
         rate = 1.0 / timeline.interval if timeline.interval else 0.0
-        first = tuple(values[0, :SHOWN_VALUES].tolist()) if len(values) else ()
+        first = tuple(values[0, :FIRST_VALUES_SHOWN].tolist()) if len(values) else ()
         seconds = timeline.last - timeline.first
         path = link.address.removeprefix("file:")
         streams.append(StreamPreview(link.carries[0], path, timeline.lines, rate, seconds, values.shape[1], first))
     lost = [
-        f"{name}: {count} of the first {PREVIEW_S:.0f} s: {loss.value}."
+        f"{name}: {count} of the first {PREVIEWED_TIME_S:.0f} s: {loss.value}."
         for name, decoder in decoders.items()
         for loss, count in decoder.current.counts.items()
     ]
@@ -239,10 +239,10 @@ def _force_curve(batches: Sequence[Batch]) -> tuple[FloatArray, FloatArray]:
     force = _values(batches)[:, :3]
     seconds = np.concatenate([batch.device_s for batch in batches])
     size = np.linalg.norm(force - np.nanmedian(force, axis=0), axis=1)
-    at = np.floor((seconds - seconds.min()) / CURVE_BIN_S).astype(np.int64)
+    at = np.floor((seconds - seconds.min()) / FORCE_CURVE_BIN_S).astype(np.int64)
     # A clock that jumps would make a curve of years.
-    inside = (at < PREVIEW_S / CURVE_BIN_S) & np.isfinite(size)
+    inside = (at < PREVIEWED_TIME_S / FORCE_CURVE_BIN_S) & np.isfinite(size)
     largest = np.full(int(at[inside].max(initial=-1)) + 1, -np.inf)
     np.maximum.at(largest, at[inside], size[inside])
     largest[np.isinf(largest)] = np.nan
-    return CURVE_BIN_S * np.arange(len(largest), dtype=np.float64), largest
+    return FORCE_CURVE_BIN_S * np.arange(len(largest), dtype=np.float64), largest

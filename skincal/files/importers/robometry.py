@@ -30,17 +30,17 @@ from skincal.streams.links import LinkSpec
 
 SEPARATOR_TEXT = "::"
 """Between the names of nested channels."""
-MAX_DEPTH_OF_CHANNELS = 8
-MAX_CHANNELS_OF_LOG = 5000
+CHANNEL_NAME_MAX_DEPTH = 8
+LOG_CHANNELS_MAX = 5000
 """With the groups that hold them."""
-MAX_ROWS_OF_LOG = 50_000_000
+ROWS_PER_CHANNEL_MAX = 50_000_000
 """Of a channel: a day at 500 Hz has 43 million."""
-MAX_WIDTH_OF_LOG = 100_000
+VALUES_PER_ROW_MAX = 100_000
 """Values of a channel in a row."""
-BLOCK_ROWS_OF_LOG = 4096
+ROWS_READ_AT_ONCE = 4096
 RADIANS_ROOT = "robot_logger_device"
 """Group of YarpRobotLoggerDevice, whose angles are radians; telemetryDeviceDumper logs degrees."""
-SHOWN_CHANNELS = 8
+CHANNELS_LISTED_MAX = 8
 _SKIN_RE = re.compile(r"skin|tactile|taxel|touch", re.IGNORECASE)
 _WRENCH_RE = re.compile(r"(?:^|::)(?:FTs?|force_?torque)", re.IGNORECASE)
 _POSITIONS_RE = re.compile(r"(?:^|::)joints?_state::(?:joint_)?positions$")
@@ -88,8 +88,8 @@ def _stream_of(channel: _Channel) -> Stream | None:
 
 
 def _list_names(channels: Mapping[str, _Channel]) -> str:
-    more = len(channels) - SHOWN_CHANNELS
-    return (", ".join(list(channels)[:SHOWN_CHANNELS]) + (f" and {more} more" if more > 0 else "")) or "no channels"
+    more = len(channels) - CHANNELS_LISTED_MAX
+    return (", ".join(list(channels)[:CHANNELS_LISTED_MAX]) + (f" and {more} more" if more > 0 else "")) or "no channels"
 
 
 def open_recording(
@@ -140,10 +140,10 @@ def _find_channel(path: Path, channels: Mapping[str, _Channel], stream: Stream, 
     channel = channels.get(name)
     if channel is None:
         raise InputError(f"{path}: has no channel {name}; it has {_list_names(channels)}.")
-    if channel.rows > MAX_ROWS_OF_LOG or channel.width > MAX_WIDTH_OF_LOG:
+    if channel.rows > ROWS_PER_CHANNEL_MAX or channel.width > VALUES_PER_ROW_MAX:
         raise InputError(
             f"{path}: channel {name} announces {channel.rows} rows of {plural(channel.width, 'value')}; expected at most "
-            f"{MAX_ROWS_OF_LOG} rows of {MAX_WIDTH_OF_LOG} values. The file is damaged, or no log."
+            f"{ROWS_PER_CHANNEL_MAX} rows of {VALUES_PER_ROW_MAX} values. The file is damaged, or no log."
         )
     if stream is Stream.WRENCH and channel.width != WRENCH_VALUES:
         raise InputError(f"{path}: channel {name} has {plural(channel.width, 'value')}; expected six, fx fy fz mx my mz.")
@@ -161,8 +161,8 @@ def _columns(path: Path, channel: _Channel, stream: Stream, joints: Sequence[str
     missing = [name for name in joints if name and name not in known]
     if missing:
         raise InputError(
-            f"{path}: channel {channel.name} has no joint {', '.join(missing)}; it has {', '.join(known[:SHOWN_CHANNELS])}. "
-            "Check the joint names of the scene."
+            f"{path}: channel {channel.name} has no joint {', '.join(missing)}; "
+            f"it has {', '.join(known[:CHANNELS_LISTED_MAX])}. Check the joint names of the scene."
         )
     return [known.index(name) if name else -1 for name in joints], ""
 
@@ -195,8 +195,8 @@ def _lines(
     """Yield blocks of records."""
     with _open(path) as file:
         data, rows = file[channel.group]["data"], channel.rows
-        for begin in range(0, rows, BLOCK_ROWS_OF_LOG):
-            end = min(begin + BLOCK_ROWS_OF_LOG, rows)
+        for begin in range(0, rows, ROWS_READ_AT_ONCE):
+            end = min(begin + ROWS_READ_AT_ONCE, rows)
             try:
                 block = data[begin:end] if channel.has_rows_first else np.moveaxis(data[..., begin:end], -1, 0)
             except (OSError, RuntimeError, MemoryError, OverflowError) as error:
@@ -279,10 +279,10 @@ def _walk(root: Any) -> Iterator[tuple[str, Any]]:
             yield prefix, group
             continue
         inner: list[tuple[str, Any, int]] = []
-        for name in group if depth <= MAX_DEPTH_OF_CHANNELS else ():
+        for name in group if depth <= CHANNEL_NAME_MAX_DEPTH else ():
             members += 1
-            if members > MAX_CHANNELS_OF_LOG:
-                raise ValueError(f"more than {MAX_CHANNELS_OF_LOG} groups and arrays")
+            if members > LOG_CHANNELS_MAX:
+                raise ValueError(f"more than {LOG_CHANNELS_MAX} groups and arrays")
             if isinstance(group.get(name, getlink=True), h5.HardLink) and hasattr(group[name], "items"):
                 inner.append((f"{prefix}{SEPARATOR_TEXT}{name}" if prefix else name, group[name], depth + 1))
         waiting += reversed(inner)

@@ -32,27 +32,27 @@ from skincal.ros.topics import TopicChoice
 from skincal.ros.types import MessageError, MessageTypes
 from skincal.streams.links import LinkSpec
 
-PROBED_MESSAGES = 100
+MESSAGES_READ_TO_GUESS_STREAM = 100
 """Messages of a topic that are read to guess its stream."""
-MIN_RATE_HZ = 5.0
+SENSOR_TOPIC_MIN_RATE_HZ = 5.0
 """A topic with fewer messages a second is hardly a sensor: a press lasts a second."""
-MAX_CLOCK_DIFFERENCE_S = 0.02
+SAME_CLOCK_MAX_DIFFERENCE_S = 0.02
 """Clocks that differ by less are taken for one clock: a message may usually wait for as long before it is recorded."""
-MAX_WAIT_S = 0.5
+MESSAGE_DELAY_MAX_S = 0.5
 """An unsteady delay below this is that of messages, not of a clock: stamps are the better time."""
 MAX_DELAY_SPREAD_S = 0.1
 """Of 80 % of the delays of a stream whose sender has another clock; beyond it the arrival is the better time."""
-GO_ON_MESSAGES = 2000
+MESSAGES_PER_PROGRESS_REPORT = 2000
 """Messages between two reports of progress: some 0.05 s."""
-WAITING_MESSAGES = 1024
+MESSAGES_DECODED_TOGETHER = 1024
 """Messages of a stream that are read together."""
-WAITING_BYTES = 1 << 20
+MESSAGES_DECODED_TOGETHER_MAX_BYTES = 1 << 20
 """Bounds their memory."""
-MAX_DELAYS = 1 << 18
+DELAYS_IN_MEDIAN_MAX = 1 << 18
 """Delays whose median is the difference of two clocks: those of four minutes at 1 kHz, from the whole recording."""
-LATE_S = 2.0
+REPORT_LATE_START_OR_EARLY_END_FROM_S = 2.0
 """A stream that starts or ends by more than this after or before the others is reported."""
-SHOWN_TOPICS = 8
+TOPICS_LISTED_MAX = 8
 """Topics that a sentence lists."""
 
 
@@ -84,7 +84,7 @@ def _guess(bag: Bag, topic: BagTopic) -> StreamGuess | None:
         return None
     rows: list[FloatArray] = []
     arrivals: list[int] = []
-    for _, arrival_ns, data in islice(bag.messages([topic.name]), PROBED_MESSAGES):
+    for _, arrival_ns, data in islice(bag.messages([topic.name]), MESSAGES_READ_TO_GUESS_STREAM):
         with contextlib.suppress(MessageError):
             values = reader.values_of(bag.types.decode(data, topic.type_name))
             if values is not None:
@@ -94,7 +94,7 @@ def _guess(bag: Bag, topic: BagTopic) -> StreamGuess | None:
         return None
     width = Counter(map(len, rows)).most_common(1)[0][0]
     changes = any(len(row) == width and not np.array_equal(row, rows[0]) for row in rows)
-    is_fast = len(arrivals) > 1 and (len(arrivals) - 1) * 1e9 >= MIN_RATE_HZ * (arrivals[-1] - arrivals[0])
+    is_fast = len(arrivals) > 1 and (len(arrivals) - 1) * 1e9 >= SENSOR_TOPIC_MIN_RATE_HZ * (arrivals[-1] - arrivals[0])
     stream = streams[0] if len(streams) == 1 else None
     rank = int(not changes) + int(not is_fast)
     return StreamGuess(RecordedPlace(bag.path, topic.name), stream, width, rank)
@@ -113,7 +113,7 @@ def _joined_patches(guesses: Sequence[StreamGuess]) -> list[StreamGuess]:
 
 def list_topics(bag: Bag) -> str:
     """List the topics of a bag with their types, for a sentence."""
-    words = [f"{each.name} ({each.type_name or 'several types'})" for each in list(bag.topics.values())[:SHOWN_TOPICS]]
+    words = [f"{each.name} ({each.type_name or 'several types'})" for each in list(bag.topics.values())[:TOPICS_LISTED_MAX]]
     more = len(bag.topics) - len(words)
     return (", ".join(words) + (f" and {more} more" if more else "")) or "no topics"
 
@@ -149,7 +149,7 @@ class _Recorded:
         """Take a message. It may wait for others, which are faster to read together; see `read_waiting`."""
         self._waiting.append((topic, arrival_ns, data))
         self._waiting_bytes += len(data)
-        if len(self._waiting) >= WAITING_MESSAGES or self._waiting_bytes >= WAITING_BYTES:
+        if len(self._waiting) >= MESSAGES_DECODED_TOGETHER or self._waiting_bytes >= MESSAGES_DECODED_TOGETHER_MAX_BYTES:
             self.read_waiting(types)
 
     def read_waiting(self, types: MessageTypes) -> None:
@@ -302,7 +302,7 @@ def _read_messages(bag: Bag, streams: Sequence[_Recorded], go_on: Callable[[floa
     for count, (topic, arrival_ns, data) in enumerate(bag.messages(of_topic.keys())):
         for each in of_topic[topic]:
             each.add(bag.types, topic, arrival_ns, data)
-        if count % GO_ON_MESSAGES == 0 and not go_on(min(1.0, count / total)):
+        if count % MESSAGES_PER_PROGRESS_REPORT == 0 and not go_on(min(1.0, count / total)):
             raise StoppedError
     for each in streams:
         each.read_waiting(bag.types)
@@ -350,7 +350,7 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[Iterator[FloatArra
     delays = [_delays(each) for each in streams]
     offsets = [float(np.median(some)) if len(some) else np.nan for some, _ in delays]
     # NaN if a stream has no stamps.
-    have_one_clock = max(offsets) - min(offsets) <= MAX_CLOCK_DIFFERENCE_S and not np.isnan(offsets).any()
+    have_one_clock = max(offsets) - min(offsets) <= SAME_CLOCK_MAX_DIFFERENCE_S and not np.isnan(offsets).any()
     times: list[Iterator[FloatArray]] = []
     findings: list[str] = []
     for each, offset, (some, unstamped) in zip(streams, offsets, delays, strict=True):
@@ -359,10 +359,10 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[Iterator[FloatArra
             findings.append(f"{name}: its messages have no stamp; they are placed by their arrival at the recorder.")
             times.append(each.arrivals.blocks())
             continue
-        if not have_one_clock and abs(offset) > MAX_CLOCK_DIFFERENCE_S:
+        if not have_one_clock and abs(offset) > SAME_CLOCK_MAX_DIFFERENCE_S:
             low, high = np.quantile(some, [0.1, 0.9])
             is_steady = high - low <= MAX_DELAY_SPREAD_S
-            if not is_steady and abs(offset) > MAX_WAIT_S:
+            if not is_steady and abs(offset) > MESSAGE_DELAY_MAX_S:
                 findings.append(
                     f"{name}: its stamps differ from the arrival by {low:.3f} to {high:.3f} s; it is placed by its arrival."
                 )
@@ -371,7 +371,7 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[Iterator[FloatArra
             shift = offset if is_steady else 0.0
             corrected = "this was corrected" if is_steady else "this was not corrected, since it changes"
             findings.append(f"{name}: its clock differs from the recorder's by {-offset:+.3f} s; {corrected}.")
-        elif have_one_clock and abs(offset) > MAX_CLOCK_DIFFERENCE_S:
+        elif have_one_clock and abs(offset) > SAME_CLOCK_MAX_DIFFERENCE_S:
             findings.append(f"{name}: it is placed by the stamps of its sender, {-offset:+.3f} s from the recorder's clock.")
         if unstamped:
             findings.append(f"{name}: {plural(unstamped, 'message')} without a stamp: placed by the arrival.")
@@ -385,8 +385,8 @@ def _shifted_stamps(each: _Recorded, offset: float, shift: float) -> Iterator[Fl
 
 
 def _delays(each: _Recorded) -> tuple[FloatArray, int]:
-    """Compute the times from the stamps of at most `MAX_DELAYS` messages to their arrivals, (n,) s; count missing stamps."""
-    step, some, unstamped = -(-len(each.stamps) // MAX_DELAYS), list[FloatArray](), 0
+    """Compute the times from stamp to arrival of at most `DELAYS_IN_MEDIAN_MAX` messages, (n,) s; count missing stamps."""
+    step, some, unstamped = -(-len(each.stamps) // DELAYS_IN_MEDIAN_MAX), list[FloatArray](), 0
     for arrival, stamp in each.clocks():
         delay = arrival - stamp
         known = delay[~np.isnan(delay)]
@@ -400,10 +400,10 @@ def _late_streams(timelines: Sequence[Timeline]) -> list[str]:
     first, last = min(each.first for each in timelines), max(each.last for each in timelines)
     found: list[str] = []
     for each in timelines:
-        if each.first - first > LATE_S:
+        if each.first - first > REPORT_LATE_START_OR_EARLY_END_FROM_S:
             found.append(
                 f"{each.name}: starts {each.first - first:.1f} s after the first stream; pokes before it are not found."
             )
-        if last - each.last > LATE_S:
+        if last - each.last > REPORT_LATE_START_OR_EARLY_END_FROM_S:
             found.append(f"{each.name}: ends {last - each.last:.1f} s before the last stream; pokes after it are not found.")
     return found

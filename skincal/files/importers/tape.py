@@ -19,9 +19,9 @@ from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.streams.decoders.records import KIND_DTYPES, pack_records
 
-BLOCK_BYTES = 1 << 20
+BUFFERED_VALUES_MAX_BYTES = 1 << 20
 """Of the values that are kept before they are written: 20,000 wrenches."""
-BLOCK_ROWS = 4096
+ROWS_READ_AT_ONCE = 4096
 BLOCK_NUMBERS = 1 << 16
 """Numbers that are read from a file at once."""
 
@@ -42,7 +42,7 @@ class NumberFile:
     """Column of float64, such as the stamps of a stream; few numbers stay in memory."""
 
     def __init__(self) -> None:
-        self._file = SpooledTemporaryFile[bytes](BLOCK_BYTES)
+        self._file = SpooledTemporaryFile[bytes](BUFFERED_VALUES_MAX_BYTES)
         finalize(self, self._file.close)
         self._written = 0
         self._unwritten = array("d")
@@ -104,7 +104,7 @@ class Tape:
         self.rows += 1
         self._block.append(values)
         self._block_bytes += values.nbytes
-        if self._block_bytes >= BLOCK_BYTES or len(self._block) >= BLOCK_ROWS:
+        if self._block_bytes >= BUFFERED_VALUES_MAX_BYTES or len(self._block) >= ROWS_READ_AT_ONCE:
             self._write()
 
     def add_many(self, values: FloatArray) -> None:
@@ -132,7 +132,7 @@ class Tape:
         at, first = 0, 0
         for rows, width, kind in self._runs:
             dtype = np.dtype(KIND_DTYPES[kind])
-            step = max(1, BLOCK_BYTES // max(1, width * dtype.itemsize))
+            step = max(1, BUFFERED_VALUES_MAX_BYTES // max(1, width * dtype.itemsize))
             for begin in range(0, rows, step):
                 count = min(step, rows - begin)
                 # Another iterator may have moved the file's position.

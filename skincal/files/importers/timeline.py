@@ -6,8 +6,8 @@ A recording must play as a live rig would, but stamps jump: a clock is set back,
 - A stamp a little before the one before it (`MAX_TIME_STEP_BACK_S`) is a late message. It gets the time of the line before.
 - A stamp far before it is a clock set back. The rest of the file is shifted, so that it goes on one interval later. Two files
   whose clocks were set back by the same amount share one shift, so that they stay paired.
-- If a clock jumps and jumps back by the same amount within `BRIEF_JUMP_MAX_S`, only the lines in between are shifted.
-- If a stamp is wrong for at most `MAX_LINES_OF_WRONG_TIME` lines (a flipped bit), those lines get the time of the line before.
+- If a clock jumps and jumps back by the same amount within `BRIEF_CLOCK_JUMP_MAX_S`, the lines in between are shifted.
+- If a stamp is wrong for at most `MAX_LINES_WITH_WRONG_STAMP` lines (a flipped bit), they get the time of the line before.
 - A gap stays a gap.
 
 Neighbouring lines of a file share a chunk, since a chunk costs more than a line. A chunk has the time of its last line.
@@ -30,28 +30,28 @@ from skincal.streams.links import LinkSpec
 
 MAX_TIME_STEP_BACK_S = 0.5
 """A message on a network is not later than this; a clock that is set back usually goes farther."""
-GAP_INTERVALS = 5.0
+GAP_MIN_INTERVALS = 5.0
 """A pause of more than this many intervals is a gap..."""
-GAP_MIN_S = 0.1
+GAP_MIN_TIME_S = 0.1
 """...if it is also longer than this: a poke is held still for 0.3 s."""
-SHARED_JUMP_S = 0.2
+SAME_CLOCK_JUMP_MAX_DIFFERENCE_S = 0.2
 """Jumps of two clocks are the same if they differ by less: each is known to an interval of its file."""
-MAX_LINES_OF_WRONG_TIME = 3
+MAX_LINES_WITH_WRONG_STAMP = 3
 """A clock that was set stays set; a wrong stamp is right again after at most this many lines."""
-BRIEF_JUMP_MAX_S = 60.0
+BRIEF_CLOCK_JUMP_MAX_S = 60.0
 """A clock that is right again after no more than this was wrong meanwhile: time servers correct it every minute or so."""
-SPAN_MAX_S = 1e8
+RECORDING_MAX_S = 1e8
 """Three years: in a longer recording the clock jumped."""
-CHUNK_NS = 100_000_000
+CHUNK_MAX_TIME_NS = 100_000_000
 """A chunk spans at most this time: two fifths of the time that a skin frame waits for its wrench."""
 CHUNK_MAX_LINES = 128
 """Bounds the memory of a chunk."""
-INTERVAL_STEPS = 500
+STEPS_IN_MEDIAN_INTERVAL = 500
 """Number of steps in the median for the usual interval: 5 s at 100 Hz."""
-LISTED_CHUNKS = 1 << 12
+CHUNKS_CONVERTED_AT_ONCE = 1 << 12
 """Chunks that are made Python numbers at once: these take ten times the memory."""
 MAX_LISTED_JUMPS = 3
-START_NS = 1_000_000_000
+SESSION_START_TIME_NS = 1_000_000_000
 """A recording begins at this time of the host's clock; 0 would mean never."""
 
 Lines: TypeAlias = Callable[[], Iterable[Sequence[bytes]]]
@@ -91,7 +91,7 @@ class Timeline:
         for block in stamps:
             steps = np.diff(np.append(last, block))
             self.earlier += int(np.count_nonzero(steps < 0))
-            forward = np.append(forward, steps[steps >= 0][: INTERVAL_STEPS - len(forward)])
+            forward = np.append(forward, steps[steps >= 0][: STEPS_IN_MEDIAN_INTERVAL - len(forward)])
             last = np.append(last, block)[-1:]
             self.stamps.extend(block)
         self.lines = len(self.stamps)
@@ -113,7 +113,7 @@ class Timeline:
         self._pauses: list[float] = []
         if self.lines:
             self._find_jumps()
-        limit = max(GAP_MIN_S, GAP_INTERVALS * self.interval)
+        limit = max(GAP_MIN_TIME_S, GAP_MIN_INTERVALS * self.interval)
         gaps = [pause for pause in self._pauses if pause > limit]
         self.gaps, self.longest_gap = len(gaps), max(gaps, default=0.0)
         self.first = float(self.stamps.read(0, 1)[0]) if self.lines else 0.0
@@ -125,14 +125,14 @@ class Timeline:
         self._highest = float(self.stamps.read(0, 1)[0])
         at, size = 1, 1
         while at < self.lines:
-            limit = self.lines if self._undecided is None else self._undecided.line + MAX_LINES_OF_WRONG_TIME + 1
+            limit = self.lines if self._undecided is None else self._undecided.line + MAX_LINES_WITH_WRONG_STAMP + 1
             block = self.stamps.read(at, min(at + size, limit))
             highest = np.maximum.accumulate(np.concatenate([[self._highest], block]))
             steps = block - highest[:-1]
             far = np.flatnonzero(np.abs(steps) > MAX_TIME_STEP_BACK_S)
             steady = int(far[0]) if len(far) else len(block)
             self.out_of_order += int(np.count_nonzero(steps[:steady] < 0))
-            self._pauses += steps[:steady][steps[:steady] > GAP_MIN_S].tolist()
+            self._pauses += steps[:steady][steps[:steady] > GAP_MIN_TIME_S].tolist()
             self._highest = float(highest[steady])
             at += steady
             # After a jump the next one may be near; a steady clock is read in ever larger blocks.
@@ -140,10 +140,10 @@ class Timeline:
             if len(far):
                 self._begin_jump(at, float(block[steady]))
                 at, size = at + 1, 16
-            if self._undecided is not None and at > self._undecided.line + MAX_LINES_OF_WRONG_TIME:
+            if self._undecided is not None and at > self._undecided.line + MAX_LINES_WITH_WRONG_STAMP:
                 self._decide()
         jump = self._undecided
-        if jump is not None and jump.step > SPAN_MAX_S:
+        if jump is not None and jump.step > RECORDING_MAX_S:
             # No later line decides about the last ones, but no recording pauses for years.
             self._drop_outliers(jump, self.lines, jump.highest)
         self._decide()
@@ -180,10 +180,14 @@ class Timeline:
         """Shift only the lines in between if a jump undoes the one before it; return whether it does."""
         before = self._accepted
         # Slow streams have a step over the limit in every line: an error of zero.
-        if before is None or abs(before.error) <= SHARED_JUMP_S or abs(before.error + jump.error) > SHARED_JUMP_S:
+        if (
+            before is None
+            or abs(before.error) <= SAME_CLOCK_JUMP_MAX_DIFFERENCE_S
+            or abs(before.error + jump.error) > SAME_CLOCK_JUMP_MAX_DIFFERENCE_S
+        ):
             return False
         seconds = jump.highest - before.highest - before.error
-        if seconds > BRIEF_JUMP_MAX_S:
+        if seconds > BRIEF_CLOCK_JUMP_MAX_S:
             return False
         self.jumps |= {before.line: -before.error, jump.line: before.error}
         self._brief_lines |= {before.line, jump.line}
@@ -222,11 +226,11 @@ class Timeline:
         return [f"{self.name}: {sentence}" for sentence in found]
 
     def place_lines(self, origin: float) -> Iterator[tuple[FloatArray, IntArray]]:
-        """Place the lines on the host's clock, never backwards; `origin` (s) becomes `START_NS`.
+        """Place the lines on the host's clock, never backwards; `origin` (s) becomes `SESSION_START_TIME_NS`.
 
         Yields blocks of (n,) stamps, s, and times of the host's clock, ns.
         """
-        shift, last_ns, begin = 0.0, START_NS, 0
+        shift, last_ns, begin = 0.0, SESSION_START_TIME_NS, 0
         outliers = np.sort(np.fromiter(self.outliers, np.int64))
         for stamps in self.stamps.blocks():
             end = begin + len(stamps)
@@ -238,8 +242,8 @@ class Timeline:
             shifts = np.cumsum(shifts)
             shift = float(shifts[-1])
             # Stamps have microseconds; more digits would be those of the double.
-            times = START_NS + np.rint((stamps + shifts - origin) * 1e6).astype(np.int64) * 1000
-            times[outliers[np.searchsorted(outliers, begin) : np.searchsorted(outliers, end)] - begin] = START_NS
+            times = SESSION_START_TIME_NS + np.rint((stamps + shifts - origin) * 1e6).astype(np.int64) * 1000
+            times[outliers[np.searchsorted(outliers, begin) : np.searchsorted(outliers, end)] - begin] = SESSION_START_TIME_NS
             times[0] = max(times[0], last_ns)
             np.maximum.accumulate(times, out=times)
             last_ns, begin = int(times[-1]), end
@@ -252,7 +256,7 @@ def share_clock_jumps(timelines: Sequence[Timeline]) -> None:
     for timeline in timelines:
         for line, shift in timeline.jumps.items():
             best = min(known, key=lambda other: abs(other - shift), default=shift)
-            timeline.jumps[line] = best if abs(best - shift) <= SHARED_JUMP_S else shift
+            timeline.jumps[line] = best if abs(best - shift) <= SAME_CLOCK_JUMP_MAX_DIFFERENCE_S else shift
         known += [shift for shift in timeline.jumps.values() if shift not in known]
 
 
@@ -267,7 +271,7 @@ def check_overlap(timelines: Sequence[Timeline]) -> None:
                 f"{timeline.name}: its times run backwards: {timeline.earlier} of {timeline.lines} lines are earlier than the "
                 "line before; expected the oldest first: sort the lines by their time, or check which column is the time."
             )
-        if timeline.last - timeline.first > SPAN_MAX_S:
+        if timeline.last - timeline.first > RECORDING_MAX_S:
             raise InputError(
                 f"{timeline.name}: its stamps run from {timeline.first:.3f} to {timeline.last:.3f} s, over years; expected one "
                 "recording, its times in seconds: cut the file where its clock leaps."
@@ -323,8 +327,8 @@ def merged_chunks(timelines: Sequence[Timeline], sources: Sequence[Lines], early
     order = np.lexsort((files, host_ns))
     chunks = np.stack([files, host_ns, counts], axis=1)[order]
     del found, files, counts, host_ns, order
-    for begin in range(0, len(chunks), LISTED_CHUNKS):
-        part: list[tuple[int, int, int]] = chunks[begin : begin + LISTED_CHUNKS].tolist()
+    for begin in range(0, len(chunks), CHUNKS_CONVERTED_AT_ONCE):
+        part: list[tuple[int, int, int]] = chunks[begin : begin + CHUNKS_CONVERTED_AT_ONCE].tolist()
         for file, end_ns, count in part:
             yield Chunk(timelines[file].name, end_ns, b"".join(islice(lines[file], count)))
 
@@ -340,13 +344,19 @@ def _find_chunks(timeline: Timeline, origin: float, cuts_ns: IntArray | None = N
     cuts_ns : ascending times of the host's clock that no chunk has lines on both sides of
     """
     starts, ends_ns = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    begin, open_chunk, last_ns = 0, 0, START_NS
+    begin, open_chunk, last_ns = 0, 0, SESSION_START_TIME_NS
     # The first line has no step before it; the second comes after a change.
     last_stamp, has_jumped = -np.inf, True
     for stamps, times in timeline.place_lines(origin):
         end, before_ns = begin + len(stamps), np.append(last_ns, times[:-1])
         jumped = np.abs(np.diff(stamps, prepend=last_stamp)) > MAX_TIME_STEP_BACK_S
-        ticks = np.diff((times - START_NS) // CHUNK_NS, prepend=(last_ns - START_NS) // CHUNK_NS) > 0
+        ticks = (
+            np.diff(
+                (times - SESSION_START_TIME_NS) // CHUNK_MAX_TIME_NS,
+                prepend=(last_ns - SESSION_START_TIME_NS) // CHUNK_MAX_TIME_NS,
+            )
+            > 0
+        )
         is_start = jumped | np.append(has_jumped, jumped[:-1]) | ticks
         bounds = [open_chunk, *(begin + np.flatnonzero(is_start)).tolist(), end]
         for first, after in pairwise(bounds):

@@ -40,17 +40,17 @@ from skincal.streams.decoders.yarp_log import (
 from skincal.streams.links import LinkSpec
 
 DATA, INFO = "data.log", "info.log"
-STAMPS_APART = 10.0
+SENDER_TO_RECEIVER_CLOCK_MAX_S = 10.0
 """s. Sender's and receiver's clocks of one message are nearer than this: the rule for logs without a Stamp line."""
-EPOCH_MIN = 1e8
+UNIX_TIME_MIN_S = 1e8
 """s. A stamp of a computer's clock is later (1973); no force, angle or raw value of a taxel is as large."""
-GRAMMAR_LINES = 50
+LINES_READ_TO_FIND_GRAMMAR = 50
 """Lines from which the grammar of an old log is found."""
 BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 """Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
-INFO_MOST = 1 << 16
+INFO_LOG_MAX_BYTES = 1 << 16
 """Bytes of `info.log`, which has some lines."""
-BLOCK_BYTES = 1 << 16
+READ_BLOCK_BYTES = 1 << 16
 """bytes that are read at a time: some 600 wrenches."""
 TOO_LONG = b"...\n"
 """Stands for a line that is too long: no record, so that it is counted as unreadable."""
@@ -151,7 +151,7 @@ def guess_streams(path: Path) -> list[StreamGuess]:
 
 
 def _first_lines(path: Path, stamps: int) -> list[LogLine]:
-    first = islice(chain.from_iterable(_whole_lines(path)), GRAMMAR_LINES)
+    first = islice(chain.from_iterable(_whole_lines(path)), LINES_READ_TO_FIND_GRAMMAR)
     return [line for data in first if (line := split_line(data, stamps)) is not None]
 
 
@@ -216,7 +216,7 @@ def _grammar(path: Path) -> tuple[int, str, list[str]]:
 
 def _read_info(path: Path) -> str:
     try:
-        return read_regular(path, INFO_MOST).decode("utf-8", "replace")
+        return read_regular(path, INFO_LOG_MAX_BYTES).decode("utf-8", "replace")
     except InputError:
         # Old data sets come without it.
         return ""
@@ -224,7 +224,7 @@ def _read_info(path: Path) -> str:
 
 def _has_two_stamps(line: LogLine) -> bool:
     tx, rx = line.stamps
-    return rx > EPOCH_MIN and (tx == 0 or abs(rx - tx) < STAMPS_APART)
+    return rx > UNIX_TIME_MIN_S and (tx == 0 or abs(rx - tx) < SENDER_TO_RECEIVER_CLOCK_MAX_S)
 
 
 def _whole_lines(path: Path) -> Iterator[list[bytes]]:
@@ -235,7 +235,7 @@ def _whole_lines(path: Path) -> Iterator[list[bytes]]:
     try:
         with open_regular(path, advice="check the path and its rights") as file:
             rest, cut = b"", False
-            while data := file.read(BLOCK_BYTES):
+            while data := file.read(READ_BLOCK_BYTES):
                 lines = BytesIO(rest + data).readlines()
                 rest = b"" if lines[-1].endswith(b"\n") else lines.pop()
                 if lines and (cut or max(map(len, lines)) > LINE_MAX + 1):

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.devices.decoding import PACKET_HEAD, SEQ_MAX, STAMP_MAX_S, FrameDecoder, FrameSplitter, packet_splitter
+from skincal.devices.decoding import PACKET_HEAD, SEQ_MAX, TIME_STAMP_MAX_S, FrameDecoder, FrameSplitter, packet_splitter
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
@@ -124,4 +124,4 @@ class RecordsDecoder(FrameDecoder):
 def _in_range(records: NDArray[Any]) -> bool:
     """Check numbers and times; NaN is not within a limit."""
     numbers, seconds = records["number"], records["seconds"]
-    return bool((np.abs(seconds) <= STAMP_MAX_S).all() and (numbers <= SEQ_MAX).all() and (numbers >= -SEQ_MAX).all())
+    return bool((np.abs(seconds) <= TIME_STAMP_MAX_S).all() and (numbers <= SEQ_MAX).all() and (numbers >= -SEQ_MAX).all())

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.devices.bottles import Value, is_measures, values_of
-from skincal.devices.decoding import SEQ_MAX, STAMP_MAX_S, FrameDecoder, FrameSplitter, MarkSplitter
+from skincal.devices.decoding import SEQ_MAX, TIME_STAMP_MAX_S, FrameDecoder, FrameSplitter, MarkSplitter
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
@@ -110,7 +110,7 @@ def split_line(line: bytes, stamps: int) -> LogLine | None:
         times = tuple(float(word) for word in words[1 : 1 + stamps])
     except ValueError:
         return None
-    if not all(isfinite(time) and abs(time) <= STAMP_MAX_S for time in times) or abs(seq) > SEQ_MAX:
+    if not all(isfinite(time) and abs(time) <= TIME_STAMP_MAX_S for time in times) or abs(seq) > SEQ_MAX:
         return None
     return LogLine(seq, times, words[1 + stamps] if len(words) > 1 + stamps else b"")
 
@@ -119,7 +119,7 @@ def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
     """Read the stamps (n, stamps), seconds, of n > 0 lines; `None` if `split_line` refuses one of them."""
     times = _even_stamps(lines, stamps)
     if times is not None:
-        return times if (times <= STAMP_MAX_S).all() else None
+        return times if (times <= TIME_STAMP_MAX_S).all() else None
     try:
         words = [line.split(None, 1 + stamps) for line in lines]
         numbers = [int(each[0]) for each in words]
@@ -159,7 +159,7 @@ def _even_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
 
 def _in_range(least: int, most: int, times: FloatArray) -> bool:
     # NaN and infinity are not within the limit.
-    return bool((np.abs(times) <= STAMP_MAX_S).all()) and most <= SEQ_MAX and least >= -SEQ_MAX
+    return bool((np.abs(times) <= TIME_STAMP_MAX_S).all()) and most <= SEQ_MAX and least >= -SEQ_MAX
 
 
 def even_width(data: bytes) -> int:

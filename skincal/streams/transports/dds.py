@@ -13,16 +13,16 @@ from skincal.ros.dds import DdsError, Message, Participant, TopicReader, default
 from skincal.ros.types import MessageError, read_definition
 from skincal.streams.transports import Opening
 
-FIND_MAX_S = 3.0
+FIND_PUBLISHERS_MAX_S = 3.0
 """s for the publishers to be found. Within one network it takes some 0.2 s."""
-FIND_POLL_S = 0.05
-GATHER_S = 0.03
+FIND_PUBLISHERS_POLL_PERIOD_S = 0.05
+GATHER_MESSAGES_S = 0.03
 """s. Messages that come so soon after one another are read together: it spares the processor, and they are dated by stamps."""
-CHECK_S = 0.5
+LOSS_CHECK_PERIOD_S = 0.5
 """s between two looks at losses and publishers."""
-SILENT_MAX_S = 1.5
+CHECK_PUBLISHERS_IF_SILENT_FOR_S = 1.5
 """s without a message after which the publishers of a topic are looked at: it takes some 0.2 s to be matched with one."""
-TOPICS_SHOWN = 5
+TOPICS_NAMED_MAX = 5
 
 
 def open_transport(opening: Opening) -> DdsLink:
@@ -67,7 +67,7 @@ class DdsLink:
 
     def _find_types(self, opening: Opening) -> list[str]:
         """Wait for a publisher of each topic and return the types. Raises LinkError."""
-        end_s = time.monotonic() + FIND_MAX_S
+        end_s = time.monotonic() + FIND_PUBLISHERS_MAX_S
         while True:
             known = {topic: name for topic, name in self._participant.publishers() if name}
             missing = [topic for topic in self._choice.topics if topic not in known]
@@ -75,7 +75,7 @@ class DdsLink:
                 return [known[topic] for topic in self._choice.topics]
             if time.monotonic() > end_s or opening.is_cancelled():
                 raise LinkError(FailureKind.ABSENT, f"{self._label}: {self._absent_words(missing[0], sorted(known))}")
-            time.sleep(FIND_POLL_S)
+            time.sleep(FIND_PUBLISHERS_POLL_PERIOD_S)
 
     def _absent_words(self, topic: str, known: list[str]) -> str:
         if not known:
@@ -83,7 +83,7 @@ class DdsLink:
                 f"no publisher is seen in ROS 2 domain {self._participant.domain}. Start the robot's part; check ROS_DOMAIN_ID "
                 "(?domain=N), and that the network passes UDP multicast, which DDS needs."
             )
-        some, domain = ", ".join(known[:TOPICS_SHOWN]), self._participant.domain
+        some, domain = ", ".join(known[:TOPICS_NAMED_MAX]), self._participant.domain
         return (
             f"no publisher of {topic} is in ROS 2 domain {domain}; {len(known)} topics are there, such as {some}. "
             "Start its publisher, or check the name (skincal devices lists topics)."
@@ -96,7 +96,7 @@ class DdsLink:
         if self._failure is not None:
             raise self._failure
         if self._participant.wait(timeout_s):
-            time.sleep(GATHER_S)
+            time.sleep(GATHER_MESSAGES_S)
         arrival_ns, now_s = time.time_ns(), time.monotonic()
         waiting = [self._take_messages(reader) for reader in self._readers]
         self._last_s = [now_s if messages else last for messages, last in zip(waiting, self._last_s, strict=True)]
@@ -107,7 +107,7 @@ class DdsLink:
             for topic, message in enumerate(turn)
             if message is not None
         ]
-        if now_s - self._check_s >= CHECK_S:
+        if now_s - self._check_s >= LOSS_CHECK_PERIOD_S:
             self._check_s = now_s
             lost, dropped = map(sum, zip(*(reader.take_losses() for reader in self._readers), strict=True))
             dropped, self._too_long = dropped + self._too_long, 0
@@ -133,7 +133,7 @@ class DdsLink:
         """Raise LinkError if a silent topic has no publisher, or a new one of another type."""
         found: dict[str, str] = dict(self._participant.publishers())
         for topic, expected, reader, last_s in zip(self._choice.topics, self._types, self._readers, self._last_s, strict=True):
-            if now_s - last_s < SILENT_MAX_S:
+            if now_s - last_s < CHECK_PUBLISHERS_IF_SILENT_FOR_S:
                 continue
             name = found.get(topic)
             if name is None:

@@ -13,7 +13,7 @@ from skincal.devices.link import Link
 from skincal.geometry import FloatArray
 from skincal.streams.transports import Opening
 
-MAX_WAITING_LINES = 1000
+UNREAD_TIP_LINES_MAX = 1000
 """Lines that wait for a reader; the server accepts 50 a second."""
 
 
@@ -21,7 +21,7 @@ class TargetTipLink:
     """Lines `x y z` in metres, since it was opened."""
 
     def __init__(self) -> None:
-        self._lines: queue.Queue[bytes] = queue.Queue(MAX_WAITING_LINES)
+        self._lines: queue.Queue[bytes] = queue.Queue(UNREAD_TIP_LINES_MAX)
         _OPEN_LINKS.add(self)
 
     def add(self, line: bytes) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from skincal.files.importers.timeline import (
     CHUNK_MAX_LINES,
-    START_NS,
+    SESSION_START_TIME_NS,
     Timeline,
     check_overlap,
     merged_chunks,
@@ -43,20 +43,20 @@ def together(alone=(), **files):
 
 def test_files_are_merged_by_time_and_the_first_wins_a_tie():
     chunks = play(wrench=[10.0, 10.02, 10.04], skin=[9.99, 10.02])
-    assert [(chunk.link, (chunk.host_ns - START_NS) // 1000) for chunk in chunks] == [
+    assert [(chunk.link, (chunk.host_ns - SESSION_START_TIME_NS) // 1000) for chunk in chunks] == [
         ("skin", 0), ("wrench", 10_000), ("wrench", 30_000), ("skin", 30_000), ("wrench", 50_000),
     ]  # fmt: skip
 
 
 def test_stamps_since_1970_keep_their_microseconds():
     stamps = [1_700_000_000.000001 + k * 0.001 for k in range(1000)]
-    times = [chunk.host_ns - START_NS for chunk in play(wrench=stamps)]
+    times = [chunk.host_ns - SESSION_START_TIME_NS for chunk in play(wrench=stamps)]
     assert times == [k * 1_000_000 for k in range(1000)]
 
 
 def test_a_clock_set_back_goes_on_one_interval_later():
     stamps = [5.0 + k * 0.01 for k in range(50)] + [1.0 + k * 0.01 for k in range(50)]
-    times = np.array([chunk.host_ns - START_NS for chunk in play(wrench=stamps)]) * 1e-9
+    times = np.array([chunk.host_ns - SESSION_START_TIME_NS for chunk in play(wrench=stamps)]) * 1e-9
     np.testing.assert_allclose(times, np.arange(100) * 0.01, atol=2e-6)
 
 
@@ -91,7 +91,7 @@ def test_whatever_the_stamps_every_line_comes_once_in_its_files_order_and_time_n
     chunks = play(**{f"f{index}": stamps for index, stamps in enumerate(files)})
     times = [chunk.host_ns for chunk in chunks]
     assert times == sorted(times)
-    assert times[0] >= START_NS
+    assert times[0] >= SESSION_START_TIME_NS
     for index, stamps in enumerate(files):
         assert [int(chunk.data) for chunk in chunks if chunk.link == f"f{index}"] == list(range(len(stamps)))
 
@@ -121,7 +121,10 @@ def test_lines_that_travel_together_are_all_there_in_order_and_time_never_runs_b
 def test_neighbouring_lines_travel_at_the_time_of_the_last_and_a_clock_starts_with_one_line():
     wrench = [k * 0.01 for k in range(20)] + [3.0, 3.01, 3.02]
     chunks = together(wrench=wrench, joints=[0.0, 0.015, 0.025], alone=["joints"])
-    assert [(chunk.link, round(chunk.host_ns - START_NS, -3) // 1_000_000, len(chunk.data.split())) for chunk in chunks] == [
+    seen = [
+        (chunk.link, round(chunk.host_ns - SESSION_START_TIME_NS, -3) // 1_000_000, len(chunk.data.split())) for chunk in chunks
+    ]
+    assert seen == [
         ("wrench", 0, 1), ("joints", 0, 1), ("joints", 25, 2), ("wrench", 90, 9), ("wrench", 190, 10),
         ("wrench", 3000, 1), ("wrench", 3020, 2),
     ]  # fmt: skip
@@ -140,7 +143,7 @@ def test_stamps_written_wrong_shift_nothing(wrong, lines_wrong):
     assert (found.outliers, found.jumps, found.gaps) == (set(range(40, 40 + lines_wrong)), {}, 0)
     assert (found.first, found.last) == (stamps[0], stamps[-1])
     assert any(f"{lines_wrong} stamp" in sentence for sentence in found.sentences())
-    times = np.array([chunk.host_ns - START_NS for chunk in play(wrench=broken)]) * 1e-9
+    times = np.array([chunk.host_ns - SESSION_START_TIME_NS for chunk in play(wrench=broken)]) * 1e-9
     expected = np.arange(100) * 0.01
     expected[40 : 40 + lines_wrong] = 0.39
     np.testing.assert_allclose(times, expected, atol=2e-6)
@@ -163,7 +166,10 @@ def test_a_clock_that_is_wrong_for_a_second_shifts_nothing_after_it(off):
     found = timed("skin", wrong)
     assert (found.gaps, found.last) == (0, pytest.approx(true[-1]))
     assert approved("recording.wrong_meanwhile", link="skin", off=f"{off:+.3f}", seconds="1.0") in found.sentences()
-    times = np.array([chunk.host_ns - START_NS for chunk in play(wrench=true, skin=wrong) if chunk.link == "skin"]) * 1e-9
+    times = (
+        np.array([chunk.host_ns - SESSION_START_TIME_NS for chunk in play(wrench=true, skin=wrong) if chunk.link == "skin"])
+        * 1e-9
+    )
     np.testing.assert_allclose(times, np.array(true) - 10.0, atol=2e-6)
 
 

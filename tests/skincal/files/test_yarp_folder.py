@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skincal.files.importers.timeline import START_NS
-from skincal.files.importers.yarp_folder import BLOCK_BYTES
+from skincal.files.importers.timeline import SESSION_START_TIME_NS
+from skincal.files.importers.yarp_folder import READ_BLOCK_BYTES
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.auto_detect import make_decoder
@@ -104,9 +104,9 @@ def test_chunks_are_whole_lines_and_never_run_backwards(tmp_path):
     assert sum(item.data.count(b"\n") for item in items) == 450
     times = [item.host_ns for item in items]
     assert times == sorted(times)
-    assert times[0] == START_NS
+    assert times[0] == SESSION_START_TIME_NS
     # By the receiver's clock: the first wrench alone, then those 10 to 90 ms after it.
-    assert [item.host_ns for item in items if item.link == "wrench"][1] == START_NS + 90_000_000
+    assert [item.host_ns for item in items if item.link == "wrench"][1] == SESSION_START_TIME_NS + 90_000_000
 
 
 def samples_of(folders) -> list:
@@ -118,7 +118,7 @@ def samples_of(folders) -> list:
 def test_a_log_of_pokes_pairs_each_frame_with_its_wrench(tmp_path):
     samples = samples_of(recording(tmp_path))
     assert len(samples) > 140
-    origin = START_NS * 1e-9
+    origin = SESSION_START_TIME_NS * 1e-9
     for sample in samples[5:]:
         time = sample.host_s - origin
         pressed = (sample.skin < 240).any()
@@ -185,7 +185,7 @@ def test_lines_that_travel_together_give_the_samples_of_lines_alone(tmp_path, mo
         np.testing.assert_array_equal(sample.wrench, other.wrench)
         assert sample.readings == other.readings
         # Of angles of the frame's very instant, those that come before it count: with lines alone they come after it.
-        time = sample.host_s - START_NS * 1e-9
+        time = sample.host_s - SESSION_START_TIME_NS * 1e-9
         if abs(time - round(time)) > 1e-3:
             np.testing.assert_array_equal(sample.angles, other.angles)
 
@@ -240,7 +240,9 @@ def test_a_clock_set_back_in_all_logs_loses_nothing(tmp_path):
     for chunk in chunks:
         lines[chunk.link] += chunk.data.count(b"\n")
         # One clock, so one shift: the same instant as without the jump, to within an interval of the first file.
-        assert (chunk.host_ns - START_NS) * 1e-9 == pytest.approx((lines[chunk.link] - 1) / rates[chunk.link], abs=1e-5)
+        assert (chunk.host_ns - SESSION_START_TIME_NS) * 1e-9 == pytest.approx(
+            (lines[chunk.link] - 1) / rates[chunk.link], abs=1e-5
+        )
     assert lines == {name: 3 * rate for name, rate in rates.items()}
     assert sum(approved("yarp_log.clock_back", count=1, seconds=3600.0) in finding for finding in findings) == 3
     assert len(samples_of(folders)) > 120
@@ -388,4 +390,4 @@ def test_a_long_log_takes_the_memory_of_its_stamps_alone(tmp_path):
     short, long = (memory_of_reading(tmp_path / str(seconds), seconds) for seconds in (120, 240))
     assert long - short < 8 * 8 * 170 * 120, (short, long)
     # Some blocks of each of the three files.
-    assert short < 48 * BLOCK_BYTES, short
+    assert short < 48 * READ_BLOCK_BYTES, short

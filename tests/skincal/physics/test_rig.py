@@ -15,7 +15,7 @@ from skincal.model.scene import Scene, load_scene, resource
 from skincal.physics.effects import EFFECT_NAMES, Effects
 from skincal.physics.engine import PERIOD_S, Touch, load_mujoco
 from skincal.physics.layouts import make_robot
-from skincal.physics.mjcf import LAYER_STIFFNESS, LAYER_THICKNESS_M, TIP_RADIUS_M
+from skincal.physics.mjcf import FOAM_STIFFNESS_N_PER_M, FOAM_THICKNESS_M, TIP_RADIUS_M
 from skincal.physics.rig import SimulatedRobot
 from skincal.physics.skin import Pads
 
@@ -66,8 +66,8 @@ def test_the_sensor_reads_the_touch_and_the_weight() -> None:
     for point, force in ((touch.point, touch.force), ((low + high) / 2, weight)):
         wanted += np.concatenate([turn @ force, np.cross(turn @ point + shift, turn @ force)])
     np.testing.assert_allclose(arm.engine.sensor_wrench(), wanted, atol=1e-6)
-    assert np.linalg.norm(touch.force) == pytest.approx(LAYER_STIFFNESS * touch.depth, rel=0.25)
-    assert touch.force @ -touch.normal == pytest.approx(LAYER_STIFFNESS * touch.depth, rel=1e-4)
+    assert np.linalg.norm(touch.force) == pytest.approx(FOAM_STIFFNESS_N_PER_M * touch.depth, rel=0.25)
+    assert touch.force @ -touch.normal == pytest.approx(FOAM_STIFFNESS_N_PER_M * touch.depth, rel=1e-4)
 
 
 @pytest.mark.parametrize("row", [0, 23, 61])
@@ -83,7 +83,7 @@ def test_the_touch_lies_where_the_engine_s_own_ray_meets_the_mesh(row: int) -> N
     start = touch.point + 0.05 * touch.normal
     hit = mujoco.mj_ray(model, data, start, -touch.normal, None, 1, -1, np.zeros(1, dtype=np.int32))
     # The engine's point is half-way between the two faces that overlap.
-    assert 0.05 + LAYER_THICKNESS_M - touch.depth / 2 == pytest.approx(hit, abs=2e-6)
+    assert 0.05 + FOAM_THICKNESS_M - touch.depth / 2 == pytest.approx(hit, abs=2e-6)
 
 
 def test_a_push_outside_the_friction_cone_slips() -> None:

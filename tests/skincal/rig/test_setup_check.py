@@ -15,7 +15,7 @@ from skincal.contacts.outcome import Reason, Rejection
 from skincal.files.layout_sources import read_layout_file
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import load_scene, resource
-from skincal.rig.setup_check import MIN_POKES, check_setup, mirrored_layout, other_side
+from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, check_setup, mirrored_layout, other_side
 from skincal.session.draft_preview import PartPreviewer
 from skincal.session.part import load_part
 from skincal.session.part_draft import PartDraft
@@ -169,9 +169,9 @@ def test_a_mistake_is_named_with_its_remedy_within_20_pokes(rig, make, what, rem
 
 def test_a_right_scene_is_not_doubted(rig):
     part, contacts = rig
-    for count in range(MIN_POKES, len(contacts) + 1):
+    for count in range(SETUP_CHECK_MIN_POKES, len(contacts) + 1):
         assert setup_sentences(check_setup(contacts[:count], part.scene, part.laid, part.surface)) == ()
-    assert check_setup(contacts[: MIN_POKES - 1], part.scene, part.laid, part.surface) is None
+    assert check_setup(contacts[: SETUP_CHECK_MIN_POKES - 1], part.scene, part.laid, part.surface) is None
     assert check_setup(contacts, part.scene, None, part.surface) is None
 
 
@@ -183,7 +183,7 @@ def test_an_open_session_says_it_once(rig):
     for count in range(len(wrong) + 1):
         follower.check_snapshot(type("Snapshot", (), {"contacts": wrong[:count]})())
         said.append(follower.take_news())
-    assert [count for count, news in enumerate(said) if news] == [MIN_POKES]
+    assert [count for count, news in enumerate(said) if news] == [SETUP_CHECK_MIN_POKES]
     assert "about its z axis" in follower.sentences[0]
 
 

@@ -13,7 +13,7 @@ pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 from skincal.model.errors import InputError
 from skincal.robot.ros_targets import STRING, RosTargets, parse_ros_targets, quaternion_of
 from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PokeTarget
-from skincal.robot.target_server import LINES_PER_S_MAX, RobotChange, TargetServer
+from skincal.robot.target_server import ROBOT_LINES_PER_S_MAX, RobotChange, TargetServer
 from skincal.robot.targets import check_targets, open_targets
 from skincal.ros.dds import Message, Participant
 from skincal.taxels.result import State
@@ -84,7 +84,7 @@ def test_a_flood_and_refused_writes_are_one_sentence_each(monkeypatch):
         flood = [Message(k * 10**6, targets._types.encode(String(f"reached {k}"), STRING)) for k in range(300)]
         monkeypatch.setattr(targets._answers, "take_messages", lambda: flood)
         found = targets.take()
-        assert sum(isinstance(each, Answer) for each in found) == LINES_PER_S_MAX
+        assert sum(isinstance(each, Answer) for each in found) == ROBOT_LINES_PER_S_MAX
         assert [each for each in found if isinstance(each, str)] == [
             "The robot sends more than 50 lines in a second; those beyond are not used."
         ]

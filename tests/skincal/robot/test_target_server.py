@@ -11,7 +11,7 @@ import pytest
 from skincal.model.errors import InputError
 from skincal.robot.target_client import TargetClient
 from skincal.robot.target_lines import GREETING, Answer, AnswerKind, Judged, NoTarget, PokeTarget, write_line
-from skincal.robot.target_server import LINES_PER_S_MAX, RECONNECT_AFTER_S, RobotChange, TargetServer, parse_port
+from skincal.robot.target_server import ACCEPT_ROBOT_AGAIN_AFTER_S, ROBOT_LINES_PER_S_MAX, RobotChange, TargetServer, parse_port
 from tests.approved import approved, approved_pattern
 from tests.skincal.robot.robot_support import Peer
 
@@ -112,7 +112,7 @@ LIES = {
     "another protocol": b"GET / HTTP/1.1\r\nHost: x\r\n\r\n",
     "no text": bytes(range(256)) + b"\n",
     "never ends": b"reached " * 100_000,
-    "a flood": b"reached 1\n" * 10 * LINES_PER_S_MAX,
+    "a flood": b"reached 1\n" * 10 * ROBOT_LINES_PER_S_MAX,
 }
 
 
@@ -128,7 +128,7 @@ def test_who_lies_or_floods_is_hung_up_on_for_one_sentence(server, lie):
             while said is not None and not said.startswith("refused "):
                 said = peer.line()
             assert said is not None or len(LIES[lie]) > 1000, "a sender that is far ahead may miss why"
-        time.sleep(RECONNECT_AFTER_S + 0.1)
+        time.sleep(ACCEPT_ROBOT_AGAIN_AFTER_S + 0.1)
     sentences = [item for item in taken(server) if isinstance(item, str) and approved("targets.hung_up_on") in item]
     assert len(sentences) == 1, "twice the same is said once"
     with robot(server) as peer:

@@ -28,7 +28,7 @@ from skincal.session.part_draft import (
     scene_text,
 )
 from skincal.session.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
-from skincal.session.touch_watch import REST_FRAMES, TouchWatch
+from skincal.session.touch_watch import FRAMES_AT_REST_FIRST, TouchWatch
 
 SHIPPED = [path.parent.name for path in sorted(resource("scenes").glob("*/scene.toml"))]
 
@@ -248,7 +248,7 @@ def test_channels_that_answer_a_touch_are_found_and_which_way_they_went(falls, n
     press[12:24] = rng.uniform(30, 60, 12)
     press[30] = 4.0
     for frame in range(200):
-        share = max(0.0, np.sin(frame / 20.0)) if frame >= REST_FRAMES else 0.0
+        share = max(0.0, np.sin(frame / 20.0)) if frame >= FRAMES_AT_REST_FIRST else 0.0
         watch.feed(rest + (-1 if falls else 1) * share * press + noise * rng.standard_normal(48))
     touch = watch.touch()
     assert touch.channels.tolist() == list(range(12, 24))

@@ -181,14 +181,14 @@ def test_ten_publishers_are_one_skin_in_the_order_of_the_address():
     ],
 )
 def test_a_missing_topic_or_another_domain_is_a_sentence(monkeypatch, topic, options, message):
-    monkeypatch.setattr("skincal.streams.transports.dds.FIND_MAX_S", 1.0)
+    monkeypatch.setattr("skincal.streams.transports.dds.FIND_PUBLISHERS_MAX_S", 1.0)
     with publishing(("/ft", wrench)), pytest.raises(LinkError, match=message) as raised:
         open_link(spec(topic, Stream.WRENCH, **options))
     assert raised.value.kind is FailureKind.ABSENT
 
 
 def test_messages_that_find_no_room_are_counted(monkeypatch):
-    monkeypatch.setattr(dds, "WAITING_MAX", 50)
+    monkeypatch.setattr(dds, "UNREAD_MESSAGES_MAX", 50)
     with publishing(("/ft", wrench), hz=1.0) as peer:
         peer.publish("/ft", wrench(0))
         with closing(open_link(spec("/ft", Stream.WRENCH))) as link:
@@ -370,7 +370,7 @@ def test_topics_beyond_the_limit_are_counted_and_known_types_come_first(monkeypa
     monkeypatch.setenv("ROS_DOMAIN_ID", str(LIMIT_DOMAIN))
     monkeypatch.setattr(devices, "_ports", list)
     monkeypatch.setattr(devices, "_yarp_ports", lambda: ([], ""))
-    monkeypatch.setattr(ros_topics, "MAX_TOPICS", 1)
+    monkeypatch.setattr(ros_topics, "LISTED_TOPICS_MAX", 1)
     with publishing(("/a", cells), ("/b", wrench), ("/c", wrench), hz=50, domain=LIMIT_DOMAIN):
         main(["devices"])
     said = capsys.readouterr()

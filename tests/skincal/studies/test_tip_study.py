@@ -12,7 +12,7 @@ from skincal.studies import tip_study
 def result():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tip_study, "POKE_COUNTS", (42, 84))
-        patch.setattr(tip_study, "ROUNDS_OF_POKES", 1)
+        patch.setattr(tip_study, "POKES_PER_TAXEL", 1)
         rows = [
             tip_study._row(rig, sd, [tip_study.run_session(rig, sd, 1)])
             for rig, sd in (("good", None), ("good", 1.0), ("corrected", 1.0))
