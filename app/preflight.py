@@ -67,7 +67,7 @@ def x_answers() -> bool:
 
 
 def wayland_answers(environment: Mapping[str, str]) -> bool:
-    """Return whether the socket that `WAYLAND_DISPLAY` names is there."""
+    """Whether the socket that `WAYLAND_DISPLAY` names exists."""
     folder = environment.get("XDG_RUNTIME_DIR", "")
     # The variable may hold a whole path: pathlib drops what stands before that.
     return bool(folder) and (Path(folder) / environment["WAYLAND_DISPLAY"]).exists()
@@ -102,7 +102,7 @@ def no_display(
     platform: str = sys.platform,
     x_is_there: Callable[[], bool] = x_answers,
 ) -> str:
-    """Return the sentence that says that there is no display, or an empty text."""
+    """Explain that there is no display, in a sentence; empty if there is one."""
     if not platform.startswith("linux") or _asked_without(environment):
         return ""
     if environment.get("WAYLAND_DISPLAY") and wayland_answers(environment):

@@ -125,7 +125,7 @@ class Faults(QObject):
         self.count = 0
 
     def install(self) -> Callable[[], None]:
-        """Replace Python's hooks; return a function that restores them."""
+        """Install the handlers of unexpected errors; return a function that restores Python's own."""
         before = sys.excepthook, threading.excepthook
         sys.excepthook = self._caught
         threading.excepthook = self._caught_in_thread
@@ -186,7 +186,7 @@ def _collect_garbage() -> None:
 
 
 def add_fallback_fonts() -> None:
-    """Use the fonts of matplotlib if the system has none: otherwise each letter would be a square."""
+    """Use the fonts of matplotlib if the system has none, since Qt would draw squares."""
     package = find_spec("matplotlib")
     if package is None or package.origin is None or not set(QFontDatabase.families()) <= FALLBACK_FAMILIES.keys():
         return

@@ -322,7 +322,7 @@ class SessionView(QObject):
         )
 
     def view_state(self, tick: Tick) -> ViewState:
-        """Make the value that all views show."""
+        """Collect everything that the panels and the 3D view show at one tick."""
         snapshot, controller = tick.snapshot, self._controller
         channel, thresholds = focused_channel(self.selected, self.guided.guidance), snapshot.decisions.thresholds
         return ViewState(
@@ -477,7 +477,7 @@ class SessionView(QObject):
             self.refresh_allowed()
 
     def mark_or_revive(self) -> None:
-        """Disable the selected taxel, or use it again."""
+        """Mark the selected taxel as dead, or use it again."""
         if self.state is not None and self.state.may.taxel is not None:
             self._controller.act(self.state.may.taxel)
             self.refresh_allowed()

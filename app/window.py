@@ -371,7 +371,7 @@ class Window(QMainWindow):
         self.controller.set_pace(PACES[(PACES.index(self.controller.pace) + 1) % len(PACES)])
 
     def switch_sounds(self) -> None:
-        """Play sounds and speak as the menu says."""
+        """Apply the menu's choices of sounds and speech."""
         self.player.on, self.player.speaks = self.commands.is_on("sounds"), self.commands.is_on("speech")
         if self.session_view is not None:
             self.player.get_ready()
@@ -439,7 +439,7 @@ class Window(QMainWindow):
         return True
 
     def _open_page(self, dialog: QDialog, *, paused: bool) -> None:
-        """Open a page that reads devices; if it is cancelled the session reads them again."""
+        """Open a dialog that reads the devices itself; the session reads them again if the dialog is cancelled."""
         if paused:
             dialog.rejected.connect(self.controller.resume)
         dialog.open()
@@ -488,7 +488,7 @@ class Window(QMainWindow):
             self.change_part(Path(path))
 
     def change_part(self, path: Path) -> None:
-        """Change what a scene file says; the open session is closed."""
+        """Open a scene file in the builder; the open session is closed."""
         self._confirm_unsaved(lambda: self._open_builder(lambda page: page.open_scene(path)))
 
     def _open_builder(self, start: Callable[[BuilderPage], object]) -> None:

@@ -210,7 +210,7 @@ def average_over_poses(
 
 
 def _average(of_poses: list[Estimate]) -> Estimate:
-    """Average one taxel's estimates, one a pose."""
+    """Average the estimates of one taxel from several arm poses."""
     seen = [estimate for estimate in of_poses if estimate.state not in (State.UNSEEN, State.DEAD)]
     if not seen:
         return of_poses[0]

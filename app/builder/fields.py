@@ -72,7 +72,7 @@ class VectorField(QWidget):
         return x, y, z
 
     def show_value(self, values: Iterable[float]) -> None:
-        """Show three numbers without reporting them."""
+        """Show three numbers in the fields; no change is signalled."""
         for box, value in zip(self.boxes, values, strict=True):
             set_silently(box, float(value))
 
@@ -102,7 +102,7 @@ def button(text: str, name: str = "") -> QPushButton:
 
 
 def row_of(*widgets: QWidget | QLabel) -> QHBoxLayout:
-    """Put widgets next to each other."""
+    """Make a row of widgets, side by side."""
     row = QHBoxLayout()
     row.setSpacing(WIDGET_GAP_PX // 2)
     for widget in widgets:

@@ -51,7 +51,7 @@ class LiveRow(QWidget):
             self._choose()
 
     def resume(self) -> None:
-        """Read the device again."""
+        """Read the device again after a pause."""
         self._is_open = True
         if not self._has_ports:
             self._has_ports = True

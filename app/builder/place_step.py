@@ -192,7 +192,7 @@ class PlaceStep(Step):
         self._drag += 1
 
     def drag_to(self, point: FloatArray) -> None:
-        """Slide so that the point where the drag began comes here."""
+        """Slide the layout so that the point where the drag began follows the mouse."""
         preview, anchor = self.preview, self._anchor()
         if preview is None or preview.layout is None or anchor is None or self._grip is None:
             return

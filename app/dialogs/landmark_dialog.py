@@ -141,7 +141,7 @@ class LandmarkPicking(QObject):
 
     @property
     def waiting(self) -> bool:
-        """Whether it waits for a click."""
+        """Whether the dialog waits for a click on the part."""
         return self._view.picking
 
     def ask(self, window: QWidget) -> None:

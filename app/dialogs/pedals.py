@@ -31,7 +31,7 @@ PORTABLE_FORMAT = QKeySequence.SequenceFormat.PortableText
 
 @dataclass(frozen=True, slots=True)
 class Pedal:
-    """One pedal."""
+    """Name, action and key of one pedal."""
 
     name: str
     """Of the command that it triggers."""

@@ -91,7 +91,7 @@ class Curves(QWidget):
         self.show_numbers(np.full(3, np.nan))
 
     def break_header(self, broken: bool) -> None:
-        """Put the numbers below the title if `broken`, else next to it."""
+        """Put the live numbers below the title of the plot if `broken`, else next to it."""
         if broken != self._is_broken:
             self._is_broken = broken
             self.show_numbers(self._numbers)

@@ -115,7 +115,7 @@ def diversity_view(diversity: AxisDiversity, method: Method, eye: CameraPose) ->
 
 
 def _within(points: FloatArray) -> FloatArray:
-    """Move points, (n, 2), that are beyond the rim to it."""
+    """Move points, (n, 2), that lie outside the dial to its rim."""
     sizes = np.sqrt(np.sum(points * points, axis=1, keepdims=True))
     return np.asarray(points / np.maximum(sizes, 1.0), dtype=np.float64)
 

@@ -233,7 +233,7 @@ def turn_to(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: float,
 
 
 def _upright(axes: FloatArray, back: FloatArray, level: FloatArray | None) -> FloatArray:
-    """Return (3, 3) the axes of a camera that looks against `back`: level where it can be, else as upright as it was."""
+    """Compute (3, 3) the axes of a camera that looks against `back`: level if possible, else turned least from `axes`."""
     right = np.zeros(3) if level is None else level - float(level @ back) * back
     if float(np.linalg.norm(right)) < MIN_SIN_VIEW_TO_LEVEL_AXIS:
         right = np.cross(axes[1], back)

@@ -56,7 +56,7 @@ class LinksLayer(Layer):
         self._picture: DraftPicture | None = None
 
     def show_picture(self, picture: DraftPicture) -> None:
-        """Show the robot in the steps that need it."""
+        """Show the picture of a step: the part, or the whole robot."""
         preview = picture.preview
         if preview.shape is not self.shape:
             self._replace(preview.shape)
@@ -257,7 +257,7 @@ class DraftModulesLayer(ModulesLayer):
 
 
 class DraftRenderer(SceneRenderer):
-    """Layers, light and camera of a draft; they follow every change of it."""
+    """Layers, light and camera of the builder's 3D view; they follow every change of the draft."""
 
     first_lean_deg = (0.0, 0.0)
 
@@ -323,7 +323,7 @@ class DraftRenderer(SceneRenderer):
             self.modules.static = DraftStatic()
 
     def turn(self, state: Any, now_s: float) -> bool:  # noqa: ARG002
-        """Leave the camera where it is."""
+        """Keep the camera: nothing turns it in the builder."""
         return False
 
     def pick_link(self, x: float, y: float) -> str | None:

@@ -46,7 +46,7 @@ class MeshActor(ABC):
 
     @abstractmethod
     def connect(self, points: FloatArray) -> pv.PolyData:
-        """Make the mesh of these points."""
+        """Make the mesh whose lines connect these points."""
 
     def show(self, points: FloatArray, colours: ColourArray | Colour) -> None:
         """Show other points, (..., 3), metres, in colours, (n, 3) uint8, or one for all; without points show nothing."""

@@ -23,7 +23,7 @@ SHARP_EDGE_MIN_ANGLE_DEG = 40.0  # Edges sharper than this are shaded sharp
 
 
 class SurfaceLayer(Layer):
-    """The mesh; nothing in it changes during a session."""
+    """The mesh of the part; it does not change during a session."""
 
     name = "surface"
 

@@ -18,7 +18,7 @@ MIN_RING_FACING_COSINE = 0.2  # Cosine: a ring that is turned away more is hidde
 
 
 class TurnHandleLayer(Layer):
-    """The ring and its knob."""
+    """Layer with the ring that turns the layout, and its knob."""
 
     name = "turn handle"
 

@@ -268,16 +268,16 @@ class View3D(QWidget):
 
     @property
     def can_pick(self) -> bool:
-        """Whether there is a part to click on, and a picture of it."""
+        """Whether the view shows a part that can be clicked."""
         return self._renderer is not None and self._renderer.static.surface is not None
 
     @property
     def picking(self) -> bool:
-        """Whether the next click on the part means a point of it."""
+        """Whether the next click on the part picks a point, not a taxel."""
         return self._picking
 
     def set_picking(self, wanted: bool) -> None:
-        """Let the next click on the part pick a point of it; or let clicks select taxels again.
+        """Make the next click pick a point of the part, or let clicks select taxels again.
 
         Meanwhile the pointer is a cross, and the camera turns by the mouse alone. A click beside the part means nothing.
         """

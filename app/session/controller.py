@@ -88,7 +88,7 @@ def _session_size(pipeline: Pipeline) -> tuple[tuple[HistoryEntry, ...], int]:
 
 
 def _drop(pipeline: Pipeline, storage: SessionFolder) -> None:
-    """Close a session that was opened too late."""
+    """Close a session whose opening ended after the operator asked for another one."""
     pipeline.close()
     storage.discard()
     storage.finish()
@@ -539,7 +539,7 @@ class Controller(QObject):
         self._set_running(Running.STREAMING)
 
     def act(self, action: Action) -> bool:
-        """Do an action on the session; return whether it was possible."""
+        """Apply an operator's action to the session; return whether it was possible."""
         if self._recording is None:
             return False
         if self._recording.pipeline.session.unsolved > MAX_UNSOLVED_TAXELS:
@@ -576,7 +576,7 @@ class Controller(QObject):
 
     @property
     def can_keep(self) -> bool:
-        """Whether the session is provisional, so that it can still be kept."""
+        """Whether the session is not saved yet and can be kept."""
         return self._recording is not None and self._recording.storage.is_provisional
 
     @property

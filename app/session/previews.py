@@ -47,7 +47,7 @@ def list_topics() -> tuple[list[FoundTopic], str]:
 
 @dataclass(frozen=True, slots=True)
 class Preview:
-    """Readings of one stream."""
+    """Live preview of one stream: its newest readings and state."""
 
     health: LinkHealth
     now_ns: int
@@ -60,7 +60,7 @@ class Preview:
 
 
 class _Preview:
-    """One link."""
+    """Reader and decoder of one previewed link."""
 
     def __init__(self, spec: LinkSpec, channels: int, joints: int, joint_names: tuple[str, ...]) -> None:
         self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints, joint_names)

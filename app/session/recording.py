@@ -92,7 +92,7 @@ class SessionFolder:
 
 
 class Recording:
-    """One open session."""
+    """One open session with its readers and journal."""
 
     def __init__(self, pipeline: Pipeline, storage: SessionFolder) -> None:
         self.pipeline = pipeline

@@ -93,7 +93,7 @@ def newest_outcome(snapshot: Snapshot) -> Outcome | None:
 
 
 def is_news(seen: Outcome | None, newest: Outcome) -> bool:
-    """Return whether an outcome differs from the last one seen; an older poke, after an undo, is no news."""
+    """Whether an outcome is to be announced: it is new, and not an older poke that an undo uncovered."""
     if seen is None or newest.poke != seen.poke:
         return seen is None or newest.poke > seen.poke
     before, now = (outcome.reason if isinstance(outcome, Rejection) else None for outcome in (seen, newest))

@@ -84,7 +84,7 @@ class ForceLevel(Enum):
 
 
 class HintKind(Enum):
-    """Quantity that a hand should correct."""
+    """Quantity that the operator should correct during a press: force, tilt or place."""
 
     AIM = "aim"
     MORE = "tilt more"
@@ -93,7 +93,7 @@ class HintKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PressHint:
-    """One correction to ask for."""
+    """One correction that the operator is asked for during a press."""
 
     ask: HintKind
     amount: float

@@ -54,7 +54,7 @@ def listed_modules(modules: Sequence[ModuleDifference]) -> Sequence[ModuleDiffer
 
 
 def listed_words(modules: int) -> str:
-    """Title of a list that leaves modules out; empty if it has all of them."""
+    """Title of a list of modules that is cut short; empty if the list is complete."""
     return f"The {MAX_LISTED_MODULES} of {modules} modules with the largest difference" if modules > MAX_LISTED_MODULES else ""
 
 

@@ -47,7 +47,7 @@ def connect_words(addresses: Sequence[str]) -> str:
 
 
 def look_words(sentence: str) -> str:
-    """Offer to open a session that another process records; `sentence` says so."""
+    """Message that offers to look at a session that another process records."""
     return f"{sentence}\n\nYou can view what is recorded so far. Nothing is changed or recorded."
 
 

@@ -145,7 +145,7 @@ def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
 
 
 def _see_deed(memory: NowMemory, at: ViewState) -> NowMemory:
-    """Notice the operator's action; a poke that ends later is news again."""
+    """Remember the operator's newest action, to show it for some seconds."""
     deed = at.snapshot.history.last
     if deed is None or deed == memory.deed:
         return memory

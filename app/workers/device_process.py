@@ -25,7 +25,7 @@ SENTENCE_PREFIX = "skincal: "
 
 
 class DeviceProcess(QObject):
-    """One process."""
+    """Process that simulates devices for a demonstration."""
 
     served = Signal(object)
     """tuple of `LinkSpec`."""

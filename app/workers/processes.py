@@ -70,7 +70,7 @@ class WorkerProcess:
         return None if self._process is None else self._process.pid
 
     def next_id(self) -> int:
-        """Assign a number to the next request; work on earlier ones is no longer wanted."""
+        """Assign a number to the next request, which cancels earlier ones."""
         self._newest_id += 1
         if self._shared_id is not None:
             self._shared_id.value = self._newest_id
@@ -243,7 +243,7 @@ class JobQueue:
         self._threads.submit(partial(self._do, process, ask), done, failed, undo)
 
     def interrupt(self) -> None:
-        """Tell the jobs that they are not wanted; they end by themselves."""
+        """Ask running jobs to stop."""
         for process in tuple(self.waiting):
             process.next_id()
 
@@ -300,7 +300,7 @@ def import_job(request: ImportRequest, progress: Progress) -> Imported:
 
 
 def review_job(sent: SentReview, progress: Progress) -> Review | None:
-    """Review sensor and arm; `None` if the work gave way to a newer request."""
+    """Review sensor and arm; `None` if a newer request stopped the work."""
     return review_sent(sent, progress.is_wanted)
 
 

@@ -69,7 +69,7 @@ class Watched:
         """What became of it so far."""
 
     def feed(self, item: Chunk | LinkEvent) -> None:
-        """Take what the reader brought."""
+        """Process readings or an event of the watched link."""
         if isinstance(item, LinkEvent):
             self._monitor.on_event(item)
             self.states.add(item.state)

@@ -219,7 +219,7 @@ def _serve_robot(scene: Scene, targets: str | None, seed: int, *, tcp: bool, as_
 
 
 def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, other: str) -> None:
-    """Refuse options that contradict each other; `other` is an option that only `--serve` allows."""
+    """Refuse contradictory options; `other` names a used option that needs `--serve`."""
     if serve == (out is not None):
         raise InputError("simulate needs either --out FOLDER, to record a session, or --serve, to be the devices.")
     name = f"--operator {operator.value}" if operator is not OperatorKind.AUTO else other

@@ -23,7 +23,7 @@ def say(text: str, *, err: bool = False) -> None:
 
 
 class ProgressLine:
-    """Progress of a long command on stderr, with the time left: one line on a terminal, otherwise a line now and then.
+    """Progress of a long command on stderr, with the time left: one changing line on a terminal, else a line every 10 s.
 
     Parameters
     ----------

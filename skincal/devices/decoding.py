@@ -203,7 +203,7 @@ class MarkSplitter(FrameSplitter):
 
 
 class LengthSplitter(FrameSplitter):
-    """Cuts frames whose head says their length. Nothing is a frame after bytes that break the protocol.
+    """Cuts bytes into frames whose header has their length. After bytes that break the protocol there are no more frames.
 
     `next_frame` returns the frame that begins at a place of a buffer and the place of its end, or `None` while it is
     incomplete. It raises ProtocolError.

@@ -25,7 +25,7 @@ def split_command(command: str) -> list[str] | str:
 
 
 def address_for_journal(address: str) -> str:
-    """Return an address as a session keeps it: a command can no longer be run by it."""
+    """Change an address for storage in a session, so that opening the session cannot run its command."""
     return RECORDED_RUN + address.removeprefix(RUN) if address.startswith(RUN) else address
 
 

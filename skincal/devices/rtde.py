@@ -48,7 +48,7 @@ def _next_packet(data: bytes, at: int) -> tuple[bytes, int] | None:
 
 
 class RtdeHandshake(Handshake):
-    """Handshake: one step at each answer."""
+    """Handshake of RTDE: sends the next request after each answer."""
 
     def __init__(self, carries: tuple[Stream, ...]) -> None:
         self._fields = recipe(carries)
@@ -97,7 +97,7 @@ class RtdeHandshake(Handshake):
 
 
 class RtdeDecoder(FrameDecoder):
-    """Decodes what a controller sends."""
+    """Decodes the packages of a UR controller."""
 
     name: ClassVar[str] = "UR RTDE"
     starts_whole: ClassVar[bool] = True

@@ -63,7 +63,7 @@ class PokeMisses:
     """(n,) float, m^2: the part of the poke's own noise, the mean of both directions."""
 
     def select(self, rows: IntArray) -> PokeMisses:
-        """Select some of the pokes."""
+        """Keep the pokes in the given rows."""
         return PokeMisses(*(getattr(self, name)[rows] for name in self.__slots__))
 
     def squares(self, scatter: Scatter) -> FloatArray:

@@ -70,7 +70,7 @@ MAX_SKIPS_PER_TAXEL_SIDE = 2
 
 
 class Guide:
-    """Follows a session by one method.
+    """Chooses the next poke of a session by the needs of one method.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ class Guide:
         )
 
     def _given_up(self) -> dict[int, Why]:
-        """Find the taxels that need something but are no longer targets, by their index."""
+        """Find the taxels that the guide gives up although they need pokes, by their index."""
         know, settings, unanswered = self._statistics, self.settings, self._pokes.unanswered
         patience = settings.module_patience if self.method is Method.MODULES else settings.patience
         # Pokes that are aimed at a taxel, and answered by another module, must have an end, too.
@@ -374,7 +374,7 @@ class Guide:
         return np.array([row]), seconds[rows == row]
 
     def _tried(self) -> IntArray:
-        """Targets (n,) at each taxel, with those that were not answered or skipped."""
+        """Count (n,) the targets set at each taxel, also those that were skipped or not answered."""
         tried = np.maximum(self._pokes.asked, self._pokes.unanswered)
         for row, sides in self._skips.items():
             tried[row] += len(sides)

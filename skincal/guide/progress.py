@@ -151,7 +151,7 @@ def give_up_reason(
     all_sides_skipped: bool,
     tilt: float,
 ) -> Why | None:
-    """Find the reason why a taxel with needs is no longer a target; `None` if it still is.
+    """Find the reason why the guide gives up a taxel that needs pokes; `None` if it goes on.
 
     Parameters
     ----------

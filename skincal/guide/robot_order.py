@@ -17,7 +17,7 @@ from skincal.guide.progress import GuideSettings
 
 @dataclass(frozen=True, slots=True)
 class RobotPace:
-    """Speed of a robot that pokes."""
+    """Travel speed of a robot that pokes, and its time for a poke."""
 
     speed: float
     """m/s, between two places."""

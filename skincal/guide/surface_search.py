@@ -47,7 +47,7 @@ class SurfaceSearch:
         self._counted = sorted(self._pokes.keys() & set(numbers))
 
     def skip(self, place: FloatArray) -> None:
-        """Never return this place, (3,) metres, again."""
+        """Leave a place, (3,) metres, out of the search from now on."""
         self._skipped[int(np.sum((self.places - place) ** 2, axis=1).argmin())] = True
 
     def next_place(self, hand: FloatArray | None) -> int | None:

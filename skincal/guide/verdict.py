@@ -78,7 +78,7 @@ class Check:
 
     @property
     def has_enough(self) -> bool:
-        """Whether there are enough held-out pokes for the result that they agree."""
+        """Whether enough pokes were held out to call them in agreement."""
         return self.checked >= MIN_CHECKED_POKES
 
     @property
@@ -238,7 +238,7 @@ def _misses(
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """A taxel that is not finished."""
+    """An unfinished taxel, with its reason."""
 
     channel: int
     why: Why
@@ -291,7 +291,7 @@ class Verdict:
 
     @property
     def believed(self) -> bool:
-        """See `is_believed`."""
+        """Whether the predicted errors are confirmed (see `is_believed`)."""
         return is_believed(self.check, self.landmarks)
 
 

@@ -127,7 +127,7 @@ class AskPoke:
 
 @dataclass(frozen=True, slots=True)
 class SkipPoke:
-    """Request another poke instead of this one.
+    """Skip the requested poke; the guide requests another one.
 
     A side of a taxel is left out after two skips, or after one with a reason; a position after one.
     """

@@ -140,7 +140,7 @@ class SideReading:
     now: float
 
     def then(self, later: SideReading) -> SideReading:
-        """Merge it with a later one."""
+        """Merge these lost readings with later ones."""
         return SideReading(min(self.least, later.least), max(self.most, later.most), later.now)
 
 

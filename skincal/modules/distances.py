@@ -64,7 +64,7 @@ class TriedDistance:
 
     @property
     def used(self) -> bool:
-        """Whether it is used."""
+        """Whether the distance correction is used."""
         return self.use is DistanceUse.USED
 
 
@@ -82,7 +82,7 @@ class _Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """k distances linearized at some x."""
+    """k known distances, linearized at the unknowns x."""
 
     slopes: FloatArray
     """(k, b, d) float, J."""

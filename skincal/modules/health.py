@@ -260,7 +260,7 @@ def _in_place_of(model: ModuleModel, seen: Mapping[int, _Seen], motion: FloatArr
 
 
 def _nearest(place: FloatArray, centres: Mapping[int, FloatArray]) -> tuple[int, float]:
-    """Find the nearest of some points, and its distance."""
+    """Find the nearest of the module centres to a place, and its distance."""
     apart = np.sqrt(np.sum((np.array(list(centres.values())) - place) ** 2, axis=1))
     row = int(np.argmin(apart))
     return list(centres)[row], float(apart[row])

@@ -166,7 +166,7 @@ class ModuleRows:
     """(m, d, d) float: derivative of A'b of each poke by the unknowns without -A'A, A its slopes and b its misses."""
 
     def select(self, rows: IntArray) -> ModuleRows:
-        """Select some of the pokes."""
+        """Keep the pokes in the given rows."""
         return ModuleRows(*(getattr(self, name)[rows] for name in self.__slots__))
 
 

@@ -112,7 +112,7 @@ class _Groups:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModuleGroups(_Groups):
-    """The modules that were poked, each rigid."""
+    """The poked modules, each a rigid group of taxels in the fit."""
 
     model: ModuleModel
     touches: Touches
@@ -133,7 +133,7 @@ class ModuleGroups(_Groups):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaxelGroups(_Groups):
-    """The taxels that were poked, each alone."""
+    """The poked taxels, each a group of its own in the fit."""
 
     points: FloatArray
     """(count, 3) float, metres."""
@@ -596,7 +596,7 @@ def _own_blocks(shared: FloatArray) -> FloatArray:
 
 
 def _trusted(rows: RigRows, shared: FloatArray, step: FloatArray, root: FloatArray, trust: FloatArray) -> FloatArray:
-    """Compute the trust of each landmark poke by the prediction of all others.
+    """Compute the trust of each landmark poke from its distance to what all other pokes predict.
 
     With H = A (root' root)^-1 A' for a poke of weight k, its miss r in the fit has the covariance 1/k - H under noise alone. So
     r' (I - k H)^-1 r is chi-square for a poke of full weight; (I + H) is used for one in doubt. Shared errors are added to I.

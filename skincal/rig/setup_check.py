@@ -252,7 +252,7 @@ _Hypotheses: TypeAlias = Iterator[tuple[float, Mistake, _Pokes]]
 
 
 def _prior(choices: int) -> float:
-    """Cost of one of some equally likely mistakes."""
+    """Compute the cost, -2 ln p, of one out of `choices` equally likely mistakes."""
     return 2.0 * math.log(choices)
 
 

@@ -139,7 +139,7 @@ def is_due(snapshot: Snapshot, rounds: Sequence[ClosingProgress]) -> bool:
 
 
 def counting_landmark_pokes(snapshot: Snapshot) -> list[LandmarkPoke]:
-    """Collect the landmark pokes that count."""
+    """Collect the landmark pokes that are not rejected or excluded."""
     counting = (record.outcome for record in snapshot.pokes if not record.excluded)
     return landmark_pokes(counting, snapshot.decisions.landmarks, snapshot.at_landmarks)
 

@@ -47,7 +47,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class ClosingRound:
-    """One requested closing check."""
+    """One check at the end for movement of the part: its request and skips."""
 
     after: int
     """Number of the last poke before it began."""

@@ -58,7 +58,7 @@ class JointState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartPreview:
-    """Everything that follows from a draft."""
+    """What the builder shows of a draft: mesh, sensor pose, placed layout and findings."""
 
     draft: PartDraft
     robot: Robot | None = None
@@ -145,7 +145,7 @@ class PartPreviewer:
 
 
 class _Work:
-    """One preview in the making."""
+    """Computation of one preview of a draft."""
 
     def __init__(self, previewer: PartPreviewer, draft: PartDraft, angles: Mapping[str, float]) -> None:
         self.once, self.draft, self.angles = previewer.once, draft, angles

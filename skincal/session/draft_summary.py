@@ -21,7 +21,7 @@ class State(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SummaryLine:
-    """One thing that a scene says."""
+    """One line of the builder's summary: what is complete or missing."""
 
     step: str
     """Name of the step that changes it."""
@@ -30,7 +30,7 @@ class SummaryLine:
 
 
 def summarize(preview: PartPreview) -> tuple[SummaryLine, ...]:
-    """Say of each thing whether it is complete, and what it costs if it is missing."""
+    """Summarize a new part, line by line: complete, or missing with the consequence."""
     return (_part(preview), *_sensor(preview), *_joints(preview), *_skin(preview), *_place(preview), _landmarks(preview))
 
 

@@ -71,7 +71,7 @@ def _run_at_once(work: Callable[[], object], done: Callable[[object], None]) -> 
 
 
 class GuidedSession:
-    """Everything that follows one open session.
+    """An open session with its pipeline, guide, coach, reviews and error history.
 
     Parameters
     ----------

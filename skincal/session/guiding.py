@@ -289,7 +289,7 @@ class LandmarkGuide:
         return landmark_targets(decisions.landmarks, poked, pose, skipped)
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
-        """Predict the gain of this pose's landmarks for the taxels that are poked in it and in earlier poses."""
+        """Predict how much landmark pokes in this arm pose reduce the errors of all taxels poked so far."""
         name, here = self._pose
         if here is None or not len(self._taxels):
             return None
@@ -450,7 +450,7 @@ class ModulesEnough:
         self._noticed = False
 
     def is_news(self, snapshot: Snapshot, guidance: Guidance | None, method: Method, *, streaming: bool) -> bool:
-        """Whether it is enough by the modules method for the first time.
+        """Whether the modules method needs no more pokes, for the first time in this session.
 
         Parameters
         ----------

@@ -28,7 +28,7 @@ CHUNKS_PER_PROGRESS_REPORT = 20
 
 
 class KeptError(InputError):
-    """A recording failed, but a part of it is kept."""
+    """An import failed, but the session keeps what was read before."""
 
 
 @contextlib.contextmanager

@@ -84,7 +84,7 @@ class LandmarkDraft:
 
 @dataclass(frozen=True, slots=True)
 class PartDraft:
-    """What a person says of a part. Each change makes another value."""
+    """Description of a new part as a person enters it; immutable."""
 
     source: Path | None = None
     """Scene file that was opened; `None` for a new part."""

@@ -116,7 +116,7 @@ class SessionResults:
 
     @cached_property
     def layout_repair(self) -> LayoutRepair | None:
-        """Modules that do not lie as the layout says; `None` without a layout."""
+        """Modules whose positions contradict the layout; `None` without a layout."""
         model = self.session.module_model
         return None if model is None else repair_layout(model, self._judging)
 

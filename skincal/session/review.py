@@ -37,7 +37,7 @@ FINISH_REVIEW_IF_RUNNING_FOR_S = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Review:
-    """Findings of one review."""
+    """Findings of one review of the sensor and the arm by landmark pokes."""
 
     pokes: tuple[LandmarkPoke, ...]
     """Landmark pokes that count, after the frame's correction."""
@@ -192,7 +192,7 @@ class _GivenUpError(Exception):
 
 
 def review_sent(sent: SentReview, is_wanted: Callable[[], bool]) -> Review | None:
-    """Review a request that came from another process; `None` if it gave way to a newer one.
+    """Do the review that another process requested; `None` if a newer request stopped it.
 
     Parameters
     ----------

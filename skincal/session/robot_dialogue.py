@@ -142,11 +142,11 @@ class RobotDialogue:
         return [NoTarget.WAIT, NoTarget.STOP]
 
     def go_on(self) -> None:
-        """Ask a stopped robot again."""
+        """Send targets again to a robot that was stopped."""
         self.is_halted = False
 
     def robot_connected(self) -> None:
-        """Ask again after a fault."""
+        """Send targets again after a robot's fault."""
         self._is_stopped = False
 
     def handle_answer(self, answer: Answer, now_s: float) -> Meaning:

@@ -171,7 +171,7 @@ class Session:
 
     @property
     def reported(self) -> Iterable[Outcome]:
-        """Every poke's outcome as the rig reported it."""
+        """Outcome of every poke before corrections of the rig."""
         return self._reported.values()
 
     def outcome(self, poke: int) -> Outcome | None:

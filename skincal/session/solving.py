@@ -132,7 +132,7 @@ class Solving:
         self._estimates[Method.MODULES].update({**self._apart, **moved})
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
-        """Give for each method one estimate a channel."""
+        """Look up by method the estimates of some channels, one a channel."""
         return {method: tuple(map(of.__getitem__, channels)) for method, of in self._estimates.items()}
 
     def take_fresh(self) -> IntArray:

@@ -76,7 +76,7 @@ class History:
         return replace(self, entries=(*self.entries, poke))
 
     def without_poke(self, poke: int) -> History:
-        """Drop a poke that is no longer accepted."""
+        """Drop the entries of a poke that is no longer accepted."""
         entries = tuple(entry for entry in self.entries if entry != poke)
         return replace(self, entries=entries, undone=tuple(entry for entry in self.undone if not _is_of(entry, poke)))
 

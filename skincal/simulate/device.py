@@ -144,12 +144,12 @@ class DeviceTimeline:
 
     @property
     def block_s(self) -> float:
-        """Seconds that are computed together."""
+        """Seconds of readings that are computed at once."""
         return self.settings.block_s
 
     @property
     def emulated(self) -> Mapping[Stream, str]:
-        """Makers' devices that send a stream."""
+        """Emulated devices of makers, by the stream that they send."""
         return self.settings.emulated
 
     @property

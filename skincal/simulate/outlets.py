@@ -12,7 +12,7 @@ from skincal.model.errors import InputError
 
 
 class Outlet(Protocol):
-    """Device end of one link."""
+    """Sending side of a simulated device's link."""
 
     address: str
     """Address for the host."""
@@ -80,7 +80,7 @@ class TcpOutlet:
                 self._drop(client)
 
     def _share(self, client: socket.socket, data: bytes) -> bytes:
-        """Return the bytes for one client."""
+        """Cut the bytes that one client receives."""
         del client
         return data
 

@@ -131,7 +131,7 @@ FALSE_DONE_RATIO = 5.0 / 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorCourse:
-    """Errors of one session."""
+    """Errors of one simulated session after growing numbers of pokes."""
 
     pokes: IntArray
     """(n,) ascending."""

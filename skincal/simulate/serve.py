@@ -55,7 +55,7 @@ class DeviceSource(Protocol):
 
 
 class Server:
-    """An outlet for each link, and the loop that feeds them.
+    """Serves simulated devices: an outlet for each link, and the loop that sends their bytes.
 
     Boards obey the commands of SKT/1 and SKB/1: `?` sends the header, `P` pauses, `S` continues.
     Raises InputError without `tcp` on a platform without pseudo-terminals.

@@ -198,7 +198,7 @@ class ChunkQueue:
         """By link: until when its bytes are dropped, ns, and how many were."""
 
     def put(self, item: Any) -> bool:
-        """Add an item and return whether it was taken; only a `Chunk` may be refused."""
+        """Add an item to the queue; return `False` for a `Chunk` that does not fit."""
         with self._lock:
             if isinstance(item, Chunk):
                 until_ns, dropped = self._dropping.get(item.link, (item.host_ns, 0))

@@ -236,12 +236,12 @@ class ModuleProblem:
 
     @cached_property
     def touches(self) -> Touches:
-        """Its pokes."""
+        """Pokes of the module."""
         evidence = self.table.evidence(self.model.channels_of([self.module]))
         return assign_pokes(evidence, self.table.totals(evidence.pokes), self.model, self.noise, [self.module])
 
     def place_pads(self, pose: ModulePoses) -> Pads:
-        """Lay its pads at one pose."""
+        """Compute the positions of the module's pads at one pose."""
         flat = self.model.pads[self.module]
         return self.model.ground.place_pads(pose.select(np.zeros(len(flat), dtype=np.int64)), flat)
 

@@ -44,7 +44,7 @@ SIMULATED_TAXEL_COUNT = 84
 
 @dataclass(frozen=True, slots=True)
 class CourseTask:
-    """One course."""
+    """One simulated session of the study: strategy, operator and seed."""
 
     way: str
     method: Method

@@ -62,7 +62,7 @@ Row: TypeAlias = dict[str, Any]
 
 
 class Task(NamedTuple):
-    """One session."""
+    """One simulated session of a robot: rig, imperfections and seed."""
 
     rig: str
     case: str

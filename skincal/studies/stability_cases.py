@@ -121,7 +121,7 @@ class Case:
 
     @property
     def solver(self) -> str:
-        """Method that has to solve it."""
+        """Name of the method that solves the case."""
         return "free" if self.mesh is None else "surface"
 
 
@@ -153,7 +153,7 @@ class PlacedModule:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModuleCase(Case):
-    """One module, to be placed."""
+    """Case of the modules method: one module and its pokes."""
 
     module: PlacedModule
     start: ModulePoses
@@ -164,7 +164,7 @@ class ModuleCase(Case):
 
     @property
     def solver(self) -> str:
-        """Method that has to solve it."""
+        """Name of the method that solves the case."""
         return "modules"
 
 

@@ -522,7 +522,7 @@ def _axes_of(shared: CovarianceInputs, pokes: ExactPokes, places: Exact) -> tupl
 
 
 def shipped_covariances(shared: CovarianceInputs) -> Outputs:
-    """Compute the same by the program, from a start at its result: otherwise its last step, up to 1e-7 m, is in the slopes."""
+    """Compute the covariances by the program. It starts at its result: else its last step, up to 1e-7 m, is in the slopes."""
     case = shared.case
     surface = None if case.mesh is None else make_surface(case.mesh.vertices, case.mesh.triangles)
     contacts = renumber(contacts_of(case, np.arange(len(case.readings.forces))))
@@ -701,7 +701,7 @@ def simulate_landmark_pokes(
 
 
 def _root(rng: np.random.Generator, columns: int, poses: int, share: float = 0.2) -> FloatArray:
-    """Make the root of a correction: a share of the prior's scales, all of it correlated."""
+    """Make a root of a correction's covariance: fully correlated, a share of the prior's size."""
     quadratic = NONLINEAR_SENSOR_QUADRATIC_SHARE if columns > LINEAR_COLUMNS else 0.0
     scales = replace(RigPrior(), quadratic=quadratic).scales(poses)
     return np.triu(scales[:, None] * share * (np.eye(len(scales)) + 0.1 * rng.normal(size=(len(scales),) * 2)))

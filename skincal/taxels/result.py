@@ -68,7 +68,7 @@ class Cause(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StateReason:
-    """Cause with its numbers."""
+    """Cause of a taxel's state, with the numbers that decided."""
 
     cause: Cause
     count: int = 0

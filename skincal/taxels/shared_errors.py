@@ -122,7 +122,7 @@ class NormalEquations:
         return (axes * (told / np.where(told, values, 1.0))[:, None]) @ axes.transpose(0, 2, 1)
 
     def _groups(self) -> IntArray:
-        """Group (m,) of each poke."""
+        """Index (m,) of each poke's group of shared noise."""
         return np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.pokes))))
 
     def _slow_variances(self, of: IntArray) -> FloatArray:

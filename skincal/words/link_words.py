@@ -53,7 +53,7 @@ def link_name(link: LinkHealth) -> str:
 
 
 def link_verdict_words(verdict: LinkVerdict) -> str:
-    """Say in few words what a link carries. The link itself says why it does not open."""
+    """Describe in a few words what a link carries."""
     match verdict.answer:
         case LinkAnswer.GOOD:
             return "good, but no value has changed yet: press the skin once" if verdict.unchanged else "good"

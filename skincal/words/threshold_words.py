@@ -18,7 +18,7 @@ THRESHOLDS_INTRODUCTION = (
 
 @dataclass(frozen=True, slots=True)
 class ThresholdWords:
-    """Texts of one threshold."""
+    """Name, unit and explanation of one threshold, for the operator."""
 
     title: str
     unit: DisplayUnit
