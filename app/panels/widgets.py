@@ -118,7 +118,7 @@ class FittedLabel(ElidedLabel):
     """One line of large type; it is drawn smaller if it does not fit, and only then with an ellipsis."""
 
     def fitted(self) -> QFont:
-        """Find the largest font in which the text fits: the label's own, or down to `MIN_FITTED_FONT_SCALE` of it.
+        """Find the largest font that lets the text fit: the label's own, or down to `MIN_FITTED_FONT_SCALE` of it.
 
         With a larger text size, large type may shrink to the same absolute size, but not below the text around it.
         """

@@ -88,7 +88,7 @@ def _session_size(pipeline: Pipeline) -> tuple[tuple[HistoryEntry, ...], int]:
 
 
 def _drop(pipeline: Pipeline, storage: SessionFolder) -> None:
-    """Close a session whose opening ended after the operator asked for another one."""
+    """Close a session whose opening ended after the operator chose another one."""
     pipeline.close()
     storage.discard()
     storage.finish()

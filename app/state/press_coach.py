@@ -93,7 +93,7 @@ class HintKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PressHint:
-    """One correction that the operator is asked for during a press."""
+    """One correction that the coach proposes during a press."""
 
     ask: HintKind
     amount: float
