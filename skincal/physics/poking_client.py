@@ -35,6 +35,7 @@ TOUCHED_EARLY = "something was touched before the place"
 NOTHING_FELT = "nothing was felt at the place"
 TOO_STRONG = "the force exceeded the limit"
 NO_FRESH_READING = "no fresh force reading"
+PRESSED_AT_REST = "something presses on the sensor while the arm stands still"
 """Reasons why a target failed, for `fault`."""
 MEASURE_AGAIN = "{count} targets in a row failed ({reason}): measure the tip and the pose of the part again"
 REACH_CHECK_SPACING_M = 0.06
@@ -218,7 +219,9 @@ class PokingClient:
                 self._goal = line
                 self._break_off()
             case Held():
-                self._is_held |= self._plan is not None and line.number == self._plan.target.number
+                # A jolt of the arm on its way may look like a held poke.
+                is_pressing = self.phase in (Phase.PRESS, Phase.HOLD)
+                self._is_held |= is_pressing and self._plan is not None and line.number == self._plan.target.number
             case NoTarget() | Refused():
                 self._goal, self.is_finished = None, line is NoTarget.ENOUGH
                 self._break_off()
@@ -482,8 +485,11 @@ class PokingClient:
         """End a poke that failed: at the part let go, else stop. After several in a row report a fault."""
         plan = self._plan
         if plan is None:
-            # A touch between two pokes.
+            # A touch between two pokes. After it the next target begins with a new tare.
             self.arm.stop()
+            if self._goal is not None and self._is_fresh:
+                self._say(Answer(AnswerKind.FAULT, self._goal.number, PRESSED_AT_REST))
+                self._goal, self._is_tared = None, False
             return
         self._failures += 1
         answer = Answer(AnswerKind.SKIP, plan.target.number)

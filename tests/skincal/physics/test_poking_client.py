@@ -7,7 +7,15 @@ from scipy.spatial.transform import Rotation
 from skincal.mesh.surface import make_surface
 from skincal.physics.aim_correction import AimCorrection
 from skincal.physics.clearance import Clearance
-from skincal.physics.poking_client import MEASURE_AGAIN, OUT_OF_REACH, WAY_BLOCKED, Phase, PokeSettings, PokingClient
+from skincal.physics.poking_client import (
+    MEASURE_AGAIN,
+    OUT_OF_REACH,
+    PRESSED_AT_REST,
+    WAY_BLOCKED,
+    Phase,
+    PokeSettings,
+    PokingClient,
+)
 from skincal.robot.target_lines import Answer, AnswerKind, Held, NoTarget, PokeTarget, TipPose
 from tests.skincal.physics.plain_arm import PlainArm
 
@@ -190,6 +198,22 @@ def test_it_draws_back_from_what_it_meets_on_its_way():
     bench.arm.obstacle = None
     bench.ask(target(3)).run(lambda bench: len(bench.answers) == 3)
     assert bench.answers[2] == Answer(AnswerKind.REACHED, 3)
+
+
+def test_what_presses_at_rest_is_a_fault_and_the_next_target_begins_with_a_new_tare():
+    bench = Bench().ask(target(1)).run(answered)
+    bench.arm.obstacle = lambda _: True
+    bench.rest(0.1).arm.course.clear()
+    bench.ask(target(2)).run(lambda bench: len(bench.answers) == 2)
+    assert bench.answers[1] == Answer(AnswerKind.FAULT, 2, PRESSED_AT_REST)
+    assert (np.ptp([place for place, _, _ in bench.arm.course], axis=0) == 0.0).all()
+    bench.ask(target(3)).run(lambda bench: len(bench.answers) == 3)
+    assert bench.answers[2] == Answer(AnswerKind.REACHED, 3)
+
+
+def test_held_before_the_press_does_not_end_it():
+    bench = Bench().ask(target(1)).until_phase(Phase.ENTER).ask(Held(1)).run(answered)
+    assert bench.forces.max() > 0.9 * 9.5
 
 
 @pytest.mark.parametrize("phase", [Phase.TRAVEL, Phase.TARE, Phase.ENTER])
