@@ -74,6 +74,13 @@ class PokeSettings:
     """Share of the wanted force within which the client holds."""
     force_gain: float = 4.0
     """1/s, of the force control, for the measured stiffness of the contact."""
+    across_gain: float = 2.0
+    """1/s, the same across the push. The force there should be 0. An arm that yields sideways tilts the force by up to 30
+    degrees, and the layer then answers 1 mm beside the force axis."""
+    across_tolerance: float = 0.1
+    """Share of the wanted force across the push within which the client holds."""
+    across_way: float = 0.003
+    """m, that the tip moves across the push to let that force go. A tip that slides is not followed farther."""
     filter_s: float = 0.02
     """s, time constant of the low-pass filter of the force along the push."""
     axis_filter_s: float = 0.1
@@ -168,7 +175,8 @@ class PokingClient:
         """N: newest reading above the tare, (3,), and its size; and the filtered force along the push."""
         self._setpoint, self._out_direction = np.zeros(3), np.zeros(3)
         """Position of the tip to press with, or to draw back to, and its direction while it draws back."""
-        self._touch_depth = 0.0
+        self._touched_at = np.zeros(3)
+        """Position of the tip when it felt the part."""
         self._is_held = self._is_tared = False
         self._failures = 0
         self._handlers: dict[Phase, Callable[[], object]] = {
@@ -420,8 +428,7 @@ class PokingClient:
         plan, own = self._plan, self.settings
         assert plan is not None
         if self.force > own.touch_force:
-            self._setpoint = self._read_tip().position
-            self._touch_depth = float(self._setpoint @ plan.target.push)
+            self._setpoint = self._touched_at = self._read_tip().position
             self._enter(Phase.PRESS, own.settle_s)
         elif self._go(plan.deepest, own.approach_speed) or self.arm.time_s > self._expected_s + own.late_s:
             self._fail(NOTHING_FELT)
@@ -430,7 +437,7 @@ class PokingClient:
         plan, own = self._plan, self.settings
         assert plan is not None
         missing = plan.target.force - self.force
-        if abs(missing) < own.force_tolerance * plan.target.force:
+        if self._is_pressed_well(missing):
             self._enter(Phase.HOLD, plan.target.hold + own.held_wait_s)
         elif self.arm.time_s > self._expected_s or self._is_held:
             self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
@@ -445,18 +452,35 @@ class PokingClient:
         # A tip that has slipped lets go, too: skincal sees the slip and says what it wants now.
         if is_over or self.force < own.slip_share * plan.target.force:
             self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
-        elif abs(missing) > own.force_tolerance * plan.target.force:
+        elif not self._is_pressed_well(missing):
             self._move_by_force(missing, own.press_speed / 4.0)
 
+    def _across(self, vector: FloatArray) -> FloatArray:
+        """Compute the part (3,) of a vector across the push."""
+        plan = self._plan
+        assert plan is not None
+        return vector - (vector @ plan.target.push) * plan.target.push
+
+    def _is_pressed_well(self, missing: float) -> bool:
+        """Whether the force along the push is right, but for `missing`, and the force across it small."""
+        plan, own = self._plan, self.settings
+        assert plan is not None
+        is_along = abs(missing) < own.force_tolerance * plan.target.force
+        is_across = length_of(self._across(self._wrench[:3])) < own.across_tolerance * plan.target.force
+        return is_along and (is_across or length_of(self._across(self._setpoint - self._touched_at)) > 0.99 * own.across_way)
+
     def _move_by_force(self, missing: float, most: float) -> None:
-        """Move the set point along the push: in proportion to the missing force, for the stiffness that is felt."""
+        """Move the set point by the missing force, for the stiffness that is felt: along the push, and across it."""
         plan, own = self._plan, self.settings
         assert plan is not None
         push = plan.target.push
-        depth = max(float(self._setpoint @ push) - self._touch_depth, 0.5e-3)
+        depth = max(float((self._setpoint - self._touched_at) @ push), 0.5e-3)
         stiffness = max(self.force, own.touch_force) / depth
-        speed = float(np.clip(own.force_gain * missing / stiffness, -most, most))
-        self._setpoint = self._setpoint + speed * self.arm.period_s * push
+        speeds = own.force_gain * missing * push - own.across_gain * self._across(self._wrench[:3])
+        size = max(length_of(speeds) / stiffness, 1e-9)
+        self._setpoint = self._setpoint + self.arm.period_s * min(1.0, most / size) / stiffness * speeds
+        aside = self._across(self._setpoint - self._touched_at)
+        self._setpoint = self._setpoint - max(1.0 - own.across_way / max(length_of(aside), 1e-9), 0.0) * aside
         beyond = float((self._setpoint - plan.deepest) @ push)
         self._setpoint = self._setpoint - max(beyond - own.search, 0.0) * push
         self._command(self._setpoint, push, own.press_speed)

@@ -19,6 +19,8 @@ class PlainArm:
         self.surface, self.time_s, self.tip_error = surface, 0.0, np.array(tip_error)
         self.position, self.direction = np.array(start), np.array([0.0, 0.0, -1.0])
         self.goal, self.speed = None, 0.0
+        self.sideways, self.stuck_at = np.zeros(3), None
+        """m across the push for each metre that the tip presses in: the arm yields sideways."""
         self.is_silent, self.grip, self.reach, self.obstacle = False, 1.0, lambda _place, _direction: True, None
         self.wrench, self.course = WrenchReading(0.0, WEIGHT, np.zeros(3)), []
 
@@ -50,6 +52,9 @@ class PlainArm:
         normal, away = self.surface.normals[triangle], centre - near
         gap = float(np.copysign(np.linalg.norm(away), away @ normal)) - self.tip_radius_m
         force = -self.grip * STIFFNESS * max(0.0, -gap) * normal
+        self.stuck_at = None if gap >= 0 else centre if self.stuck_at is None else self.stuck_at
+        if self.sideways.any() and self.stuck_at is not None:
+            force = force + STIFFNESS * ([1.0, 1.0, 0.0] * (centre - self.stuck_at) + max(0.0, -gap) * self.sideways)
         if self.obstacle is not None and self.obstacle(centre):
             force = force + np.array([0.0, 0.0, -40.0])
         return gap, force, near

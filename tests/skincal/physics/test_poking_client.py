@@ -17,7 +17,7 @@ from skincal.physics.poking_client import (
     PokingClient,
 )
 from skincal.robot.target_lines import Answer, AnswerKind, Held, NoTarget, PokeTarget, TipPose
-from tests.skincal.physics.plain_arm import PlainArm
+from tests.skincal.physics.plain_arm import WEIGHT, PlainArm
 
 UP, DOWN = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
 HALF = np.array([0.03, 0.06, 0.02])
@@ -76,6 +76,26 @@ class Bench:
 
 def answered(bench):
     return bool(bench.answers)
+
+
+def test_the_force_across_the_push_is_let_go_before_the_hold():
+    bench = Bench()
+    bench.arm.sideways = np.array([0.4, -0.3, 0.0])
+    bench.ask(target(1)).until_phase(Phase.HOLD)
+    force = bench.arm.wrench.force - WEIGHT
+    # Else 4.7 N.
+    assert np.linalg.norm(force[:2]) < 1.1
+    assert -force[2] == pytest.approx(9.5, rel=0.08)
+
+
+def test_a_tip_that_slides_on_a_slope_is_not_followed_far():
+    push = np.array([0.35, 0.0, -0.94])
+    bench = Bench().ask(target(1, push=push / np.linalg.norm(push))).until_phase(Phase.PRESS)
+    felt_at = bench.arm.position
+    bench.until_phase(Phase.HOLD).rest(1.0)
+    way = bench.arm.position - felt_at
+    aside = way - (way @ bench.arm.direction) * bench.arm.direction
+    assert 0.002 < np.linalg.norm(aside) < 0.0032
 
 
 def test_a_poke_presses_as_asked_lets_go_when_held_and_stands_off():
