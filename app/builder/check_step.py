@@ -125,7 +125,7 @@ class CheckStep(Step):
         self._show_copies()
 
     def _show_copies(self) -> None:
-        """Offer a copy of the robot where it matters."""
+        """Offer to copy the robot's files beside the scene, unless they are there."""
         urdf, files, path = self.draft.urdf, None if self.preview is None else self.preview.robot_files, self.scene_path()
         is_offered = urdf is not None and path != self.draft.source and not is_with_robot(urdf, path.parent)
         self.copies.setVisible(is_offered and files is not None)

@@ -172,7 +172,7 @@ class PlaceStep(Step):
             self._move_to(turned_anchor(anchor, degrees), f"turn {self._drag}")
 
     def nudge(self, x_mm: float, y_mm: float) -> None:
-        """Slide what moves along the layout's axes."""
+        """Move the layout, or the chosen module, along the layout's axes."""
         anchor = self._anchor()
         if anchor is None or self.preview is None:
             return

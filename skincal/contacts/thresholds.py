@@ -17,7 +17,7 @@ NEWEST_POKES_COMPARED = 10
 
 @dataclass(frozen=True, slots=True)
 class ThresholdUse:
-    """The newest pokes against one threshold."""
+    """Values of the newest pokes, and the threshold that limits them."""
 
     pokes: int
     """Number of pokes compared."""

@@ -245,5 +245,5 @@ def _earliest(rounds: FloatArray | IntArray) -> IntArray:
 
 
 def _rounds(asked: IntArray | FloatArray, own: IntArray | FloatArray) -> FloatArray:
-    """Count the rounds of each: own pokes; a target that was missed once is requested again, each later miss is a round."""
+    """Count the rounds of each taxel or module: its own pokes, and its missed targets after the first one."""
     return np.maximum(own, np.maximum(np.minimum(asked, own + 1), asked - 1)).astype(np.float64)

@@ -238,7 +238,7 @@ def _misses(
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """An unfinished taxel, with its reason."""
+    """A taxel that is not finished, and why."""
 
     channel: int
     why: Why

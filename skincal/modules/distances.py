@@ -113,7 +113,7 @@ class _Update:
 
     @property
     def steps(self) -> FloatArray:
-        """(b, d) float, metres: change of x."""
+        """(b, d) float, metres: change of the unknowns of each module by the distances."""
         return np.einsum("kbd,k->bd", self.seen, self.inverse @ self.off)
 
 

@@ -69,7 +69,7 @@ class Touch:
 
 
 class Engine:
-    """The engine with one rig.
+    """MuJoCo with the model of one rig.
 
     Parameters
     ----------

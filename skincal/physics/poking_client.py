@@ -80,7 +80,7 @@ class PokeSettings:
     across_tolerance: float = 0.1
     """Share of the wanted force across the push within which the client holds."""
     across_way: float = 0.003
-    """m, that the tip moves across the push to let that force go. A tip that slides is not followed farther."""
+    """m, way of the tip across the push to let that force go. A tip that slides moves no farther."""
     filter_s: float = 0.02
     """s, time constant of the low-pass filter of the force along the push."""
     axis_filter_s: float = 0.1
@@ -237,7 +237,7 @@ class PokingClient:
                 pass
 
     def _can_renumber(self, plan: PokePlan, target: PokeTarget) -> bool:
-        """Whether the tip is on its way to that place already: a jolt of the arm may have ended the request before."""
+        """Whether a target is the present one under a new number: a jolt of the arm may have ended the first request."""
         is_on_way = self.phase in (Phase.TRAVEL, Phase.TARE, Phase.ENTER) and not self._is_touching
         asked = np.concatenate([target.place - plan.target.place, target.push - plan.target.push])
         return is_on_way and not asked.any()

@@ -99,7 +99,7 @@ def _reliability() -> Any:
 
 
 class DdsError(InputError):
-    """DDS refuses; it may work later."""
+    """DDS refused a call; a later one may succeed."""
 
 
 class _StructBuilder:
@@ -242,7 +242,7 @@ class Participant:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message as it came."""
+    """A message as DDS delivered it."""
 
     source_ns: int
     """The publisher's clock when it was written, nanoseconds since 1970."""
@@ -274,7 +274,7 @@ class TopicReader:
 
     @property
     def publishers(self) -> int:
-        """Number of publishers that it reads."""
+        """Number of publishers of the topic."""
         return int(self._reader.get_subscription_matched_status().current_count)
 
     def close(self) -> None:

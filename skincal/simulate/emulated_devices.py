@@ -136,7 +136,7 @@ class PapillArrayEncoder(Encoder):
 
 
 class PlainTalk:
-    """Dialogue of a device with one host; base of the others. This one sends without being asked."""
+    """Dialogue of an emulated device that sends without being asked, with one host. Base of the other dialogues."""
 
     ready = True
     """The host has asked for readings."""

@@ -304,7 +304,7 @@ def aimed_presses(
 
 
 def _on_part(rig: Rig, rows: IntArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the nearest places on the surface, or without one in the planes of taxels; and the normals there."""
+    """Move places (n, 3) onto the surface, or without one into the planes of their taxels; return also the normals."""
     if rig.surface is not None:
         return _on_skin(rig, places, places)
     normals = rig.normals[rows]

@@ -80,7 +80,7 @@ class TcpOutlet:
                 self._drop(client)
 
     def _share(self, client: socket.socket, data: bytes) -> bytes:
-        """Cut the bytes that one client receives."""
+        """Prepare the bytes for one client."""
         del client
         return data
 

@@ -224,7 +224,7 @@ def nearest(equations: NormalEquations, corners: Exact) -> tuple[Exact, Exact]:
 
 
 def _clamped(slope: Exact, curvature: Exact) -> Exact:
-    """Return the share of a side, 0 to 1, at which a parabola is least."""
+    """Minimise a parabola along a triangle's side; return the share of the side, 0 to 1."""
     bent = curvature > 0
     return _np.where(bent, _np.clip(slope / _np.where(bent, curvature, MP.one), MP.zero, MP.one), MP.zero)
 

@@ -197,7 +197,7 @@ def _numbered(place: Path) -> list[Path]:
 
 
 def _grammar(path: Path) -> tuple[int, str, list[str]]:
-    """Return the number of stamps in a line, the owner of the last one's clock, and findings."""
+    """Find the number of stamps in a line, and whose clock the last one is ("tx" or "rx"); list what is unusual."""
     text = _read_info(path.with_name(INFO))
     kind = re.search(r"^\s*Type:\s*([^;\n]*)", text, re.MULTILINE)
     if kind is not None and not kind.group(1).strip().startswith("Bottle"):
