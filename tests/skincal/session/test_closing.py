@@ -11,7 +11,7 @@ import pytest
 from skincal.files.export import json_text
 from skincal.guide.guidance import GuidePhase
 from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo
-from skincal.rig.closing import ClosingPlace, ClosingPlaces, closing_check
+from skincal.rig.closing import Closing, ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.closing_pokes import (
     CLOSING_CHECK_MAX_POKES_PER_PLACE,
@@ -158,6 +158,15 @@ def with_one_far_off() -> tuple[Sessions, str]:
         it.poke_landmark(guidance.landmark.landmark.name)
         it.beside = 0.0
     return it, first
+
+
+@pytest.mark.parametrize(
+    ("chance", "without_one", "has_moved", "single_poke"),
+    [(0.005, 0.03, True, False), (0.005, 0.2, False, True), (0.03, 0.04, False, False), (0.5, 0.6, False, False)],
+)
+def test_a_movement_needs_all_pokes_and_any_one_left_out(chance, without_one, has_moved, single_poke):
+    closing = Closing(ClosingPlaces.TAXELS, ("1", "2"), 0.004, 0.003, chance, chance_without_worst=without_one)
+    assert (closing.has_moved, closing.single_poke_decides) == (has_moved, single_poke)
 
 
 def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
