@@ -530,7 +530,9 @@ class MapCard(QFrame):
         self.map.show_state(state)
         if self.map.generation != before:
             entries = legend_words(*self.map.counted())
-            self.legend.setText("   ".join(f"{symbol}\N{NO-BREAK SPACE}{words}" for symbol, words in entries))
+            # A line breaks between entries alone.
+            texts = (f"{symbol} {words}".replace(" ", "\N{NO-BREAK SPACE}") for symbol, words in entries)
+            self.legend.setText("   ".join(texts))
             self.legend.setAccessibleDescription(", ".join(words for _, words in entries))
         if is_changed:
             self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")

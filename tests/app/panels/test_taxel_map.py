@@ -44,6 +44,7 @@ def test_the_legend_counts_the_marks_and_changes_with_them_alone(qtbot):
     assert paints.count == 0
     card.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))})), is_changed=True)
     assert card.legend.accessibleDescription() == f"not pressed {len(PLAN.channels) - 1}, \N{LESS-THAN OR EQUAL TO} 3 mm 1"
+    assert card.legend.text().count(" ") == len("   "), "a line breaks between entries alone"
 
 
 def around(view: TaxelMap, channel: int, reach: int = 9) -> np.ndarray:
