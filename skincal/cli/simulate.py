@@ -143,13 +143,19 @@ def simulate(
     if physics is not None:
         if serve == (out is not None) or (out is not None and targets is not None) or operator is not OperatorKind.AUTO:
             raise InputError("--physics needs --out FOLDER, or --serve and --targets PORT, and no --operator: a robot pokes.")
+        others = {
+            "--errors": errors is not Errors.NOISE, "--poses": poses, "--careful": careful, "--pace": pace != 1.0, "--run": run,
+            "--as": speak_as, "--ros2": ros2, "--tcp": tcp and not serve, "--pokes": serve and pokes,
+        }  # fmt: skip
+        if unused := [name for name, is_used in others.items() if is_used]:
+            raise InputError(f"{unused[0]} has no effect with --physics {'--serve' if serve else '--out'}: leave it out.")
         if out is not None:
             _record_robot(loaded, out, pokes, seed, as_json)
         else:
             _serve_robot(loaded, targets, seed, tcp=tcp, as_json=as_json)
         return
     serve, speak_as = serve or ros2, f"{speak_as},ros2".strip(",") if ros2 else speak_as
-    _demand_sense(serve, out, operator, targets, other="--tcp" if tcp else "--as" if speak_as else "")
+    _demand_sense(serve, out, operator, targets, other="--tcp" if tcp else "--as" if speak_as else "--run" if run else "")
     surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
     names = tuple(name.strip() for name in poses.split(",") if name.strip())
     habits = (Habits.careful() if careful else Habits()).at_pace(pace)

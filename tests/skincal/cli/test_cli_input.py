@@ -195,6 +195,9 @@ REFUSALS = [
     (["simulate", *SCENE, "--poses", "9"], "9"),
     *((["simulate", *SCENE, *options], NOT_SERVED.replace("OPTIONS", " ".join(options)))
       for options in (["--operator", "told"], ["--operator", "guided"], ["--tcp"])),
+    (["simulate", *SCENE, "--run", "2"], NOT_SERVED.replace("OPTIONS", "--run")),
+    *((["simulate", *SCENE, "--physics", "mujoco", *options], approved("operator.not_of_a_robot", option=options[0]))
+      for options in (["--errors", "paper"], ["--poses", "1"], ["--careful"], ["--pace", "2"], ["--tcp"], ["--as", "xela"])),
     (["import", "csv", "--wrench", "{given}/file", "--skin", "{given}/file", *SCENE], "the file is empty"),
     (["import", "csv", "--wrench", "{given}", "--skin", "{given}", *SCENE], "is a folder"),
     (["import", "yarp", "--wrench", "{given}/none", "--skin", "{given}/none", *SCENE], "there is no such folder"),
