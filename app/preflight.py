@@ -98,9 +98,7 @@ def objection(
 
 
 def no_display(
-    environment: Mapping[str, str] = os.environ,
-    platform: str = sys.platform,
-    x_is_there: Callable[[], bool] = x_answers,
+    environment: Mapping[str, str] = os.environ, platform: str = sys.platform, x_is_there: Callable[[], bool] = x_answers
 ) -> str:
     """Explain that there is no display, in a sentence; empty if there is one."""
     if not platform.startswith("linux") or _asked_without(environment):

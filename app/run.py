@@ -21,15 +21,7 @@ from PySide6.QtWidgets import QApplication
 
 from app.scene3d.canvas import best_canvas
 from app.session.controller import Controller
-from app.session.opening import (
-    PART_FILES,
-    Addresses,
-    OpenRequest,
-    check_addresses,
-    dated_folder,
-    find_scene,
-    server_command,
-)
+from app.session.opening import PART_FILES, Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
 from app.sound.player import Player
 from app.text.message import Message
 from app.theme import Choice

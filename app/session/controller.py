@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.session.opening import (
-    Addresses,
-    OpenRequest,
-    begin_session,
-    find_scene,
-    find_truth_of,
-    link_specs,
-    open_recorded,
-)
+from app.session.opening import Addresses, OpenRequest, begin_session, find_scene, find_truth_of, link_specs, open_recorded
 from app.session.recording import Recording, SessionFolder, stop_all
 from app.state.running import Running
 from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, kept_words, refused_words
@@ -668,10 +660,7 @@ class Controller(QObject):
                 return f"{words[:1].upper()}{words[1:]}."
 
         self._applying.submit(
-            send,
-            lambda words: done(words, lines, good=True),
-            lambda words: done(words, lines, good=False),
-            ended=ended,
+            send, lambda words: done(words, lines, good=True), lambda words: done(words, lines, good=False), ended=ended
         )
 
     def report(self, path: Path, method: Method, done: Callable[[str], None], failed: Callable[[str], None]) -> None:

@@ -14,10 +14,7 @@ FIRST_MINUTE = (
         "The large line at the bottom tells you what to do.",
         "The small line shows the result of the last poke. The ring on the part shows where to press next.",
     ),
-    (
-        "Pokes are recorded automatically.",
-        "Hands off, press, hold still, release. Backspace: undo. Ctrl+Y: redo. P: pause.",
-    ),
+    ("Pokes are recorded automatically.", "Hands off, press, hold still, release. Backspace: undo. Ctrl+Y: redo. P: pause."),
     (
         "The demonstration ends in about two minutes.",
         "A few pokes are enough for each skin module. V: other methods. Then you can write the calibration file.",

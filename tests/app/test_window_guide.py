@@ -256,10 +256,7 @@ def test_the_target_is_told_and_not_cut_at_1280_by_720(bench):
     )
     assert session_view.workspace.names.short(session_view.state.target.channel) in now.headline.text() + now.detail.text()
     assert (bench.window.width(), bench.window.height()) == (1280, 720)
-    for longest in (
-        approved("guide.away", taxel="24-11", degrees=28, neighbour="24-03"),
-        approved("guide.enough", count=84),
-    ):
+    for longest in (approved("guide.away", taxel="24-11", degrees=28, neighbour="24-03"), approved("guide.enough", count=84)):
         now.headline.setText(longest)
         assert not is_elided(now.headline)
     left = approved("guide.pokes_left", pokes=1240, minutes=46)

@@ -135,10 +135,7 @@ def test_one_sentence_says_what_the_session_has_come_to(what, said):
 def test_the_figures_are_those_of_the_verdict():
     assert figures(verdict(GIVEN_UP)) == (
         ("Finished", approved("verdict.done_of_method", done=23, count=24, method="surface")),
-        (
-            "Needs",
-            approved("verdict.needs_surface", target_mm=3),
-        ),
+        ("Needs", approved("verdict.needs_surface", target_mm=3)),
         ("Test pokes", approved("verdict.check", good=13, held_out=14)),
         ("Landmarks", approved("verdict.landmarks_held_out", pokes=21, ratio="0.9")),
         ("Final check", approved("closing.none")),
@@ -333,10 +330,7 @@ def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
     assert dialog.isVisible(), "Enter in the table presses no button"
     model = dialog.left.model()
     texts = [[model.index(row, column).data() for column in (0, 1)] for row in range(3)]
-    assert texts[1] == [
-        NAMES.short(7),
-        approved("verdict.left_never_answered"),
-    ]
+    assert texts[1] == [NAMES.short(7), approved("verdict.left_never_answered")]
     assert texts[0] == [NAMES.short(4), "disabled"]
 
 

@@ -451,10 +451,7 @@ def test_in_the_window_a_click_selects_and_the_corrected_layout_is_saved_by_keys
     assert answers == [(approved("modules_check.save"), name)]
     assert "mirror = false  # so" in path.read_text(encoding="utf-8")
     assert load_layout(path, bench.window.session_view.workspace.part.scene.skin.layout.width).modules[0].mirror is False
-    for refused, why in (
-        (tmp_path / "none" / "new.toml", "does not exist"),
-        (given, approved("layout_file.the_same_clause")),
-    ):
+    for refused, why in ((tmp_path / "none" / "new.toml", "does not exist"), (given, approved("layout_file.the_same_clause"))):
         save_as(refused)
         panel.save_button.click()
         bench.until(lambda why=why: why in message.text(), OPEN_MS)

@@ -7,16 +7,7 @@ import pytest
 from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import QColor
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import (
-    QApplication,
-    QComboBox,
-    QDoubleSpinBox,
-    QLineEdit,
-    QSpinBox,
-    QTableView,
-    QTreeWidget,
-    QWidget,
-)
+from PySide6.QtWidgets import QApplication, QComboBox, QDoubleSpinBox, QLineEdit, QSpinBox, QTableView, QTreeWidget, QWidget
 
 from app.dialogs.history_dialog import HistoryDialog
 from app.panels.devices import DevicesPanel, LinkChips

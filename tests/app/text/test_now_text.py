@@ -25,15 +25,7 @@ from app.text.now_text import (
     Tone,
     now_line,
 )
-from app.text.outcomes import (
-    error_words,
-    link_words,
-    pitch_of,
-    summary_words,
-    tilt_of,
-    verdict_detail,
-    verdict_words,
-)
+from app.text.outcomes import error_words, link_words, pitch_of, summary_words, tilt_of, verdict_detail, verdict_words
 from skincal.contacts.outcome import RAW_UNIT, PressPhase, Reason
 from skincal.model.actions import Exclude, MissedLandmark, Revive
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
