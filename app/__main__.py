@@ -24,8 +24,7 @@ from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
 
 HELP = ("-h", "--help", "--version")
 DEMO_COMMAND = "demo"
-ROBOT_DEMO = "robot"
-"""`skincal demo robot`: the window with a simulated robot that pokes."""
+ROBOT_DEMO = "robot"  # `skincal demo robot`: the window with a simulated robot that pokes
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -78,7 +77,6 @@ def _command(arguments: list[str]) -> int:
 
 
 def _run_demo(words: Sequence[str]) -> int:
-    """Open the window with a simulated robot that pokes."""
     if list(words) != [ROBOT_DEMO]:
         named = " ".join([DEMO_COMMAND, *words])
         raise InputError(f"{named} is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}.")

@@ -215,14 +215,12 @@ class Commands(QObject):
         return self.actions[name].isChecked()
 
     def restore(self, settings: QSettings) -> None:
-        """Set the switches from the settings."""
         for command in COMMANDS:
             if command.setting:
                 # A settings file holds words: "false" would be true without its type.
                 self.actions[command.name].setChecked(bool(settings.value(command.setting, command.switch, type=bool)))
 
     def save(self, settings: QSettings) -> None:
-        """Keep the switches."""
         for command in COMMANDS:
             if command.setting:
                 settings.setValue(command.setting, self.is_on(command.name))

@@ -118,7 +118,6 @@ class Workspace(QWidget):
         choice.activated.connect(lambda index: self.method_chosen.emit(choice.itemData(index)))
 
     def panel(self, kind: type[AnyPanel]) -> AnyPanel:
-        """Return the panel of a class."""
         return next(panel for panel in self.panels.values() if isinstance(panel, kind))
 
     def arrange(self) -> None:
@@ -146,7 +145,6 @@ class Workspace(QWidget):
         self.tabs.currentChanged.connect(self._show_tab)
 
     def show_card(self, card: QWidget) -> None:
-        """Show a card to the left of the 3D view."""
         self._left_row.insertWidget(0, card)
 
     def _fit_right(self) -> None:
@@ -278,7 +276,6 @@ class SessionView(QObject):
         return self.guided.method
 
     def take_tick(self, tick: Tick) -> None:
-        """Show a tick."""
         self._tick = tick
         self.show()
 
@@ -393,7 +390,6 @@ class SessionView(QObject):
             self.follow_again()
 
     def correct(self) -> None:
-        """Apply the available correction."""
         if self.state is not None and self.state.offers:
             action = self.state.offers[0].action
             if self._controller.act(action):
@@ -407,7 +403,6 @@ class SessionView(QObject):
         self._act_and_follow(self.guided.guide.skip_landmarks())
 
     def check_again(self) -> None:
-        """Repeat the final check."""
         again = None if self._tick is None else self.guided.guide.check_again(self._tick.snapshot, self._tick.live.pose)
         if again is None:
             self.said.emit(Message(NOTHING_TO_CHECK))
@@ -438,7 +433,6 @@ class SessionView(QObject):
             self.select_poke(self.state.snapshot.pokes[-1].outcome.poke)
 
     def select_poke(self, poke: int) -> None:
-        """Show a poke in the list."""
         # Opened first: a hidden list does not have the newest pokes.
         self.workspace.tabs.setCurrentWidget(self._pokes)
         self._pokes.select(poke)
@@ -450,7 +444,6 @@ class SessionView(QObject):
         self._controller.act(Redo())
 
     def show_history(self) -> None:
-        """Show all actions in a window of its own."""
         if self._history is None:
             self._history = HistoryDialog(self.workspace.window())
             self._history.undo_wanted.connect(lambda count: self._controller.act_all([Undo()] * count))
@@ -458,7 +451,6 @@ class SessionView(QObject):
         self._show_dialog(self._history)
 
     def show_thresholds(self) -> None:
-        """Show the limits of pokes in a window of its own."""
         if self._thresholds is None:
             self._thresholds = ThresholdsDialog(self.workspace.part.scene.contacts, self.workspace.window())
             self._thresholds.thresholds_wanted.connect(self._controller.act)
@@ -556,7 +548,6 @@ class SessionView(QObject):
             self._controller.report(path, self.method, tell_where, self._tell_failure)
 
     def ask_picture(self) -> None:
-        """Ask for a file and write the 3D view to it."""
         path = self._ask_file("Save 3D picture", "skincal.png", "Picture (*.png)")
         if path is not None:
             try:

@@ -12,8 +12,7 @@ from PySide6.QtWidgets import QApplication, QWidget
 STEPS = (75, 100, 125, 150, 200)  # Per cent of the desktop's own size
 DEFAULT_TEXT_SIZE_PERCENT = 100
 TEXT_SETTING = "window/text"
-_POINTS_PROPERTY = "points"
-"""Of a widget with its own font size, which the application's font does not change."""
+_POINTS_PROPERTY = "points"  # Of a widget with its own font size, which the application's font does not change
 
 
 def text_scale() -> float:

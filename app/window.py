@@ -168,8 +168,7 @@ class Window(QMainWindow):
         self.has_sound = True  # There is a sound device; true until the player has looked
         self._first_minute: FirstMinute | None = None
         self._question: QMessageBox | None = None  # The open question whether to keep a session
-        self._targets = ""
-        """Address that asks a robot for pokes, in every session with devices; empty by default."""
+        self._targets = ""  # Address that asks a robot for pokes, in every session with devices; empty by default
         self._leaves = False
         self._import: ImportDialog | None = None
         self.messages, self.stack, self.opening, self.where = MessageBar(), QStackedWidget(), StartPage(), ElidedLabel()
@@ -387,7 +386,6 @@ class Window(QMainWindow):
             self.tell_failure(unopened_words(DOCUMENTS_FOLDER))
 
     def ask_new(self) -> None:
-        """Ask for a new session and open it."""
         from app.dialogs.new_session import NewSessionDialog
 
         paused = self._lend_devices()
@@ -402,7 +400,6 @@ class Window(QMainWindow):
         return dated_folder(self._documents, datetime.now().astimezone())
 
     def ask_addresses(self) -> None:
-        """Ask for the present addresses of the session's devices."""
         from app.dialogs.new_session import NewSessionDialog
         from app.session.opening import addresses_of
 
@@ -526,7 +523,6 @@ class Window(QMainWindow):
         dialog.open()
 
     def reset_camera(self) -> None:
-        """Show the whole part in the 3D view."""
         if self.builder is not None:
             self.builder.view.reset_camera()
         elif self.session_view is not None:
@@ -538,7 +534,6 @@ class Window(QMainWindow):
         PedalsDialog(self.pedals, self).open()
 
     def ask_session(self) -> None:
-        """Ask for a recorded session and open it."""
         folder = QFileDialog.getExistingDirectory(self, "Folder of a recorded session", str(self._documents))
         if folder:
             self.open(OpenRequest(session=Path(folder)))
@@ -682,5 +677,4 @@ class Window(QMainWindow):
 
 
 def _import_session_view() -> None:
-    """Import the session view, and with it numpy."""
     import app.session_view  # noqa: F401

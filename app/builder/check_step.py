@@ -97,7 +97,6 @@ class CheckStep(Step):
         self.column.addStretch(1)
 
     def scene_path(self) -> Path:
-        """Give the scene file to write."""
         source = self.draft.source
         folder = Path(self.folder.text())
         if source is not None and folder == source.parent:
@@ -105,7 +104,6 @@ class CheckStep(Step):
         return folder / "scene.toml"
 
     def summary(self) -> list[str]:
-        """List the lines of the summary."""
         return [label.text() for label in self._summary_labels]
 
     def update_fields(self, preview: PartPreview) -> None:

@@ -51,7 +51,6 @@ class LiveRow(QWidget):
             self._choose()
 
     def resume(self) -> None:
-        """Read the device again after a pause."""
         self._is_open = True
         if not self._has_ports:
             self._has_ports = True
@@ -59,7 +58,6 @@ class LiveRow(QWidget):
         self._choose()
 
     def pause(self) -> None:
-        """Release the device."""
         self._is_open = False
         self._choose()
 

@@ -47,8 +47,7 @@ from skincal.session.draft_summary import State, can_start, summarize
 from skincal.session.part_changes import with_part_file
 from skincal.session.part_draft import DraftHistory, PartDraft, open_draft, save_draft
 
-FIELDS_COLUMN_WIDTH_PX = 500
-"""Width of the side with the fields at 100 %."""
+FIELDS_COLUMN_WIDTH_PX = 500  # Width of the side with the fields at 100 %
 UNDO_BUTTON_WIDTH_PX = 36
 FINDINGS_SHOWN_MAX = 3
 AnyStep = TypeVar("AnyStep", bound=Step)
@@ -160,7 +159,6 @@ class BuilderPage(QWidget):
         self.leave_button.clicked.connect(self.left)
 
     def find_step(self, kind: type[AnyStep]) -> AnyStep:
-        """Return the step of a class."""
         return next(step for step in self.steps if isinstance(step, kind))
 
     # The draft
@@ -255,11 +253,9 @@ class BuilderPage(QWidget):
 
     @property
     def open_step(self) -> Step:
-        """The open step."""
         return self.steps[max(0, self.stack.currentIndex())]
 
     def show_step(self, step: Step) -> None:
-        """Open a step."""
         self.open_step.leave()
         self.stack.setCurrentIndex(self.steps.index(step))
         step.enter()

@@ -83,7 +83,6 @@ class PartStep(Step):
         self._show_rows(has_robot=False, has_mesh=False)
 
     def choose_file(self) -> None:
-        """Ask for a file, and take it."""
         path, _ = QFileDialog.getOpenFileName(self, "Mesh or URDF", self._named(), FILE_FILTER)
         if path:
             self.take_file(Path(path))
@@ -122,7 +121,6 @@ class PartStep(Step):
             self._take_package()
 
     def take_file(self, path: Path) -> None:
-        """Use a mesh or a URDF."""
         try:
             self.change(with_part_file(self.draft, path))
         except InputError as error:

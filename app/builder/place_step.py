@@ -74,8 +74,7 @@ class PlaceStep(Step):
         form.addRow(self.back)
         self.column.addLayout(form)
         self.column.addStretch(1)
-        self._grip: FloatArray | None = None
-        """From the anchor's point to the point where a drag began, (3,) metres."""
+        self._grip: FloatArray | None = None  # From the anchor's point to the point where a drag began, (3,) metres
         self._drag = 0
         self._newest: tuple[PartDraft, int | None, Anchor] | None = None
         """The draft of the last move, what moved, and its anchor: the preview of that draft comes later."""

@@ -177,7 +177,6 @@ class SkinStep(Step):
         self.change(replace(self.draft, layout_text="", layout_name="", anchor=None))
 
     def choose_file(self) -> None:
-        """Ask for a layout file, and take it."""
         path, _ = QFileDialog.getOpenFileName(self, "Layout", "", LAYOUT_FILES)
         if path:
             self.take_file(Path(path))
@@ -189,7 +188,6 @@ class SkinStep(Step):
             self.take_file(Path(text).expanduser())
 
     def take_file(self, path: Path) -> None:
-        """Use a layout file."""
         try:
             text = read_layout_file(path)
         except InputError as error:

@@ -41,12 +41,10 @@ class Step(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.draft = PartDraft()
-        """The newest draft; `preview` may be of an earlier one."""
+        self.draft = PartDraft()  # The newest draft; `preview` may be of an earlier one
         self.preview: PartPreview | None = None
         self.mode = Mode.NONE
-        self.points = NO_POINTS
-        """(n, 3) float, metres: picked points to mark."""
+        self.points = NO_POINTS  # (n, 3) float, metres: picked points to mark
         self.module: int | None = None
         self.answered: IntArray | None = None
         self.column = QVBoxLayout(self)

@@ -63,7 +63,6 @@ class ExportDialog(TaskDialog):
         self.show_outcome(f"Written to {self.path.text()}: {found}.", sentences, good=True)
 
     def show_failure(self, sentence: str) -> None:
-        """Show why the file was not written."""
         self.show_outcome(sentence, good=False)
         self.path.setFocus()
 

@@ -48,7 +48,6 @@ class ScenePicker(QComboBox):
         self.currentTextChanged.connect(self.read)
 
     def file(self) -> Path:
-        """Give the path of the chosen scene."""
         # Not the current index, which does not follow typed text.
         index = self.findText(self.currentText())
         return Path(self.itemData(index) if index >= 0 else self.currentText())

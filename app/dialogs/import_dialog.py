@@ -65,10 +65,8 @@ from skincal.model.scene import Scene
 from skincal.session.importing import Imported, ImportRequest, missing_folders, take_away
 
 SIZE_PX = (760, 680)
-TYPING_PAUSE_BEFORE_PREVIEW_MS = 400
-"""A recording is previewed after this pause in typing."""
-PROGRESS_BAR_UPDATE_PERIOD_MS = 100
-"""Between two updates of the progress bar."""
+TYPING_PAUSE_BEFORE_PREVIEW_MS = 400  # A recording is previewed after this pause in typing
+PROGRESS_BAR_UPDATE_PERIOD_MS = 100  # Between two updates of the progress bar
 KILL_STOPPED_IMPORT_AFTER_MS = 500
 """A stopped import ends within this time, or is killed: while it reads a large log, it does not react."""
 FILE_FILTER = f"Recordings (*{' *'.join(suffix for each in RECORDING_IMPORTERS for suffix in each.suffixes)});;All files (*)"
@@ -109,18 +107,13 @@ class ImportDialog(QDialog):
         self._jobs = JobQueue(self)
         self._finds, self._places = (ThreadService(name, self) for name in ("recordings", "places"))
         self._scene: Scene | None = None
-        self._scene_trouble = ""
-        """Why there is no scene; empty while it is read."""
+        self._scene_trouble = ""  # Why there is no scene; empty while it is read
         self._preview: RecordingPreview | None = None
-        self._trouble = ""
-        """Why there is no preview."""
+        self._trouble = ""  # Why there is no preview
         self._place = SessionPlace()
-        self._place_pending = False
-        """The folder is being checked; `_place` is of the folder before."""
-        self._starts_later = False
-        """The import starts after that check."""
-        self._share = 0.0
-        """Finished share of the import; written in another thread."""
+        self._place_pending = False  # The folder is being checked; `_place` is of the folder before
+        self._starts_later = False  # The import starts after that check
+        self._share = 0.0  # Finished share of the import; written in another thread
         self.importing = False
         self.take_folder, self.take_files = QPushButton(f"F&older{ELLIPSIS}"), QPushButton(f"Fi&les{ELLIPSIS}")
         self.fields = {stream: QLineEdit() for stream in STREAM_TITLES}
@@ -323,7 +316,6 @@ class ImportDialog(QDialog):
         self.findings.setVisible(self.findings.count() > 0)
 
     def _update_problems(self) -> None:
-        """Show the problems, and enable the import if there are none."""
         if self.importing:
             return
         preview, has_joints = self._preview, bool(self.fields[Stream.JOINTS].text().strip())

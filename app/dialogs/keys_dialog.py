@@ -8,12 +8,9 @@ from PySide6.QtWidgets import QDialog, QDialogButtonBox, QLabel, QScrollArea, QV
 from app.commands import key_words
 from app.panels.widgets import plain_buttons
 
-MAX_SIZE_PX = (1240, 680)
-"""A screen of 1280 by 720 without the desktop's frame."""
-SCROLL_AREA_BORDER_PX = 1
-"""Frame of the scrolled area, which shows the focus."""
-COLUMN_COUNTS = (2, 1)
-"""One column if two do not fit: the list scrolls vertically only."""
+MAX_SIZE_PX = (1240, 680)  # A screen of 1280 by 720 without the desktop's frame
+SCROLL_AREA_BORDER_PX = 1  # Frame of the scrolled area, which shows the focus
+COLUMN_COUNTS = (2, 1)  # One column if two do not fit: the list scrolls vertically only
 
 
 class KeysDialog(QDialog):

@@ -155,7 +155,6 @@ class LandmarkPicking(QObject):
         self.said.emit(CLICK_REQUEST)
 
     def stop(self) -> None:
-        """Stop waiting for a click."""
         self._view.set_picking(False)
         self.unsaid.emit(CLICK_REQUEST)
 

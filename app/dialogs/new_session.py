@@ -65,11 +65,9 @@ STREAM_LABELS = {Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", St
 SWAP_KEY = "F6"
 LINK_PREVIEW_UPDATE_PERIOD_MS = 100
 CURVE_SIZE_PX = 120, 26
-STATE_TEXT_MIN_HEIGHT_PX = 34
-"""Two lines, so that nothing moves when text appears."""
+STATE_TEXT_MIN_HEIGHT_PX = 34  # Two lines, so that nothing moves when text appears
 DIALOG_WIDTH_PX = 700
-MAX_SIZE_PX = 1200, 660
-"""A larger form scrolls; a screen of 1280 x 720 shows all of it."""
+MAX_SIZE_PX = 1200, 660  # A larger form scrolls; a screen of 1280 x 720 shows all of it
 MAX_PORT_NAME_CHARS = 80
 MAX_LISTED_PORTS = 12
 
@@ -105,8 +103,7 @@ class StreamRow(QWidget):
         set_font(self.rate, digits_font(11), 11)
         self.curve = Sparkline(f"newest values of the {name}")
         self.curve.setFixedSize(*CURVE_SIZE_PX)
-        self.named = ""
-        """Address that the operator agreed to, which may be connected."""
+        self.named = ""  # Address that the operator agreed to, which may be connected
         self._is_typed = False
         self.field.textEdited.connect(self._mark_typed)
         self.field.returnPressed.connect(self.agree)
@@ -226,11 +223,9 @@ class NewSessionDialog(QDialog):
         self.pose_label, self.pose = QLabel("Arm &pose"), compact_combo("arm pose")
         self.pose_label.setBuddy(self.pose)
         self.folder = QLineEdit(str(folder))
-        self.proposal = QPushButton()
-        """Uses the topics of ROS 2 that look like the rig; hidden without them."""
+        self.proposal = QPushButton()  # Uses the topics of ROS 2 that look like the rig; hidden without them
         self.proposal.setVisible(False)
-        self.topics_note = QLabel()
-        """Reason for missing topics of ROS 2; hidden without one."""
+        self.topics_note = QLabel()  # Reason for missing topics of ROS 2; hidden without one
         self.topics_note.setWordWrap(True)
         self.topics_note.setTextFormat(Qt.TextFormat.PlainText)
         self.topics_note.setVisible(False)
@@ -334,7 +329,6 @@ class NewSessionDialog(QDialog):
 
     @property
     def has_scene(self) -> bool:
-        """Whether the chosen scene was read."""
         return self._scene is not None
 
     # Previews
@@ -408,7 +402,6 @@ class NewSessionDialog(QDialog):
                 row.show_preview(None, _address_problem(row.named) if row.named else "")
 
     def swap_addresses(self) -> None:
-        """Exchange the addresses of force/torque sensor and skin."""
         wrench, skin = self.rows[Stream.WRENCH], self.rows[Stream.SKIN]
         for row in (wrench, skin):
             row.agree_if_typed()

@@ -89,8 +89,7 @@ class Pedals(QObject):
         super().__init__(parent)
         self._actions, self._taken, self._settings = actions, taken, settings
         self._is_installed = False
-        self.keys: dict[str, str] = {}
-        """By the name of the pedal."""
+        self.keys: dict[str, str] = {}  # By the name of the pedal
         for pedal in PEDALS:
             name = str(settings.value(f"pedal/{pedal.name}", ""))
             if name and not self._problem(pedal.name, name):

@@ -71,8 +71,7 @@ class ThresholdsDialog(QDialog):
         self._scene: dict[str, float] = asdict(scene)
         self._now = dict(self._scene)
         self._state: ViewState | None = None
-        self._newest: list[Outcome] | None = None
-        """Pokes that are shown."""
+        self._newest: list[Outcome] | None = None  # Pokes that are shown
         self.area = QScrollArea()
         # It follows the focus of its fields.
         self.area.setFocusPolicy(Qt.FocusPolicy.NoFocus)

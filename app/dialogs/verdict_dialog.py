@@ -28,8 +28,7 @@ HEADINGS = ("Taxel", "Why it is not finished")
 DIALOG_MIN_WIDTH_PX = 680
 DIALOG_WIDTH_PX = 840
 LIST_MIN_HEIGHT_PX = 100
-DIALOG_MAX_HEIGHT_PX = 660
-"""A higher dialog scrolls; a screen of 720 pixels shows all of it."""
+DIALOG_MAX_HEIGHT_PX = 660  # A higher dialog scrolls; a screen of 720 pixels shows all of it
 
 
 class VerdictDialog(QDialog):

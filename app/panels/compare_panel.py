@@ -89,8 +89,7 @@ class ComparePanel(Panel):
         self._channels, laid = context.part.channels, context.part.laid
         self._laid = None if laid is None or not np.isfinite(laid.places[self._channels]).any() else laid.places[self._channels]
         self._others: dict[str, FloatArray] = {}
-        self._paths: dict[str, Path | None] = {}
-        """Where the other sets were read; `None` for the truth and references."""
+        self._paths: dict[str, Path | None] = {}  # Where the other sets were read; `None` for the truth and references
         if (frames := robot_places(context.part.scene)) is not None:
             self._others[frames.name], self._paths[frames.name] = in_order(self._channels, frames.places), None
         self.modules_check = context.guided.modules

@@ -237,7 +237,6 @@ class ErrorsPanel(Panel):
 
     @property
     def axis(self) -> Axis:
-        """The horizontal axis."""
         return next(axis for axis, button in self.axis_buttons.items() if button.isChecked())
 
     def add_reference(self, reference: TaxelPositions) -> None:

@@ -42,7 +42,6 @@ class FirstMinute(QFrame):
         self._timer.start(HELP_CARD_SHOWN_MS)
 
     def leave(self) -> None:
-        """Close the card."""
         self._timer.stop()
         self.hide()
 

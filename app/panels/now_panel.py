@@ -308,7 +308,6 @@ class NowPanel(QFrame):
         self.say(now, progress.still)
 
     def say(self, now: Now, share: float = 0.0) -> None:
-        """Show a line."""
         said = now.result
         # The sign is visible from further away than words, so it shows the result of the poke first.
         self.sign.set(now.tone if said is None or said.tone is Tone.CALM else said.tone, share)

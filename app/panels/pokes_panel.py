@@ -252,7 +252,6 @@ class PokesPanel(Panel):
         return tuple(sorted(self.model.record(index.row()).outcome.poke for index in rows))
 
     def select(self, poke: int) -> None:
-        """Select a poke by its number and scroll to it."""
         row = self.model.row_of(poke)
         if row is not None:
             flags = QItemSelectionModel.SelectionFlag

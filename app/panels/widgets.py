@@ -110,7 +110,6 @@ class ElidedLabel(QWidget):
         painter.end()
 
     def fitted(self) -> QFont:
-        """Return the font of the drawn text."""
         return self.font()
 
 

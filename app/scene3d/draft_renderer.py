@@ -279,7 +279,6 @@ class DraftRenderer(SceneRenderer):
         return self.links, self.surface_layer, self.modules, self.sensors, self.marks, self.handle, HintsLayer(plotter, static)
 
     def show(self, state: Any) -> bool:
-        """Show a `DraftPicture`."""
         picture: DraftPicture = state
         before, self._picture = self._picture, picture
         preview, is_new = picture.preview, before is None or before.preview.laid is not picture.preview.laid

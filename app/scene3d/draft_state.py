@@ -13,10 +13,8 @@ from skincal.mesh.surface import Surface
 from skincal.model.skin import Anchor, Layout
 from skincal.session.draft_preview import PartPreview
 
-ROBOT_STEPS = ("part", "sensor", "joints")
-"""Steps that show the robot around the part."""
-SENSOR_STEPS = ("sensor", "joints", "check")
-"""Steps that show the sensor's axes."""
+ROBOT_STEPS = ("part", "sensor", "joints")  # Steps that show the robot around the part
+SENSOR_STEPS = ("sensor", "joints", "check")  # Steps that show the sensor's axes
 NO_PLACES: FloatArray = np.empty((0, 3))
 
 

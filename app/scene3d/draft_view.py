@@ -17,8 +17,7 @@ from skincal.geometry import FloatArray
 if TYPE_CHECKING:
     from app.scene3d.draft_renderer import DraftRenderer
 
-LAYOUT_TURN_PER_WHEEL_NOTCH_DEG = 5.0
-"""Turn of the layout for one notch of the wheel over it."""
+LAYOUT_TURN_PER_WHEEL_NOTCH_DEG = 5.0  # Turn of the layout for one notch of the wheel over it
 
 
 class Mode(Enum):
@@ -93,7 +92,6 @@ class DraftView3D(View3D):
         self.begin_static(DraftStatic())
 
     def show_picture(self, picture: DraftPicture) -> None:
-        """Show a moment of the draft."""
         self._state = picture
         if self.isVisible():
             self._show_state()

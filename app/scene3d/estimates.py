@@ -23,8 +23,7 @@ from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, ColourArray, Compa
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
-BALL_PX = (5.0, 34.0)
-"""Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other."""
+BALL_PX = (5.0, 34.0)  # Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other
 MAX_CLICK_DISTANCE_PX = 14.0  # A click this near to a ball means it: half a finger's width on a common screen
 RING_RADIUS_M = 2.6e-3  # m
 OPEN_MARK_RADIUS_M = 1.3e-3  # m, of an open circle or a cross
@@ -49,8 +48,7 @@ class EstimatesLayer(Layer):
         self.marks = Segments(plotter, FRONT, 2.0)
         self.differences = Segments(plotter, PART, 1.5)
         self.alternative = Segments(plotter, PART, 1.5)  # Other possible positions of the selected taxel
-        self.shown: IntArray = np.empty(0, dtype=np.int64)
-        """(k,) channels that have a ball, in the order of `places`."""
+        self.shown: IntArray = np.empty(0, dtype=np.int64)  # (k,) channels that have a ball, in the order of `places`
         self.places = NO_POINTS
         self.near: NDArray[np.bool_] = np.empty(0, dtype=bool)
         """(k,) whether each is drawn: not on the far side of the part."""

@@ -36,8 +36,7 @@ class LandmarksLayer(Layer):
         self._landmarks: tuple[Landmark, ...] = ()
         self._poked: frozenset[str] = frozenset()
         self._normals = NO_POINTS
-        self._moment: tuple[int, str] = -1, ""
-        """Generation of the session and name of the arm pose that are drawn."""
+        self._moment: tuple[int, str] = -1, ""  # Generation of the session and name of the arm pose that are drawn
 
     def show(self, state: View3DState) -> bool:
         snapshot = state.snapshot

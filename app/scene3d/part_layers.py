@@ -40,7 +40,6 @@ class SurfaceLayer(Layer):
         )  # fmt: skip
 
     def set_surface(self, surface: Surface) -> None:
-        """Draw another mesh."""
         self.mesh.shallow_copy(_shaded(surface))
 
     def set_colours(self, colours: SceneColours) -> None:
@@ -76,7 +75,6 @@ class ModulesLayer(Layer):
         self._set_modules(layout, laid)
 
     def set_layout(self, static: StaticScene, layout: Layout, laid: PlacedLayout) -> None:
-        """Draw another layout, or the same one elsewhere."""
         self.static = static
         self._set_modules(layout, laid)
         self.set_colours(self.colours)

@@ -9,8 +9,7 @@ from app.scene3d.mesh_actors import NO_POINTS, PART, Dots, Layer, Segments
 from app.scene3d.scene_state import StaticScene, View3DState
 from skincal.robot.target_lines import TipPose
 
-DRAWN_TOOL_LENGTH_M = 0.08
-"""m of the tool that are drawn."""
+DRAWN_TOOL_LENGTH_M = 0.08  # m of the tool that are drawn
 BALL_PX, LINE_PX = 18.0, 5.0
 TIP_BALL_SHIFT_ALONG_TOOL_M = 0.003
 """m, of the ball along the tool: otherwise the part hides half of a ball that touches it."""

@@ -85,7 +85,6 @@ class SceneRenderer:
         return tuple(layer.name for layer in self.layers)
 
     def set_colours(self, colours: SceneColours) -> None:
-        """Take the colours of a theme."""
         self.renderer.SetBackground(*pv.Color(colours.background).float_rgb)
         self.labels.set_colours(colours)
         for layer in self.layers:
@@ -122,7 +121,6 @@ class SceneRenderer:
         self.auto_camera.note_manual_move(now_s)
 
     def fit(self) -> None:
-        """Bring the whole part into the picture."""
         self.is_moved = False
         has_extent = len(self.static.extent) > 0
         pose = self.fitted_pose(MIN_VIEW_HALF_HEIGHT_M if has_extent else DEFAULT_VIEW_HALF_HEIGHT_M)
@@ -166,7 +164,6 @@ class SceneRenderer:
         return at if outward @ (pose_of(self.camera).position - at) > 0.0 else None
 
     def close(self) -> None:
-        """Release the plotter."""
         self.window.RemoveObserver(self._observer)
         for renderer in self.plotter.renderers:
             renderer.RemoveAllViewProps()

@@ -131,8 +131,7 @@ class StaticScene:
         self.surface = surface
         self.laid = laid
         self.channels: IntArray = np.asarray(channels, dtype=np.int64)
-        self.row = {int(channel): row for row, channel in enumerate(self.channels)}
-        """Row in `channels` by channel."""
+        self.row = {int(channel): row for row, channel in enumerate(self.channels)}  # Row in `channels` by channel
 
     @cached_property
     def hues(self) -> ColourArray:

@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 VTK_CLOSE_TIMEOUT_S = 60.0  # Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes
-MAX_CLICK_MOVE_PX = 4.0
-"""A press that moves less before its release is a click: hands tremble by two or three pixels."""
+MAX_CLICK_MOVE_PX = 4.0  # A press that moves less before its release is a click: hands tremble by two or three pixels
 ROTATION_PER_FULL_DRAG_DEG = 220.0
 """A drag across the shorter side of the view turns the part by this much: a bit more than to its far side."""
 ZOOM_FACTOR_PER_WHEEL_NOTCH = 1.15  # Zoom factor for one notch of the wheel
@@ -77,8 +76,7 @@ class Pointer(QObject):
         self._start = self._last = QPointF()
         self._dragged = False
         self.tool = PointerTool()
-        self._is_tools = False
-        """The drag belongs to the tool."""
+        self._is_tools = False  # The drag belongs to the tool
         canvas.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         canvas.installEventFilter(self)
 
@@ -286,7 +284,6 @@ class View3D(QWidget):
             self._canvas.setCursor(Qt.CursorShape.CrossCursor if wanted else Qt.CursorShape.ArrowCursor)
 
     def set_dark(self, dark: bool) -> None:
-        """Use the dark or the light theme."""
         self._colours = DARK if dark else LIGHT
         if self._renderer is not None:
             self._renderer.set_colours(self._colours)

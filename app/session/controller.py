@@ -35,36 +35,24 @@ if TYPE_CHECKING:
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
 
-TICK_PERIOD_MS = 33
-"""30 pictures per second."""
-BUSY_TICK_PERIOD_MS = 4
-"""Until the next tick while readings or taxels wait."""
+TICK_PERIOD_MS = 33  # 30 pictures per second
+BUSY_TICK_PERIOD_MS = 4  # Until the next tick while readings or taxels wait
 MIN_PICTURE_INTERVAL_S = 0.010
 """Between two pictures, at least. Well below a tick, since the timer may fire early after a long tick."""
-MIN_BUSY_PICTURE_INTERVAL_S = 0.1
-"""The same while readings or taxels wait: readings go before pictures."""
-IDLE_PICTURE_INTERVAL_S = 0.5
-"""Between two pictures without data, to show that a link fell silent."""
-SHOW_SOLVING_AFTER_S = 0.4
-"""Solving that lasts longer is shown."""
-READINGS_TIME_PER_TICK_S = 0.012
-"""Time for readings per tick; the rest waits, so that the window stays responsive."""
-BACKLOG_MAX_DELAY_NS = 1_000_000_000
-"""Readings that wait longer are soon dropped: they go before pictures."""
-BACKLOG_READINGS_TIME_PER_TICK_S = 0.060
-"""Time for readings per tick then: the window still answers within 0.1 s."""
-SOLVING_TIME_PER_TICK_S = 0.012
-"""Time for solving per tick. All taxels, as after a correction, take several ticks."""
+MIN_BUSY_PICTURE_INTERVAL_S = 0.1  # The same while readings or taxels wait: readings go before pictures
+IDLE_PICTURE_INTERVAL_S = 0.5  # Between two pictures without data, to show that a link fell silent
+SHOW_SOLVING_AFTER_S = 0.4  # Solving that lasts longer is shown
+READINGS_TIME_PER_TICK_S = 0.012  # Time for readings per tick; the rest waits, so that the window stays responsive
+BACKLOG_MAX_DELAY_NS = 1_000_000_000  # Readings that wait longer are soon dropped: they go before pictures
+BACKLOG_READINGS_TIME_PER_TICK_S = 0.060  # Time for readings per tick then: the window still answers within 0.1 s
+SOLVING_TIME_PER_TICK_S = 0.012  # Time for solving per tick. All taxels, as after a correction, take several ticks.
 MAX_UNSOLVED_TAXELS = 200
 """With more unsolved taxels an action is refused: the window shows a state from before the last change."""
-PACES = (1, 2, 4)
-"""Speed of the simulated operator between pokes, relative to a careful person."""
-DEMO_SPEED_FACTOR = 2
-"""A poke takes 1.5 s, and the modules method finishes in two minutes."""
+PACES = (1, 2, 4)  # Speed of the simulated operator between pokes, relative to a careful person
+DEMO_SPEED_FACTOR = 2  # A poke takes 1.5 s, and the modules method finishes in two minutes
 DEMO_FIRST_MODULE_POKES = 2
 """The demonstration shows the taxels of a module within seconds; in any other session the landmarks come first."""
-ANY_PORT = "0"
-"""The system chooses a free port."""
+ANY_PORT = "0"  # The system chooses a free port
 
 
 def _make_folder(folder: Path) -> None:
@@ -137,8 +125,7 @@ class Controller(QObject):
         super().__init__(parent)
         self._documents = documents
         self._threads = ThreadService("background", self)
-        self._endings = ThreadService("ending", self)
-        """Ends recordings. Closing the window waits for it."""
+        self._endings = ThreadService("ending", self)  # Ends recordings. Closing the window waits for it.
         self._applying = ThreadService("applying", self)
         """Sends positions to a robot, which may be slow and must not be interrupted."""
         self._review_process: WorkerProcess | None = None
@@ -146,13 +133,11 @@ class Controller(QObject):
         self._server: DeviceProcess | None = None
         self._recording: Recording | None = None
         self._reviewing: ReviewClient | None = None
-        self._targets: Targets | None = None
-        """Sends poke targets to a robot or the simulated operator."""
+        self._targets: Targets | None = None  # Sends poke targets to a robot or the simulated operator
         self.running = Running.OPENING
         self.prepare: Callable[[], object] = lambda: None
         """Imports the session's views; called in the background before a part is loaded."""
-        self.pace = 1
-        """Of the simulated operator, one of `PACES`; 0 if a simulated robot pokes."""
+        self.pace = 1  # Of the simulated operator, one of `PACES`; 0 if a simulated robot pokes
         self.demo = False
         self._reset()
         self._timer = QTimer(self)
@@ -161,24 +146,19 @@ class Controller(QObject):
 
     def _reset(self) -> None:
         """Forget everything of the session that was open."""
-        self.simulated = False
-        """The rig is or was simulated."""
+        self.simulated = False  # The rig is or was simulated
         self._part: Part | None = None
         self._first_pose = ""
         self._storage: SessionFolder | None = None
-        self._pending_links: tuple[LinkSpec, ...] = ()
-        """Links of a recording that has not started."""
+        self._pending_links: tuple[LinkSpec, ...] = ()  # Links of a recording that has not started
         self._truth = b""
-        self.guided: GuidedSession | None = None
-        """Guide, press coach and checks; `None` before the part is loaded."""
+        self.guided: GuidedSession | None = None  # Guide, press coach and checks; `None` before the part is loaded
         self._size_at_open: tuple[tuple[HistoryEntry, ...], int] = (), 0
-        self._links_confirmed = True
-        """The operator named the links or agreed to them."""
+        self._links_confirmed = True  # The operator named the links or agreed to them
         self._shown: Snapshot | None = None
         self._shown_ns = self._solving_since_ns = 0
         """Time of the last picture, and since when taxels wait (0: none do); host's monotonic clock."""
-        self._has_news = False
-        """Background work brought something that is not shown yet."""
+        self._has_news = False  # Background work brought something that is not shown yet
 
     # Opening and closing
 
@@ -308,7 +288,6 @@ class Controller(QObject):
 
     @property
     def has_simulator(self) -> bool:
-        """Whether a simulated operator pokes, whose pace can be chosen."""
         return self._server is not None and self.pace > 0
 
     def stop_robot(self) -> None:
@@ -405,7 +384,6 @@ class Controller(QObject):
 
     @property
     def links(self) -> tuple[LinkSpec, ...]:
-        """Links of the open session."""
         return self._pending_links if self._recording is None else self._recording.links
 
     # The tick
@@ -555,7 +533,6 @@ class Controller(QObject):
                 return
 
     def keep(self) -> None:
-        """Keep a provisional session."""
         if self._recording is not None and self.can_keep:
             self._recording.storage.keep()
             self.said.emit(Message(kept_words(self._recording.storage.folder)))

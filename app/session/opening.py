@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SCENE = "icub-forearm"
 MESHES = (".stl", ".obj", ".ply", ".off")
-PART_FILES = (*MESHES, ".urdf")
-"""Endings of files with which a new part begins."""
+PART_FILES = (*MESHES, ".urdf")  # Endings of files with which a new part begins
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,12 +19,10 @@ from skincal.streams.intake import LinkIntake
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
 from skincal.streams.ros_topics import FoundTopic, list_ros_topics
 
-PREVIEW_CURVE_POINTS = 80
-"""Points of a small curve: eight seconds at ten updates per second."""
+PREVIEW_CURVE_POINTS = 80  # Points of a small curve: eight seconds at ten updates per second
 CHANGE_UNIT_OF_STREAM = {Stream.SKIN: 1.0, Stream.JOINTS: float(np.degrees(1.0)), Stream.TIP: 1000.0}
 """Unit of the shown change over that of the readings."""
-MAX_WORK_PER_LINK_UPDATE_S = 0.010
-"""Limit of work per update and link; the rest waits."""
+MAX_WORK_PER_LINK_UPDATE_S = 0.010  # Limit of work per update and link; the rest waits
 
 
 def list_ports() -> list[tuple[str, str]]:

@@ -33,8 +33,7 @@ class SessionFolder:
         self._folder = None if request.copied else request.session or request.folder
         self.is_provisional = self._folder is None
         self._discarded = False
-        self._made: list[Path] = []
-        """Created folders, the innermost first."""
+        self._made: list[Path] = []  # Created folders, the innermost first
 
     @property
     def folder(self) -> Path:
@@ -71,7 +70,6 @@ class SessionFolder:
         return folder
 
     def keep(self) -> None:
-        """Keep a provisional session."""
         self.is_provisional = False
 
     def discard(self) -> None:
@@ -100,8 +98,7 @@ class Recording:
         self.storage = storage
         self._new_queue()
         self._readers: list[Reader] = []
-        self.reached_ns = 0
-        """Arrival of the newest processed item, host's monotonic clock."""
+        self.reached_ns = 0  # Arrival of the newest processed item, host's monotonic clock
 
     def _new_queue(self) -> None:
         from skincal.streams.links import ChunkQueue
@@ -126,7 +123,6 @@ class Recording:
 
     @property
     def has_backlog(self) -> bool:
-        """Whether readings wait."""
         return not self._queue.empty()
 
     def processed_ns(self, now_ns: int) -> int:

@@ -26,12 +26,9 @@ LOG = logging.getLogger(__name__)
 AUDIO_PERIOD_MS = 10
 BUFFERED_AUDIO_PERIODS = 4
 """The device buffers 40 ms: more would delay a sound, less would stutter while a picture is drawn."""
-MAX_SOUND_DELAY_S = 0.3
-"""A later sound is not played: its cause is over."""
-REOPEN_STUCK_DEVICE_AFTER_S = 1.0
-"""A device that has not read a sound for this long is opened again."""
-DEVICE_CLOSE_TIMEOUT_S = 1.0
-"""Closing waits this long for the device."""
+MAX_SOUND_DELAY_S = 0.3  # A later sound is not played: its cause is over
+REOPEN_STUCK_DEVICE_AFTER_S = 1.0  # A device that has not read a sound for this long is opened again
+DEVICE_CLOSE_TIMEOUT_S = 1.0  # Closing waits this long for the device
 
 Stream = Generator[bytes, int, None]
 """Receives the number of wanted samples and yields at most as many; the device fills up with silence."""
@@ -167,10 +164,8 @@ class Player:
     """
 
     def __init__(self, opener: Callable[[], Output] = open_output, speech: tuple[str, ...] | None = None) -> None:
-        self.on = True
-        """The operator wants sounds."""
-        self.speaks = False
-        """The operator wants words, too."""
+        self.on = True  # The operator wants sounds
+        self.speaks = False  # The operator wants words, too
         self.found: Callable[[bool], None] = lambda _there: None
         """Called in the player's thread if a device appears or disappears."""
         self._opener = opener

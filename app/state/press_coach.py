@@ -22,16 +22,14 @@ UPRIGHT_MAX_TILT = float(np.radians(5.0))
 """rad. A smaller tilt cannot be held by hand: the tool is asked to be upright."""
 NEIGHBOUR_MIN_COS = float(np.cos(np.radians(35.0)))
 """A neighbour shows a direction that is off by less; the six neighbours of a taxel are 60 degrees apart."""
-NEIGHBOUR_MAX_DISTANCE_M = 0.020
-"""m. A neighbour further away shows no direction to somebody who looks at the taxel."""
+NEIGHBOUR_MAX_DISTANCE_M = 0.020  # m. A neighbour further away shows no direction to somebody who looks at the taxel.
 HINT_DEBOUNCE_S = 0.25  # A hint must hold this long before it is shown: a hand that is just arriving needs none
 FORCE_HINT_HYSTERESIS_N = 0.3
 """N. "Press harder" and "press softer" stay until the force is inside by this much: three times a good sensor's noise."""
 AIM_SHOWN, AIM_HIDDEN = 0.004, 0.003
 """m. The aim hint is shown above the one distance and hidden below the other: nine in ten pokes of a hand with 2 mm sd
 are nearer."""
-TILT_HYSTERESIS = float(np.radians(2.0))
-"""rad. A tilt hint stays until the tilt is inside the limit by this much."""
+TILT_HYSTERESIS = float(np.radians(2.0))  # rad. A tilt hint stays until the tilt is inside the limit by this much.
 OTHER_TAXEL_MIN_DISTANCE_M = 0.015
 """m. A tip this far off, three taxels, is on another taxel on purpose: there is nothing to correct."""
 SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015

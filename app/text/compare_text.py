@@ -23,8 +23,7 @@ MODULE_HINTS = (
 )
 MAX_LISTED_MODULES = 40
 """Longest list of modules, those with the largest difference: nobody reads 350 lines, and each costs time at every poke."""
-ARROW_SCALES = (1, 3, 10)
-"""Scale factors of the arrows that show differences."""
+ARROW_SCALES = (1, 3, 10)  # Scale factors of the arrows that show differences
 
 
 def difference_words(summary: Summary | None, pair: tuple[str, str], names: ChannelNames, channels: Sequence[int]) -> str:

@@ -30,12 +30,9 @@ STATISTICS = {
     MAX: "\N{MIDDLE DOT}\N{MIDDLE DOT}\N{MIDDLE DOT} worst",
 }
 """Names of the statistics, with their line styles."""
-MARK_POKES_WITH_TRUST_BELOW = 0.5
-"""Weight below which the list marks a poke; 99 of 100 good pokes have more."""
-MIN_TRUST_SHOWN_AS_FULL = 0.995
-"""Weight from which a poke counts fully, to two decimals."""
-MAX_LISTED_POKES_PER_TAXEL = 100
-"""Longest list of a taxel's pokes, the newest ones."""
+MARK_POKES_WITH_TRUST_BELOW = 0.5  # Weight below which the list marks a poke; 99 of 100 good pokes have more
+MIN_TRUST_SHOWN_AS_FULL = 0.995  # Weight from which a poke counts fully, to two decimals
+MAX_LISTED_POKES_PER_TAXEL = 100  # Longest list of a taxel's pokes, the newest ones
 
 
 class Axis(Enum):

@@ -26,8 +26,7 @@ from skincal.taxels.result import Method
 from skincal.words.units import ChannelNames, cell, count, degrees, millimetres, minutes, newtons
 from skincal.words.verdict_words import needs_clause
 
-MAX_NAMED_FINISHED_TAXELS = 3
-"""Finished taxels named after one poke."""
+MAX_NAMED_FINISHED_TAXELS = 3  # Finished taxels named after one poke
 BETWEEN = "  \N{MIDDLE DOT}  "
 REDUCED_ERROR_WORDS: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "position", Method.MODULES: "position"}
 """Name of the error that a poke should reduce: for the free method the depth, for the others the position along the skin."""

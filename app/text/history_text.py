@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from skincal.session.snapshot import Snapshot
 from skincal.session.undo import ActionEntry, HistoryEntry, describe_entry
 
-MAX_HISTORY_LINES = 500
-"""The list has the newest lines."""
-EARLIER_TIME = "earlier"
-"""Text in place of an unknown time."""
+MAX_HISTORY_LINES = 500  # The list has the newest lines
+EARLIER_TIME = "earlier"  # Text in place of an unknown time
 
 
 @dataclass(frozen=True, slots=True)

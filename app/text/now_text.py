@@ -45,8 +45,7 @@ from skincal.words.units import count, newtons, number
 
 MIN_POKE_RESULT_SHOWN_S = 2.5
 """The result of a poke stays at least this long unless the next poke begins: enough to read a dozen words."""
-LAST_ACTION_SHOWN_S = 6.0
-"""The operator's last action is shown this long."""
+LAST_ACTION_SHOWN_S = 6.0  # The operator's last action is shown this long
 IDLE_PHASE_DEBOUNCE_S = 0.15
 """An idle phase must last this long before it is shown, so that noise does not make the line flicker."""
 
@@ -61,8 +60,7 @@ _SHORT_VERDICTS = {
 """For large type; the line below has the details."""
 
 
-_SHORT_NAMES = {"wrench": "sensor"}
-"""Short names of devices, for the large line of the window."""
+_SHORT_NAMES = {"wrench": "sensor"}  # Short names of devices, for the large line of the window
 
 
 class Tone(Enum):

@@ -36,8 +36,7 @@ MARK_WORDS: Mapping[Mark, str] = {
     Mark.DEAD: "disabled",
 }
 
-HEADLINE_REASON_MAX_CHARS = 36
-"""Characters that large type has room for next to "rejected", in a window of 1280 pixels."""
+HEADLINE_REASON_MAX_CHARS = 36  # Characters that large type has room for next to "rejected", in a window of 1280 pixels
 
 
 def _headline_reason(rejection: Rejection) -> str:

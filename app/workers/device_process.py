@@ -17,10 +17,8 @@ import skincal
 
 PROCESS_STOP_TIMEOUT_MS = 700
 """Time for the process to end after its input closed, before it is terminated, then killed."""
-SHOWN_ERROR_MAX_CHARS = 400
-"""Characters of its error output that are shown."""
-INPUT_ERROR_EXIT_CODE = 2
-"""Exit code of a command with wrong input, which prints one sentence."""
+SHOWN_ERROR_MAX_CHARS = 400  # Characters of its error output that are shown
+INPUT_ERROR_EXIT_CODE = 2  # Exit code of a command with wrong input, which prints one sentence
 SENTENCE_PREFIX = "skincal: "
 
 

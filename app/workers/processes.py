@@ -32,12 +32,9 @@ if TYPE_CHECKING:
     from skincal.taxels.result import Method
 
 T = TypeVar("T")
-WORKER_NICE_INCREMENT = 5
-"""The process gives way to the window."""
-KILLED_PROCESS_WAIT_S = 0.7
-"""Closing waits this long for a killed process, which holds nothing that could be lost."""
-SKIN_POKES_PER_RIG_REVIEW = 10
-"""A single poke on the skin changes the result by less than is shown."""
+WORKER_NICE_INCREMENT = 5  # The process gives way to the window
+KILLED_PROCESS_WAIT_S = 0.7  # Closing waits this long for a killed process, which holds nothing that could be lost
+SKIN_POKES_PER_RIG_REVIEW = 10  # A single poke on the skin changes the result by less than is shown
 
 
 class ProcessLostError(Exception):
@@ -60,8 +57,7 @@ class WorkerProcess:
         self._process: BaseProcess | None = None
         self._connection: Connection[Any, Any] | None = None
         self._newest_id = 0
-        self._shared_id: Any = None
-        """The same number in shared memory; `None` before the first process."""
+        self._shared_id: Any = None  # The same number in shared memory; `None` before the first process
         self._closed = False
 
     @property
@@ -215,8 +211,7 @@ class JobQueue:
 
     def __init__(self, owner: QObject) -> None:
         self._threads = ThreadService("jobs", owner)
-        self.waiting: list[WorkerProcess] = []
-        """Processes of the unfinished jobs, the one in work first."""
+        self.waiting: list[WorkerProcess] = []  # Processes of the unfinished jobs, the one in work first
 
     def submit(
         self,
@@ -318,8 +313,7 @@ class ReviewClient(QObject):
         self._process = process
         self._threads = ThreadService("review", self)
         self._newest: Snapshot | None = None
-        self._requested: Snapshot | None = None
-        """Snapshot of the last request; `None` before the first landmark poke."""
+        self._requested: Snapshot | None = None  # Snapshot of the last request; `None` before the first landmark poke
         self._is_busy = self._must_repeat = False
         self._stopped = False
 

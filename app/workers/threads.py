@@ -64,8 +64,7 @@ class ThreadService:
         self._generation = 0
         self._closed = False
         self._bridge = _bridge()
-        self._lock = threading.Lock()
-        """Held while the thread gets its next request or ends."""
+        self._lock = threading.Lock()  # Held while the thread gets its next request or ends
         self._requests: deque[ThreadRequest] = deque()
         self._thread: threading.Thread | None = None
         self._answers: queue.SimpleQueue[tuple[ThreadRequest, Any, BaseException | None]] = queue.SimpleQueue()

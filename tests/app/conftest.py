@@ -17,10 +17,8 @@ from skincal.robot.target_lines import write_line
 from skincal.robot.target_server import TargetServer
 from tests.app.whole_window import Bench
 
-WAIT_S = 5.0
-"""s. A thread that was told to stop has so long on a busy machine."""
-ENDING = ("reader ", "skincal-")
-"""Names of the program's threads that must end with the window."""
+WAIT_S = 5.0  # s. A thread that was told to stop has so long on a busy machine.
+ENDING = ("reader ", "skincal-")  # Names of the program's threads that must end with the window
 
 
 @pytest.fixture(autouse=True, scope="session")

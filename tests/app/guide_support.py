@@ -56,8 +56,7 @@ def guidance(
 
 
 _BESIDE = PLAN.places[2] - PLAN.places[3]
-TO_2 = (*(_BESIDE / np.linalg.norm(_BESIDE)).tolist(), 0.0)
-"""From taxel 3, in the middle of its triangle, to taxel 2."""
+TO_2 = (*(_BESIDE / np.linalg.norm(_BESIDE)).tolist(), 0.0)  # From taxel 3, in the middle of its triangle, to taxel 2
 ASKED = target(3, TILT, TO_2)
 
 

@@ -17,8 +17,7 @@ from skincal.model.skin import KINDS, Layout, Module
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
 from skincal.taxels.result import Estimate, Method, State
 
-HALF = 0.04
-"""m. The part is a box whose top face, at z = 0, carries the skin."""
+HALF = 0.04  # m. The part is a box whose top face, at z = 0, carries the skin.
 
 
 def box() -> Surface:

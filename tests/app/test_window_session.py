@@ -31,8 +31,7 @@ from tests.app.window_support import changed, pixels
 from tests.approved import approved
 
 Key = Qt.Key
-ENOUGH_MS = 240_000
-"""On an idle machine it takes a minute."""
+ENOUGH_MS = 240_000  # On an idle machine it takes a minute
 
 SCENE = """
 name = "little-plate"

@@ -35,8 +35,7 @@ Key = Qt.Key
 PATCH = resource("scenes/flat-patch/scene.toml")
 CHECKOUT = Path(__file__).resolve().parents[2]
 FOREARM = resource("scenes/icub-forearm/scene.toml")
-CHANNELS = 64
-"""Of the flat patch."""
+CHANNELS = 64  # Of the flat patch
 VERDICT_MS = 15_000
 SHOTS = os.environ.get("SHOTS", "")
 

@@ -16,8 +16,7 @@ from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.view import View3D
 from tests.app.scene3d_support import box, laid, layout, scene
 
-KEPT: list[QMainWindow] = []
-"""Windows of this test: Python would delete them with their views."""
+KEPT: list[QMainWindow] = []  # Windows of this test: Python would delete them with their views
 
 
 def make_view(qtbot, canvas=Canvas.RASTER, surface=True, plan=True, skin=None):

@@ -19,8 +19,7 @@ from app.workers.device_process import DeviceProcess
 from skincal.contacts.outcome import Contact
 from skincal.model.scene import resource
 
-POKE_MS = 60_000
-"""A poke takes about three seconds; a busy machine gets twenty times as long."""
+POKE_MS = 60_000  # A poke takes about three seconds; a busy machine gets twenty times as long
 OPEN_MS = 40_000
 
 

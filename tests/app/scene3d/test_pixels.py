@@ -124,8 +124,7 @@ def ring_steps() -> np.ndarray:
     return RING * np.array([(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (np.cos(0.2), 0.0, -np.sin(0.2))])
 
 
-RADIUS = 0.04
-"""m, of a ball with skin all around: half of its taxels are turned away from any camera."""
+RADIUS = 0.04  # m, of a ball with skin all around: half of its taxels are turned away from any camera
 DEEP = {Method.FREE: (0.0, -1e-3, 1e-3, 3e-3, 8e-3), Method.SURFACE: (0.0,), Method.MODULES: (1.5e-3, 2.5e-3)}
 """m. How far below the skin the estimates of each method lie, in turn."""
 

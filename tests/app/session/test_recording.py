@@ -159,8 +159,7 @@ def test_a_session_that_ships_is_opened_as_a_copy_and_stays_as_it_is(bench):
     assert sorted((path, path.stat().st_mtime_ns) for path in SAMPLE.rglob("*")) == before
 
 
-SLOW_S = 2.5
-"""s. Longer than closing waits for work that nobody would miss."""
+SLOW_S = 2.5  # s. Longer than closing waits for work that nobody would miss.
 
 
 def test_a_session_that_another_takes_the_place_of_is_ended_before_the_program(bench, recorded, tmp_path, monkeypatch):

@@ -14,8 +14,7 @@ from app.sound.cues import SAMPLE_RATE_HZ, Cue, samples_of
 from app.sound.player import Line, NoSoundError, Player, Speaker, open_output, speech_command
 from tests.approved import approved
 
-WAIT_S = 10.0
-"""Limit for what takes milliseconds on a quiet machine."""
+WAIT_S = 10.0  # Limit for what takes milliseconds on a quiet machine
 
 
 class Tape:

@@ -71,8 +71,7 @@ def press(poke: int, start_s: float, place=CORNER.place, pose: str = "low") -> R
     )
 
 
-LOW, HIGH = ("low", np.eye(4)), ("high", np.eye(4))
-"""Arm poses."""
+LOW, HIGH = ("low", np.eye(4)), ("high", np.eye(4))  # Arm poses
 
 
 class Landmarks(LandmarkGuide):

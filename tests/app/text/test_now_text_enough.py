@@ -15,8 +15,7 @@ from tests.app.scene3d_support import estimate
 from tests.app.window_support import PLAN, frame, part, session, slip, touch
 from tests.approved import approved
 
-FIRST, SECOND = 3, 15
-"""A taxel of each of the two modules."""
+FIRST, SECOND = 3, 15  # A taxel of each of the two modules
 ENOUGH = (
     *(touch(poke, (FIRST, SECOND), (60.0, 20.0)) for poke in range(1, 5)),
     *(touch(poke, (SECOND,)) for poke in range(5, 9)),
