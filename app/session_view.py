@@ -90,8 +90,8 @@ class Workspace(QWidget):
         self.part, self.names, self.methods = part, context.names, context.methods
         self.view = make_view()
         self.now = NowPanel()
-        static = StaticScene(scene, part.surface, part.laid, part.channels)
-        self.map = TaxelMap(scene, part.channels, context.names, quarter_turns(static))
+        self._static = StaticScene(scene, part.surface, part.laid, part.channels)
+        self.map = TaxelMap(scene, part.channels, context.names, quarter_turns(self._static))
         self.panels = {kind.title: kind(context) for kind in PANELS}
         # All widgets have their parents from the start: Qt applies the style sheet again to all in a widget that moves.
         self.across = QSplitter(Qt.Orientation.Horizontal, self)
@@ -157,8 +157,7 @@ class Workspace(QWidget):
 
     def begin(self) -> None:
         """Start to build the 3D view; call once the window is on the screen."""
-        part = self.part
-        self.view.begin(part.scene, part.surface, part.laid, [int(channel) for channel in part.channels])
+        self.view.begin(self._static)
 
     def wait(self, headline: str, detail: str) -> None:
         """Show a line in the status panel while there is no session yet."""
@@ -257,11 +256,6 @@ class SessionView(QObject):
         workspace.tabs.currentChanged.connect(lambda _: self.follow_again())
         self._pokes.selection_changed.connect(self.refresh_allowed)
         self.picking.said.connect(self.said)
-
-    def begin(self) -> None:
-        """Start to build the 3D view, once the panels are on the screen."""
-        # With the workspace as its context Qt calls nothing once that is gone.
-        QTimer.singleShot(0, self.workspace, self.workspace.begin)
 
     def session_opened(self, snapshot: Snapshot) -> None:
         """Show a newly opened session, which may already have pokes."""

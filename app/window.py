@@ -275,7 +275,8 @@ class Window(QMainWindow):
             self.statusBar().addPermanentWidget(view.chips)
             self.stack.addWidget(view.workspace)
             self.stack.setCurrentWidget(view.workspace)
-            view.begin()
+            # With the workspace as its context Qt calls nothing once that is gone.
+            QTimer.singleShot(0, view.workspace, view.workspace.begin)
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
                 self._first_minute = FirstMinute(robot=not self.controller.pace)
                 view.workspace.show_card(self._first_minute)

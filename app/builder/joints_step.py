@@ -24,11 +24,8 @@ class JointRow:
     def __init__(self, grid: QGridLayout, name: str, limits: tuple[float, float] | None, *, can_fix: bool) -> None:
         self.name = name
         at = grid.rowCount()
-        low, high = (
-            (-SLIDER_RANGE_WITHOUT_LIMITS_DEG, SLIDER_RANGE_WITHOUT_LIMITS_DEG)
-            if limits is None
-            else np.degrees(limits).tolist()
-        )
+        free = (-SLIDER_RANGE_WITHOUT_LIMITS_DEG, SLIDER_RANGE_WITHOUT_LIMITS_DEG)
+        low, high = free if limits is None else np.degrees(limits).tolist()
         self.label = QLabel(name)
         self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.slider = QSlider(Qt.Orientation.Horizontal)

@@ -35,7 +35,7 @@ from app.builder.skin_step import SkinStep
 from app.builder.step import Step
 from app.dialogs.form_widgets import scrolled
 from app.panels.widgets import theme_colours
-from app.scene3d.draft_state import DraftPicture
+from app.scene3d.draft_state import DraftPicture, DraftStatic
 from app.scene3d.draft_view import DraftView3D
 from app.session.opening import Addresses
 from app.text_size import scaled
@@ -100,10 +100,8 @@ class BuilderPage(QWidget):
         self.findings = QLabel()
         self.findings.setWordWrap(True)
         self.findings.setAccessibleName("findings of this step")
-        self.undo_button, self.redo_button = (
-            button("\N{LEFTWARDS ARROW WITH HOOK}", "undo (Ctrl+Z)"),
-            button("\N{RIGHTWARDS ARROW WITH HOOK}", "redo (Ctrl+Y)"),
-        )
+        self.undo_button = button("\N{LEFTWARDS ARROW WITH HOOK}", "undo (Ctrl+Z)")
+        self.redo_button = button("\N{RIGHTWARDS ARROW WITH HOOK}", "redo (Ctrl+Y)")
         for each in (self.undo_button, self.redo_button):
             each.setFixedWidth(scaled(UNDO_BUTTON_WIDTH_PX))
             each.setEnabled(False)
@@ -166,7 +164,7 @@ class BuilderPage(QWidget):
     def build_view(self) -> None:
         """Start to build the 3D view; call once the page is on the screen."""
         self.recolour()
-        self.view.begin_draft()
+        self.view.begin(DraftStatic())
         self._request()
 
     def open_scene(self, path: Path) -> None:

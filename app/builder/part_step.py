@@ -14,7 +14,6 @@ from app.dialogs.form_widgets import path_row
 from app.panels.widgets import compact_combo
 from app.scene3d.draft_view import Mode
 from app.session.opening import PART_FILES
-from skincal.model.errors import InputError
 from skincal.model.scene import UNITS
 from skincal.model.urdf import Robot
 from skincal.session.draft_preview import PartPreview
@@ -121,10 +120,8 @@ class PartStep(Step):
             self._take_package()
 
     def take_file(self, path: Path) -> None:
-        try:
+        with self.report_failure():
             self.change(with_part_file(self.draft, path))
-        except InputError as error:
-            self.failed.emit(str(error))
 
     def take_link(self, link: str) -> None:
         if self._robot is not None:
@@ -140,17 +137,14 @@ class PartStep(Step):
         if not self.own_mesh.hasFocus():
             self.own_mesh.setText("" if draft.mesh is None else str(draft.mesh))
         show_choice(self.unit, draft.unit)
-        self.size_text.setText("" if preview.size_mm is None else f"{size_words(preview.size_mm)}{self._doubt(preview)}")
+        doubt = "" if draft.urdf is not None else "?  If that is wrong, choose another unit."
+        self.size_text.setText("" if preview.size_mm is None else f"{size_words(preview.size_mm)}{doubt}")
         self._show_rows(has_robot=draft.urdf is not None, has_mesh=preview.size_mm is not None)
         self.mode = Mode.LINK if draft.urdf is not None else Mode.NONE
         if preview.robot is not self._robot:
             self._robot = preview.robot
             self._fill_tree()
         self._show_link(preview)
-
-    def _doubt(self, preview: PartPreview) -> str:
-        """Ask about the unit, unless the URDF gives it."""
-        return "" if preview.draft.urdf is not None else "?  If that is wrong, choose another unit."
 
     def _show_rows(self, *, has_robot: bool, has_mesh: bool) -> None:
         for row in (self.tree_note, self.tree, self.frame, self.frame_note, self.mesh_row):

@@ -134,13 +134,10 @@ class PlaceStep(Step):
             self._newest = self.draft, None, anchor
             return
         id_ = preview.layout.modules[self.module].id
-        try:
+        with self.report_failure():
             text = with_module_anchor(self.draft.layout_text, id_, draft)
-        except InputError as error:
-            self.failed.emit(str(error))
-            return
-        self.change(replace(self.draft, layout_text=text), merge and f"place {id_} {merge}")
-        self._newest = self.draft, self.module, anchor
+            self.change(replace(self.draft, layout_text=text), merge and f"place {id_} {merge}")
+            self._newest = self.draft, self.module, anchor
 
     def take_point(self, point: FloatArray) -> None:
         preview = self.preview
@@ -154,11 +151,9 @@ class PlaceStep(Step):
             return None
         corners = np.concatenate(laid.outlines) if self.module is None else laid.outlines[self.module]
         distances = np.linalg.norm(corners - anchor.point, axis=1)
-        return (
-            TurnHandle(anchor, TURN_RING_RADIUS_OVER_LAYOUT * float(np.nanmax(distances)))
-            if np.isfinite(distances).any()
-            else None
-        )
+        if not np.isfinite(distances).any():
+            return None
+        return TurnHandle(anchor, TURN_RING_RADIUS_OVER_LAYOUT * float(np.nanmax(distances)))
 
     def start_turn(self) -> None:
         """Begin a drag of the ring: its turns are undone together."""
@@ -175,10 +170,8 @@ class PlaceStep(Step):
         anchor = self._anchor()
         if anchor is None or self.preview is None:
             return
-        try:
+        with self.report_failure():
             self._move_to(nudged_anchor(self.preview.surface, anchor, x_mm * 1e-3, y_mm * 1e-3), "nudge")
-        except InputError as error:
-            self.failed.emit(str(error))
 
     def start_drag(self, module: int, point: FloatArray) -> None:
         """Begin to slide at a point of the layout; if one module moves alone, it is the one there, by its index."""
@@ -203,9 +196,6 @@ class PlaceStep(Step):
         preview = self.preview
         if preview is None or preview.layout is None or self.module is None:
             return
-        try:
+        with self.report_failure():
             text = with_module_anchor(self.draft.layout_text, preview.layout.modules[self.module].id, None)
-        except InputError as error:
-            self.failed.emit(str(error))
-            return
-        self.change(replace(self.draft, layout_text=text))
+            self.change(replace(self.draft, layout_text=text))

@@ -181,10 +181,8 @@ class SensorStep(Step):
         self._set_pose(pose, "sensor position")
 
     def _aim(self, direction: tuple[float, float, float]) -> None:
-        try:
+        with self.report_failure():
             self._set_pose(pose_along(self._pose()[:3, 3], np.array(direction)), "sensor direction")
-        except InputError as error:
-            self.failed.emit(str(error))
 
     def _turn(self, axis: int) -> None:
         self._set_pose(turned_pose(self._pose(), axis))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from skincal.files.layout_sources import (
     read_layout_file,
     repeated_modules,
 )
-from skincal.model.errors import InputError, plural
+from skincal.model.errors import plural
 from skincal.model.readings import Stream
 from skincal.model.skin import KINDS
 from skincal.session.draft_preview import PartPreview
@@ -65,9 +64,9 @@ class SkinStep(Step):
         form.addRow("They", self.polarity)
         form.addRow("&Layout", self.layout_kind)
         self.pages = QStackedWidget()
-        self.pages_by_kind: dict[str, QWidget] = {}
-        for kind, make in self._page_makers().items():
-            self.pages_by_kind[kind] = page = make()
+        pages = QWidget(), self._make_file_page(), self._make_grid_page(), self._make_modules_page()
+        self.pages_by_kind = dict(zip(LAYOUT_CHOICES, pages, strict=True))
+        for page in pages:
             self.pages.addWidget(page)
         form.addRow(self.pages)
         self.found = QLabel()
@@ -90,11 +89,6 @@ class SkinStep(Step):
         self._watch: TouchWatch | None = None
         self._falls = False
 
-    def _page_makers(self) -> dict[str, Callable[[], QWidget]]:
-        return {
-            "none": QWidget, "file": self._make_file_page, "grid": self._make_grid_page, "modules": self._make_modules_page
-        }  # fmt: skip
-
     def _make_file_page(self) -> QWidget:
         page = QWidget()
         self.file = QLineEdit()
@@ -116,10 +110,8 @@ class SkinStep(Step):
         )
         self.pitch = number_field("spacing of the grid", " mm", 1000.0, 2)
         self.pitch.setMinimum(0.1)
-        for box, value in ((self.rows, 4), (self.columns, 4)):
+        for box, value in ((self.rows, 4), (self.columns, 4), (self.pitch, 10)):
             box.setValue(value)
-        self.pitch.setValue(10.0)
-        for box in (self.rows, self.columns, self.pitch):
             box.valueChanged.connect(self._use_grid)
         row = row_of(QLabel("rows"), self.rows, QLabel("columns"), self.columns, QLabel("every"), self.pitch)
         row.setContentsMargins(0, 0, 0, 0)
@@ -188,25 +180,19 @@ class SkinStep(Step):
             self.take_file(Path(text).expanduser())
 
     def take_file(self, path: Path) -> None:
-        try:
+        with self.report_failure():
             text = read_layout_file(path)
-        except InputError as error:
-            self.failed.emit(str(error))
-            return
-        self._kind = "file"
-        self.file.setText(str(path))
-        self._use(text)
+            self._kind = "file"
+            self.file.setText(str(path))
+            self._use(text)
 
     def _use_grid(self) -> None:
         self._use(Grid(self.rows.value(), self.columns.value(), self.pitch.value()).layout_text(), "grid")
 
     def _use_modules(self) -> None:
-        try:
-            text = repeated_modules(str(self.kind.currentData()), self.strips.value(), self.in_strip.value())
-        except InputError as error:
-            self.failed.emit(str(error))
-            return
-        self._use(text, "modules")
+        with self.report_failure():
+            kind = str(self.kind.currentData())
+            self._use(repeated_modules(kind, self.strips.value(), self.in_strip.value()), "modules")
 
     def _use(self, text: str, merge: str = "") -> None:
         """Take another layout; its middle stays where the old one's point was."""

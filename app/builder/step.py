@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 import numpy as np
@@ -14,6 +16,7 @@ from app.scene3d.draft_state import TurnHandle
 from app.scene3d.draft_view import Mode
 from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
+from skincal.model.errors import InputError
 from skincal.session.draft_preview import PartPreview
 from skincal.session.part_draft import PartDraft
 
@@ -87,6 +90,14 @@ class Step(QWidget):
     def change(self, draft: PartDraft, merge: str = "") -> None:
         """Propose a change."""
         self.changed.emit(draft, merge)
+
+    @contextmanager
+    def report_failure(self) -> Iterator[None]:
+        """Report an `InputError`; the rest of the block is left out."""
+        try:
+            yield
+        except InputError as error:
+            self.failed.emit(str(error))
 
     def set_mode(self, mode: Mode) -> None:
         """Choose the meaning of clicks in the 3D view."""

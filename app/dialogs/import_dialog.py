@@ -180,12 +180,7 @@ class ImportDialog(QDialog):
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         for timer, interval_ms, is_single, act in (
             (self._typing, TYPING_PAUSE_BEFORE_PREVIEW_MS, True, self._request_preview),
-            (
-                self._progressing,
-                PROGRESS_BAR_UPDATE_PERIOD_MS,
-                False,
-                lambda: self.progress.setValue(round(1000 * self._share)),
-            ),
+            (self._progressing, PROGRESS_BAR_UPDATE_PERIOD_MS, False, self._show_share),
             (self._patience, KILL_STOPPED_IMPORT_AFTER_MS, True, self._kill_import),
         ):
             timer.setInterval(interval_ms)
@@ -352,6 +347,9 @@ class ImportDialog(QDialog):
             self._share = share
 
         self._jobs.submit(import_job, (request,), self._finish, self._fail, set_share, undo)
+
+    def _show_share(self) -> None:
+        self.progress.setValue(round(1000 * self._share))
 
     def _set_importing(self, importing: bool) -> None:
         self.importing, self._share = importing, 0.0

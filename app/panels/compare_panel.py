@@ -57,9 +57,7 @@ from app.text.compare_text import (
     motion_words,
     save_hint,
     saved_words,
-    scale_choice,
     spacing_words,
-    worst_words,
 )
 from app.theme import WIDGET_GAP_PX
 from skincal.files.reference import Origin
@@ -68,6 +66,7 @@ from skincal.model.skin import Layout
 from skincal.modules.health import PlannedNeighbours, neighbours_of
 from skincal.session.robot_places import robot_places
 from skincal.taxels.differences import ModuleDifference, repeatability, worst_rows
+from skincal.words.units import TIMES, millimetres
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
@@ -118,7 +117,7 @@ class ComparePanel(Panel):
         self.add_session.clicked.connect(self._ask_session)
 
     def _prepare(self) -> None:
-        self.scale.addItems([scale_choice(scale) for scale in ARROW_SCALES])
+        self.scale.addItems([f"{TIMES} {scale}" for scale in ARROW_SCALES])
         self.scale.setAccessibleName("length of the arrows")
         self.scale.setToolTip("Scale of the arrows")
         self.all.setToolTip("Show the layout and the positions by every method together")
@@ -208,7 +207,9 @@ class ComparePanel(Panel):
         self.motion.setText("" if is_same else motion_words(found.motion))
         self.motion.setVisible(bool(self.motion.text()))
         rows = [] if is_same else worst_rows(found.lengths, MAX_LISTED_WORST_TAXELS).tolist()
-        self.worst.show_taxels([(channels[row], worst_words(channels[row], float(found.lengths[row]), names)) for row in rows])
+        self.worst.show_taxels(
+            [(channels[row], f"{names.short(channels[row])}   {millimetres(float(found.lengths[row]))}") for row in rows]
+        )
         if self._layout is not None:
             self._show_modules(self._layout, found.modules, there)
 

@@ -135,11 +135,7 @@ class AxisDiversityPanel(QWidget):
         self._key: tuple[object, ...] = ()
         self.plot = AxisDiversityPlot()
         self.whose, self.spread = QLabel(), QLabel()
-        self.contacts, self.legend, self.follows = (
-            secondary_label(wrap=True),
-            secondary_label(wrap=True),
-            secondary_label(wrap=True),
-        )
+        self.contacts, self.legend, self.follows = (secondary_label(wrap=True) for _ in range(3))
         self.spread.setWordWrap(True)
         words = QVBoxLayout()
         words.setSpacing(4)

@@ -266,11 +266,8 @@ class DraftRenderer(SceneRenderer):
         plotter, static = self.plotter, DraftStatic()
         layout, laid = Layout((), 0), PlacedLayout(NO_PLACES, NO_PLACES, ())
         self.surface_layer = SurfaceLayer(plotter, static, _NO_MESH)
-        self.links, self.sensors, self.marks = (
-            LinksLayer(plotter, static),
-            SensorsLayer(plotter, static),
-            MarksLayer(plotter, static),
-        )
+        self.links, self.sensors = LinksLayer(plotter, static), SensorsLayer(plotter, static)
+        self.marks = MarksLayer(plotter, static)
         self.modules = DraftModulesLayer(plotter, static, layout, laid)
         self.handle = TurnHandleLayer(plotter, static)
         self._fitted: object = None
@@ -324,10 +321,6 @@ class DraftRenderer(SceneRenderer):
     def turn(self, state: Any, now_s: float) -> bool:  # noqa: ARG002
         """Keep the camera: nothing turns it in the builder."""
         return False
-
-    def pick_link(self, x: float, y: float) -> str | None:
-        """Return the robot's link at a pixel; `None` next to the robot."""
-        return self.links.pick(x, y)
 
     def fitted_pose(self, min_half_height: float) -> CameraPose:
         """Return the camera pose that shows what the step is about."""

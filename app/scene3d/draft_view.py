@@ -10,7 +10,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QWidget
 
 from app.scene3d.canvas import Canvas
-from app.scene3d.draft_state import DraftPicture, DraftStatic
+from app.scene3d.draft_state import DraftPicture
 from app.scene3d.view import PointerTool, View3D
 from skincal.geometry import FloatArray
 
@@ -87,10 +87,6 @@ class DraftView3D(View3D):
         self.mode = Mode.NONE
         self.tool = _LayoutTool(self)
 
-    def begin_draft(self) -> None:
-        """Start to build the view; returns at once, `ready` follows."""
-        self.begin_static(DraftStatic())
-
     def show_picture(self, picture: DraftPicture) -> None:
         self._state = picture
         if self.isVisible():
@@ -142,7 +138,7 @@ class DraftView3D(View3D):
             return
         if self.mode is Mode.LINK:
             renderer: DraftRenderer = self._renderer  # pyright: ignore[reportAssignmentType]
-            link = renderer.pick_link(x, y)
+            link = renderer.links.pick(x, y)
             if link is not None:
                 self.link_picked.emit(link)
         elif self.mode is Mode.POINT or (self.mode is Mode.LAYOUT and not self.is_on_ring(x, y)):

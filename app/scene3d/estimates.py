@@ -179,10 +179,8 @@ def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
         return np.concatenate([line, rings(there, up, RING_RADIUS_M).reshape(-1, 2, 3)])
     if estimate.line_point is not None and estimate.worst_direction is not None:
         along = (planned - estimate.line_point) @ estimate.worst_direction if np.isfinite(planned).all() else 0.0
-        middle, half = (
-            estimate.line_point + along * estimate.worst_direction,
-            UNKNOWN_DEPTH_HALF_LENGTH_M * estimate.worst_direction,
-        )
+        middle = estimate.line_point + along * estimate.worst_direction
+        half = UNKNOWN_DEPTH_HALF_LENGTH_M * estimate.worst_direction
         return np.stack([middle - half, middle + half])[None]
     return NO_POINTS
 

@@ -8,7 +8,7 @@ import pyvista as pv
 from app.scene3d.camera import facing
 from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, Segments
-from app.scene3d.scene_state import ColourArray, SceneColours, StaticScene, View3DState
+from app.scene3d.scene_state import StaticScene, View3DState
 from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
@@ -62,7 +62,8 @@ class LandmarksLayer(Layer):
         fresh = near & np.array([landmark.name not in self._poked for landmark in self._landmarks], dtype=bool)
         diamonds = rings(self.places[near], self._normals[near], radius, sides=4)
         inner = crosses(self.places[fresh], self._normals[fresh], radius)
-        sides = np.where(fresh[near][:, None], np.array(self.colours.ink), _pale(self.colours)).repeat(8, axis=0)
+        ink, faint = np.array(self.colours.ink, float), np.array(self.colours.faint, float)
+        sides = np.where(fresh[near][:, None], ink, (ink + 2.0 * faint) / 3.0).astype(np.uint8).repeat(8, axis=0)
         colours = np.concatenate([sides, np.tile(self.colours.ink, (4 * len(inner), 1))])
         self.marks.show(np.concatenate([diamonds.reshape(-1, 3), inner.reshape(-1, 3)]), colours.astype(np.uint8))
         gap = radius / self.viewpoint.pixel + LANDMARK_TO_NAME_GAP_PX
@@ -82,7 +83,3 @@ def normals_of(landmarks: tuple[Landmark, ...], surface: Surface | None) -> Floa
     up = np.array([0.0, 0.0, 1.0])
     found = landmark_normals(landmarks, surface)
     return np.array([up if normal is None else normal for normal in found]).reshape(-1, 3)
-
-
-def _pale(colours: SceneColours) -> ColourArray:
-    return ((np.array(colours.ink, float) + 2.0 * np.array(colours.faint, float)) / 3.0).astype(np.uint8)

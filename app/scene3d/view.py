@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,10 +21,7 @@ from app.scene3d.canvas import Canvas, Loaded, best_canvas, load, mount
 from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene, View3DState
 from app.workers.threads import ThreadService
 from skincal.guide.guidance import Target
-from skincal.mesh.lay import PlacedLayout
-from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
-from skincal.model.scene import Scene
 from skincal.robot.target_lines import TipPose
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Method
@@ -180,15 +177,11 @@ class View3D(QWidget):
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._message)
 
-    def begin(self, scene: Scene, surface: Surface | None, laid: PlacedLayout | None, channels: Sequence[int]) -> None:
-        """Start to build the layers that a scene supports (see `StaticScene`); call once the window is on the screen.
+    def begin(self, static: StaticScene) -> None:
+        """Start to build the layers that a scene supports; call once the window is on the screen.
 
         Returns at once; `ready` follows. A second call replaces the scene.
         """
-        self.begin_static(StaticScene(scene, surface, laid, channels))
-
-    def begin_static(self, static: StaticScene) -> None:
-        """Start to build the layers of a static scene; see `begin`."""
         self.close_view()
         self._static = static
         self._choice = choice = self._choice or best_canvas()

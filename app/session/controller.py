@@ -402,13 +402,8 @@ class Controller(QObject):
         if self._timer.interval() != interval:
             self._timer.setInterval(interval)
         now_ns = time.monotonic_ns()
-        pause_s = (
-            MIN_BUSY_PICTURE_INTERVAL_S
-            if is_busy
-            else MIN_PICTURE_INTERVAL_S
-            if drained or self._has_news
-            else IDLE_PICTURE_INTERVAL_S
-        )
+        pause_s = MIN_PICTURE_INTERVAL_S if drained or self._has_news else IDLE_PICTURE_INTERVAL_S
+        pause_s = MIN_BUSY_PICTURE_INTERVAL_S if is_busy else pause_s
         if snapshot is not self._shown or now_ns - self._shown_ns >= 1e9 * pause_s:
             self._publish(recording, snapshot, now_ns)
 

@@ -11,7 +11,7 @@ from skincal.modules.health import LayoutRepair
 from skincal.taxels.differences import CommonMotion, ModuleDifference, Summary
 from skincal.taxels.result import Method
 from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
-from skincal.words.units import TIMES, ChannelNames, cell, count, degrees, millimetres, number
+from skincal.words.units import ChannelNames, cell, count, degrees, millimetres, number
 
 MODULE_HEADINGS = ("Module", "Mean, mm", "Shift, mm", "Shape, mm", "Spacing")
 MODULE_HINTS = (
@@ -64,20 +64,10 @@ def module_cells(module: ModuleDifference, number_of: int, taxels: int, spacing:
     return (f"{number_of}{some}", *(cell(length, "m") for length in lengths), number(spacing, 2))
 
 
-def worst_words(channel: int, length: float, names: ChannelNames) -> str:
-    """Line of a taxel in the list of the largest differences."""
-    return f"{names.short(channel)}   {millimetres(length)}"
-
-
 def arrow_words(pair: tuple[str, str], scale: int, *, named: bool) -> str:
     """Describe the arrows: `"arrows true to scale"`; with both ends if `named`."""
     ends = f" from {pair[0]} to {pair[1]}," if named else ""
     return f"arrows{ends} {'true to scale' if scale == 1 else f'{scale} times as long as the differences'}"
-
-
-def scale_choice(scale: int) -> str:
-    """Label of a choice: `"x 3"`."""
-    return f"{TIMES} {scale}"
 
 
 def spacing_words(ratios: Mapping[Method, float]) -> str:

@@ -13,6 +13,7 @@ from app.scene3d import camera
 from app.scene3d.canvas import Canvas
 from app.scene3d.mesh_actors import MeshActor
 from app.scene3d.scene_renderer import SceneRenderer
+from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
 from tests.app.scene3d_support import box, laid, layout, scene
 
@@ -36,7 +37,7 @@ def view_of(qtbot, canvas, of, surface, skin):
     with qtbot.waitExposed(window):
         window.show()
     with qtbot.waitSignal(view.ready, timeout=60_000):
-        view.begin(of, surface, skin, range(24))
+        view.begin(StaticScene(of, surface, skin, range(24)))
     settle()
     return view
 

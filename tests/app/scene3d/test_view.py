@@ -20,7 +20,7 @@ from app.scene3d.axes import MAX_DRAWN_FORCE_AXES
 from app.scene3d.camera import project
 from app.scene3d.canvas import Canvas
 from app.scene3d.estimates import UNKNOWN_DEPTH_HALF_LENGTH_M
-from app.scene3d.scene_state import DARK, HUES, LIGHT, View3DState
+from app.scene3d.scene_state import DARK, HUES, LIGHT, StaticScene, View3DState
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
 from skincal.model.errors import InputError
@@ -376,7 +376,7 @@ def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot
     view.reset_camera()
     view.set_dark(False)
     with qtbot.waitSignal(view.ready, timeout=60_000):
-        view.begin(scene(PLAN), None, laid(PLAN), range(24))
+        view.begin(StaticScene(scene(PLAN), None, laid(PLAN), range(24)))
     assert view.list_layers() == EVERY[1:], "it may begin again, with another scene"
 
 
@@ -386,7 +386,7 @@ def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
     with qtbot.waitExposed(view):
         view.show()
     with qtbot.assertNotEmitted(view.ready):
-        view.begin(scene(PLAN), box(), laid(PLAN), range(24))
+        view.begin(StaticScene(scene(PLAN), box(), laid(PLAN), range(24)))
         assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
         view.close_view()
         settle()
@@ -403,7 +403,7 @@ def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, 
     qtbot.addWidget(view)
     with qtbot.waitExposed(view):
         view.show()
-    view.begin(scene(PLAN), box(), laid(PLAN), range(24))
+    view.begin(StaticScene(scene(PLAN), box(), laid(PLAN), range(24)))
     qtbot.waitUntil(lambda: "install libegl1" in view.findChild(QLabel).text(), timeout=30_000)
     assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
     with pytest.raises(InputError, match="no picture yet"):
