@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from PySide6.QtCore import QLocale, QSignalBlocker, Signal
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
 
-from app.panels.widgets import compact_combo, escape_tooltip, secondary_label
+from app.panels.widgets import compact_combo, escape_tooltip
 from app.theme import WIDGET_GAP_PX
 from skincal.model.tables import MAX_LENGTH_M
 
@@ -109,8 +109,3 @@ def row_of(*widgets: QWidget | QLabel) -> QHBoxLayout:
         row.addWidget(widget)
     row.addStretch(1)
     return row
-
-
-def quiet_label(text: str = "") -> QLabel:
-    """Make a label of secondary text that wraps."""
-    return secondary_label(text, wrap=True)

@@ -8,9 +8,10 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QCheckBox, QGridLayout, QLabel, QLineEdit, QSlider, QWidget
 
-from app.builder.fields import number_field, quiet_label, set_silently
+from app.builder.fields import number_field, set_silently
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
+from app.panels.widgets import secondary_label
 from skincal.model.readings import Stream
 from skincal.session.draft_preview import JointState, PartPreview
 
@@ -80,9 +81,11 @@ class JointsStep(Step):
         self.column.addWidget(self._holder)
         self.live = LiveRow(Stream.JOINTS)
         self.live.read.connect(self._take_frames)
-        self.column.addWidget(quiet_label("Optional: read the joints now, to see whether order and unit are right."))
+        self.column.addWidget(
+            secondary_label("Optional: read the joints now, to see whether order and unit are right.", wrap=True)
+        )
         self.column.addWidget(self.live)
-        self.warning = quiet_label()
+        self.warning = secondary_label(wrap=True)
         self.column.addWidget(self.warning)
         self.column.addStretch(1)
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFormLayout, QLabel, QLineEdit, QTreeWidget, QTreeWidgetItem
 
-from app.builder.fields import choice, quiet_label, show_choice
+from app.builder.fields import choice, show_choice
 from app.builder.step import Step
 from app.dialogs.form_widgets import path_row
-from app.panels.widgets import compact_combo
+from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_view import Mode
 from app.session.opening import PART_FILES
 from skincal.model.scene import UNITS
@@ -60,11 +60,13 @@ class PartStep(Step):
         form.addRow("Part's &name", self.part_name)
         form.addRow("&Unit", self.unit)
         form.addRow("Size", self.size_text)
-        self.tree_note = quiet_label("Click the link that carries the skin, in the view or in this list.")
+        self.tree_note = secondary_label("Click the link that carries the skin, in the view or in this list.", wrap=True)
         form.addRow(self.tree_note)
         form.addRow(self.tree)
         form.addRow("F&rame", self.frame)
-        self.frame_note = quiet_label("Positions are given in this frame. All listed frames are fixed to the link.")
+        self.frame_note = secondary_label(
+            "Positions are given in this frame. All listed frames are fixed to the link.", wrap=True
+        )
         form.addRow(self.frame_note)
         self.own_mesh = QLineEdit()
         self.own_mesh.setPlaceholderText("that of the URDF; choose a file if it cannot be read")

@@ -8,9 +8,9 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QFormLayout, QLabel, QListWidget, QListWidgetItem, QWidget
 
-from app.builder.fields import VectorField, button, choice, number_field, quiet_label, row_of, show_choice
+from app.builder.fields import VectorField, button, choice, number_field, row_of, show_choice
 from app.builder.step import NO_POINTS, Step
-from app.panels.widgets import compact_combo
+from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
@@ -76,7 +76,7 @@ class SensorStep(Step):
         self.pick = button("&Pick three points of the flange")
         self.pick.setCheckable(True)
         self.add_point = button(ADD_POINT)
-        self.pick_note = quiet_label()
+        self.pick_note = secondary_label(wrap=True)
         self.origin, self.direction = VectorField("position of the sensor"), VectorField("direction of z", is_direction=True)
         form.addRow(row_of(self.under, QLabel("origin"), self.bottom_gap, QLabel("below")))
         form.addRow(row_of(self.same, self.pick))

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtWidgets import QFileDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
-from app.builder.fields import button, choice, count_field, number_field, quiet_label, row_of, set_silently, show_choice
+from app.builder.fields import button, choice, count_field, number_field, row_of, set_silently, show_choice
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
+from app.panels.widgets import secondary_label
 from skincal.files.layout_sources import (
     GRID_ROWS_OR_COLUMNS_MAX,
     LAYOUT_ENDINGS,
@@ -78,7 +79,7 @@ class SkinStep(Step):
         self.again = button("&Forget the touch")
         self.again.clicked.connect(self._forget_touch)
         self.again.setVisible(False)
-        self.touched = quiet_label(TOUCH_HINT)
+        self.touched = secondary_label(TOUCH_HINT, wrap=True)
         self.use_polarity = button("Use this: they fall")
         self.use_polarity.clicked.connect(self._use_polarity)
         self.use_polarity.setVisible(False)
@@ -144,12 +145,10 @@ class SkinStep(Step):
         show_choice(self.layout_kind, self._kind)
         self.pages.setCurrentWidget(self.pages_by_kind[self._kind])
         layout = preview.layout
-        self.found.setText(
-            ""
-            if layout is None
-            else f"{plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}, "
-            f"channels up to {layout.width - 1}."
-        )
+        self.found.setText("")
+        if layout is not None:
+            many = f"{plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}"
+            self.found.setText(f"{many}, channels up to {layout.width - 1}.")
         width = draft.channels or (0 if layout is None else layout.width)
         self.live.setEnabled(width > 0)
         self.live.set_widths(max(1, width), 0)

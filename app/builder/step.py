@@ -10,8 +10,7 @@ import numpy as np
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from app.builder.fields import quiet_label
-from app.panels.widgets import set_bold
+from app.panels.widgets import secondary_label, set_bold
 from app.scene3d.draft_state import TurnHandle
 from app.scene3d.draft_view import Mode
 from app.theme import WIDGET_GAP_PX
@@ -56,7 +55,7 @@ class Step(QWidget):
         head = QLabel(self.title)
         set_bold(head, STEP_TITLE_FONT_SIZE_PT)
         self.column.addWidget(head)
-        self.hint_label = quiet_label(self.hint)
+        self.hint_label = secondary_label(self.hint, wrap=True)
         self.column.addWidget(self.hint_label)
 
     def applies(self, preview: PartPreview) -> bool:  # noqa: ARG002

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from PySide6.QtCore import QPointF, Qt, Signal
 from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QScrollArea, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QPushButton, QScrollArea, QWidget
 
 from app.panels.widgets import Painted
 from app.theme import Colours
@@ -18,15 +19,6 @@ from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
 
 ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
-
-
-def shipped_scenes() -> list[tuple[str, Path]]:
-    """List name and file of the shipped scenes."""
-    try:
-        folder = resource("scenes")
-    except InputError:
-        return []
-    return [(path.parent.name, path) for path in sorted(folder.glob("*/scene.toml"))]
 
 
 class ScenePicker(QComboBox):
@@ -39,8 +31,10 @@ class ScenePicker(QComboBox):
         super().__init__()
         self.setEditable(True)
         self.setAccessibleName("scene")
-        for name, path in shipped_scenes():
-            self.addItem(name, str(path))
+        # A copy of the program may come without scenes.
+        with suppress(InputError):
+            for path in sorted(resource("scenes").glob("*/scene.toml")):
+                self.addItem(path.parent.name, str(path))
         if scene is not None:
             index = self.findData(str(scene))
             self.setCurrentIndex(index) if index >= 0 else self.setEditText(str(scene))
@@ -61,6 +55,11 @@ class ScenePicker(QComboBox):
             lambda scene: self.scene_read.emit(scene, ""),
             lambda why: self.scene_read.emit(None, why),
         )
+
+    def choose(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Scene", self.currentText(), "Scene (*.toml)")
+        if path:
+            self.setEditText(path)
 
     def close_threads(self) -> None:
         self._threads.close(0.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,6 @@ from PySide6.QtWidgets import (
 from app.dialogs.form_widgets import ELLIPSIS, ScenePicker, Sparkline, path_row, scrolled
 from app.panels.drop_target import DropTarget
 from app.panels.widgets import (
-    choose_scene,
     choose_session_folder,
     fit_rows,
     fit_to_screen,
@@ -78,16 +76,6 @@ STREAM_HINTS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class SessionPlace:
-    """State of the folder for the session."""
-
-    problem: str = ""
-    """Why no session can be created there; empty if nothing is known."""
-    missing: tuple[Path, ...] = ()
-    """Folders to create, the innermost first."""
-
-
 class ImportDialog(QDialog):
     """Dialog that previews a recording and imports it as a session.
 
@@ -110,8 +98,9 @@ class ImportDialog(QDialog):
         self._scene_trouble = ""  # Why there is no scene; empty while it is read
         self._preview: RecordingPreview | None = None
         self._trouble = ""  # Why there is no preview
-        self._place = SessionPlace()
-        self._place_pending = False  # The folder is being checked; `_place` is of the folder before
+        self._folder_problem = ""  # Why no session can be created there; empty if nothing is known
+        self._missing_folders: Sequence[Path] = ()  # To create for it, the innermost first
+        self._place_pending = False  # The folder is being checked; what is known is of the folder before
         self._starts_later = False  # The import starts after that check
         self._share = 0.0  # Finished share of the import; written in another thread
         self.importing = False
@@ -148,7 +137,7 @@ class ImportDialog(QDialog):
         for stream, field in self.fields.items():
             field.setPlaceholderText(STREAM_HINTS[stream])
             form.addRow(*path_row(STREAM_TITLES[stream], field, lambda field=field: self._choose_file(field)))
-        form.addRow(*path_row("&Scene", self.scene, lambda: choose_scene(self.scene, self)))
+        form.addRow(*path_row("&Scene", self.scene, self.scene.choose))
         self.pose.setAccessibleName("arm pose")
         form.addRow("Arm &pose", self.pose)
         form.addRow(*path_row("Session &in", self.folder, lambda: choose_session_folder(self.folder, self)))
@@ -272,9 +261,9 @@ class ImportDialog(QDialog):
         self._places.renew()
         self._places.submit(lambda: _check_place(text), self._take_place)
 
-    def _take_place(self, place: SessionPlace) -> None:
+    def _take_place(self, found: tuple[str, Sequence[Path]]) -> None:
         starts, self._starts_later, self._place_pending = self._starts_later, False, False
-        self._place = place
+        self._folder_problem, self._missing_folders = found
         self._update_problems()
         if starts and self.start.isEnabled():
             self._start_import()
@@ -319,7 +308,7 @@ class ImportDialog(QDialog):
         if preview is not None:
             pose = "" if has_joints else self.pose.currentText()
             found = (self._scene_trouble,) if self._scene is None else preview.misfits(self._scene, pose)
-        problems = " ".join(filter(None, (*found, self._place.problem)))
+        problems = " ".join(filter(None, (*found, self._folder_problem)))
         self._show_problem(problems)
         self.start.setEnabled(preview is not None and self._scene is not None and not problems)
 
@@ -336,7 +325,7 @@ class ImportDialog(QDialog):
         files, folder = self.files(), Path(self.folder.text().strip())
         pose = "" if files.joints is not None else self.pose.currentText()
         request = ImportRequest(files, self.scene.file(), pose, folder)
-        missing = self._place.missing
+        missing = self._missing_folders
         self._set_importing(True)
 
         def undo(_result: object = None) -> None:
@@ -424,13 +413,13 @@ def _find_streams(paths: Sequence[Path], channels: int) -> RecordingFiles:
         raise InputError(str(error)) from error
 
 
-def _check_place(text: str) -> SessionPlace:
-    """Check whether a session can be created in a folder; may be slow."""
+def _check_place(text: str) -> tuple[str, Sequence[Path]]:
+    """Say why no session can be created in a folder, empty if it can, and list the folders to create; may be slow."""
     if not text:
-        return SessionPlace(NO_FOLDER)
+        return NO_FOLDER, ()
     folder = Path(text)
     try:
         is_taken = (folder / SCENE_FOLDER).exists() or any(folder.glob("segment-*"))
-        return SessionPlace(HOLDS_SESSION if is_taken else "", tuple(missing_folders(folder)))
+        return HOLDS_SESSION if is_taken else "", missing_folders(folder)
     except (OSError, ValueError) as error:
-        return SessionPlace(f"{text}: cannot be read ({error}). Choose another folder.")
+        return f"{text}: cannot be read ({error}). Choose another folder.", ()

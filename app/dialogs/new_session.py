@@ -28,7 +28,7 @@ from PySide6.QtWidgets import (
 
 from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row, scrolled
 from app.panels.devices import link_sign
-from app.panels.widgets import choose_scene, choose_session_folder, compact_combo, digits_font, plain_buttons, secondary_label
+from app.panels.widgets import choose_session_folder, compact_combo, digits_font, plain_buttons, secondary_label
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
@@ -270,7 +270,7 @@ class NewSessionDialog(QDialog):
             form.addLayout(row[1], at, 1, 1, 3)
 
         if is_new:
-            add_row(path_row("Sc&ene", self.scene, lambda: choose_scene(self.scene, self)))
+            add_row(path_row("Sc&ene", self.scene, self.scene.choose))
         for row in self.rows.values():
             row.add_to(form)
         form.addWidget(self.proposal, form.rowCount(), 1, 1, 3, Qt.AlignmentFlag.AlignLeft)

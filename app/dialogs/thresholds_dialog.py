@@ -80,7 +80,6 @@ class ThresholdsDialog(QDialog):
         self._grid.setColumnStretch(3, 1)
         self.rows: dict[str, ThresholdRow] = {}
         self._fill()
-        self.area.setWidget(inner)
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
         self.use = self.buttons.addButton("Use", QDialogButtonBox.ButtonRole.ApplyRole)
         self.back = self.buttons.addButton("Use those of the scene", QDialogButtonBox.ButtonRole.ResetRole)

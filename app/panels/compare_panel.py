@@ -165,7 +165,6 @@ class ComparePanel(Panel):
             empty.hide()
         for widget in (self.modules, self.spacing):
             widget.setVisible(self._layout is not None)
-        self.setWidget(inner)
         self.setTabOrder(self.scale, self.save_button)
 
     # Showing

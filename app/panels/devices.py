@@ -119,7 +119,6 @@ class DevicesPanel(Panel):
         self._column.setSpacing(WIDGET_GAP_PX // 2)
         self._column.addWidget(self.change, 0, Qt.AlignmentFlag.AlignLeft)
         self._column.addStretch(1)
-        self.setWidget(inner)
         self.setWhatsThis(
             "Each device with its rate, the check of its readings, the age of its last data, and every lost reading by reason. "
             "The program reconnects a lost device automatically; a device that was moved needs another address."

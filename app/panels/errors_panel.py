@@ -221,7 +221,6 @@ class ErrorsPanel(Panel):
         column.setSpacing(0)
         column.addLayout(head)
         self._column = column
-        self.setWidget(inner)
 
     @cached_property
     def plot(self) -> ErrorPlot:

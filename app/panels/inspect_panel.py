@@ -267,7 +267,6 @@ class InspectPanel(Panel):
             empty.hide()
         panel.addWidget(secondary_label("Need pokes most"))
         panel.addWidget(self.worst, 1)
-        self.setWidget(inner)
 
     def show_state(self, state: ViewState) -> None:
         self.diversity.show_state(state)

@@ -33,7 +33,7 @@ class PanelContext:
     compute: Callable[..., None]
     """`Controller.compute`: work in the background."""
     read_positions: Callable[[Path, Callable[[tuple[TaxelPositions, ...]], None]], None]
-    """`Controller.find_places`: positions in a file or a session."""
+    """`Controller.read_positions`: positions in a file or a session."""
     folder: Callable[[], Path]
     """Folder where file dialogs begin."""
 

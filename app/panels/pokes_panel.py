@@ -201,7 +201,6 @@ class PokesPanel(Panel):
         column.setSpacing(0)
         column.addWidget(self.tally)
         column.addWidget(self.table, 1)
-        self.setWidget(inner)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setWhatsThis(
             "Every poke, newest first, with its outcome. An excluded poke stays in the recording, is not used for the "

@@ -136,7 +136,6 @@ class ReadingsPanel(Panel):
         self._both.setSpacing(0)
         self._both.addWidget(self.force, 1)
         self._both.addWidget(self.moment, 1)
-        self.setWidget(inner)
         self.setWhatsThis(
             "The last ten seconds of the force/torque sensor, in its own frame and as it sends them. Offset and drift are "
             "removed around each poke, not here."

@@ -146,7 +146,6 @@ class RigPanel(Panel):
         column.addStretch(1)
         self.offer.hide()
         self.drop.hide()
-        self.setWidget(inner)
 
     def show_state(self, state: ViewState) -> None:
         if self.arm is not None:

@@ -236,12 +236,13 @@ class TaxelList(QListWidget):
 
 
 def panel_scroll_area(area: QScrollArea) -> QWidget:
-    """Return the inner widget of a scroll area in the panels' colour."""
+    """Give a scroll area an inner widget in the panels' colour, and return it."""
     area.setWidgetResizable(True)
     area.setBackgroundRole(QPalette.ColorRole.Base)
     inner = QWidget()
     inner.setBackgroundRole(QPalette.ColorRole.Base)
     inner.setAutoFillBackground(True)
+    area.setWidget(inner)
     return inner
 
 
@@ -274,13 +275,6 @@ def with_ending(chosen: str, ending: str) -> Path:
     """Return a path; a name that was typed without an ending gets this one."""
     path = Path(chosen)
     return path if path.suffix else path.with_name(path.name + ending)
-
-
-def choose_scene(box: QComboBox, parent: QWidget) -> None:
-    """Ask for a scene file, and put it into an editable box unless the dialog is cancelled."""
-    path, _ = QFileDialog.getOpenFileName(parent, "Scene", box.currentText(), "Scene (*.toml)")
-    if path:
-        box.setEditText(path)
 
 
 def choose_session_folder(field: QLineEdit, parent: QWidget) -> None:

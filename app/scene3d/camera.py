@@ -212,10 +212,8 @@ def is_visible(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: flo
 def is_inside(pose: CameraPose, at: FloatArray, aspect: float) -> bool:
     """Return whether a point is well inside a picture of this width over height."""
     away = max(float((pose.position - at) @ pose.axes[2]), MIN_DISTANCE)
-    return bool(
-        np.abs(pose.axes[:2] @ (at - pose.focus) / (away * VIEW_SLOPE * np.array([aspect, 1.0]))).max()
-        <= TARGET_MAX_OFFSET_OVER_HALF_VIEW
-    )
+    offset = pose.axes[:2] @ (at - pose.focus) / (away * VIEW_SLOPE * np.array([aspect, 1.0]))
+    return bool(np.abs(offset).max() <= TARGET_MAX_OFFSET_OVER_HALF_VIEW)
 
 
 def turn_to(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: float, level: FloatArray | None) -> CameraPose:

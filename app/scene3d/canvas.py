@@ -8,7 +8,6 @@ window's thread and makes the widget.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -108,23 +107,19 @@ class RasterCanvas(QWidget):
         self._image.setDevicePixelRatio(ratio)
 
 
-@dataclass(frozen=True, slots=True)
-class Loaded:
-    """Parts of the 3D view made by `load`; `None` for parts that the window's thread must make."""
-
-    renderer: SceneRenderer | None
-
-    def close(self) -> None:
-        """Release loaded parts that were never shown."""
-        if self.renderer is not None:
-            self.renderer.close()
-            self.renderer.plotter.close()
+def release(renderer: SceneRenderer | None) -> None:
+    """Release a loaded renderer that was never shown."""
+    if renderer is not None:
+        renderer.close()
+        renderer.plotter.close()
 
 
 def load(
     canvas: Canvas, static: StaticScene, colours: SceneColours, size: tuple[int, int], state: View3DState | None
-) -> Loaded:
-    """Import the libraries and make the parts that need no widget; `size` is that of the first picture in pixels.
+) -> SceneRenderer | None:
+    """Import the libraries and make the renderer; `None` if only the window's thread can make it.
+
+    `size` is that of the first picture in pixels.
 
     Raises
     ------
@@ -140,7 +135,7 @@ def load(
         import vtkmodules.vtkInteractionWidgets  # noqa: F401
 
         _renderer_class(static)
-        return Loaded(None)
+        return None
     egl_probe = start_egl_probe()
     from app.scene3d.mesh_actors import window_of
     from app.scene3d.offscreen import choose_offscreen, make_plotter
@@ -148,7 +143,7 @@ def load(
     choose_offscreen(egl_probe)
     # Only EGL and OSMesa are not bound to a thread: elsewhere the window's thread draws the first picture.
     if not sys.platform.startswith("linux"):
-        return Loaded(None)
+        return None
     plotter = make_plotter(size if min(size) > 1 else DEFAULT_SIZE)
     renderer = _renderer_class(static)(plotter, static, colours)
     renderer.compile_shaders()
@@ -158,7 +153,7 @@ def load(
     window_of(plotter).Render()
     # A context belongs to the thread that drew last: let the window's thread draw.
     window_of(plotter).ReleaseCurrent()
-    return Loaded(renderer)
+    return renderer
 
 
 def _renderer_class(static: StaticScene) -> type[SceneRenderer]:
@@ -170,7 +165,7 @@ def _renderer_class(static: StaticScene) -> type[SceneRenderer]:
 
 
 def mount(
-    canvas: Canvas, loaded: Loaded, static: StaticScene, colours: SceneColours, parent: QWidget
+    canvas: Canvas, loaded: SceneRenderer | None, static: StaticScene, colours: SceneColours, parent: QWidget
 ) -> tuple[AnyCanvas, SceneRenderer]:
     """Make the widget, and the renderer where `load` could not."""
     from app.scene3d.scene_renderer import PLOTTER_SHAPE
@@ -189,7 +184,7 @@ def mount(
     else:
         from app.scene3d.offscreen import make_plotter
 
-        renderer = loaded.renderer or make(make_plotter(DEFAULT_SIZE), static, colours)
+        renderer = loaded or make(make_plotter(DEFAULT_SIZE), static, colours)
         widget = RasterCanvas(renderer.plotter, parent)
     renderer.scales = lambda: (widget.devicePixelRatioF(), text_scale())
     return widget, renderer

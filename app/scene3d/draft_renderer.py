@@ -65,7 +65,7 @@ class LinksLayer(Layer):
             pose = preview.link_poses.get(link)
             if pose is not None:
                 actor.SetUserMatrix(_matrix(pose))
-        self.paint()
+        self.draw()
 
     def _replace(self, shape: RobotShape | None) -> None:
         for actor in self.actors.values():
@@ -80,7 +80,7 @@ class LinksLayer(Layer):
                 mesh, ambient=0.3, diffuse=0.7, copy_mesh=False, reset_camera=False, render=False, show_scalar_bar=False
             )
 
-    def paint(self) -> None:
+    def draw(self) -> None:
         """Mark the part's link."""
         if self._picture is None:
             return
@@ -89,10 +89,6 @@ class LinksLayer(Layer):
             is_part = link == chosen
             actor.visibility = step in ROBOT_STEPS
             actor.prop.color = theme.HUES[0] if is_part else self.colours.front
-
-    def set_colours(self, colours: SceneColours) -> None:
-        self.colours = colours
-        self.paint()
 
     def pick(self, x: float, y: float) -> str | None:
         """Return the link at a pixel; `None` next to the robot."""
@@ -137,10 +133,6 @@ class SensorsLayer(Layer):
 
     def show_picture(self, picture: DraftPicture) -> None:
         self._picture = picture
-        self.draw()
-
-    def set_colours(self, colours: SceneColours) -> None:
-        self.colours = colours
         self.draw()
 
     def draw(self) -> None:
@@ -288,11 +280,8 @@ class DraftRenderer(SceneRenderer):
         if is_new or self.static.surface is not preview.surface:
             self.static = DraftStatic(preview.surface, preview.layout, preview.laid)
         self._show_layout(picture)
-        size = max(
-            MIN_DRAWN_AXIS_LENGTH_M,
-            SENSOR_AXIS_LENGTH_OVER_PART_SIZE * (0.0 if preview.size_mm is None else max(preview.size_mm) * 1e-3),
-        )
-        self.sensors.size = self.marks.size = size
+        longest = 0.0 if preview.size_mm is None else max(preview.size_mm) * 1e-3
+        self.sensors.size = self.marks.size = max(MIN_DRAWN_AXIS_LENGTH_M, SENSOR_AXIS_LENGTH_OVER_PART_SIZE * longest)
         for layer in (self.links, self.sensors, self.marks, self.handle):
             layer.show_picture(picture)
         key = (

@@ -46,11 +46,7 @@ class DrawingProbe:
             return f"{self._window_class} gave no picture in {DRAWING_PROBE_TIMEOUT_S:.0f} s"
         if not code:
             return ""
-        return (
-            f"{self._window_class} ended by {signal.Signals(-code).name}"
-            if code < 0
-            else f"{self._window_class} does not start"
-        )
+        return f"{self._window_class} {f'ended by {signal.Signals(-code).name}' if code < 0 else 'does not start'}"
 
 
 def start_egl_probe() -> DrawingProbe | None:

@@ -17,7 +17,7 @@ from PySide6.QtGui import QMouseEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
-from app.scene3d.canvas import Canvas, Loaded, best_canvas, load, mount
+from app.scene3d.canvas import Canvas, best_canvas, load, mount, release
 from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene, View3DState
 from app.workers.threads import ThreadService
 from skincal.guide.guidance import Target
@@ -187,7 +187,7 @@ class View3D(QWidget):
         self._choice = choice = self._choice or best_canvas()
         size, colours, state = self._pixels(), self._colours, self._state
 
-        def work() -> Loaded:
+        def work() -> SceneRenderer | None:
             try:
                 return load(choice, static, colours, size, state)
             except Exception as error:
@@ -196,7 +196,7 @@ class View3D(QWidget):
                 raise InputError(f"There is no 3D view: {error}\n\nEverything else works.") from error
 
         self._threads = ThreadService("scene3d", self)
-        self._threads.submit(work, self._mount, failed=self._message.setText, dropped=Loaded.close)
+        self._threads.submit(work, self._mount, failed=self._message.setText, dropped=release)
 
     def _pixels(self) -> tuple[int, int]:
         """Size in device pixels, at least 1."""
@@ -343,8 +343,7 @@ class View3D(QWidget):
         if self._canvas is not None:
             self._canvas.update()
 
-    def _mount(self, loaded: Loaded) -> None:
-        """Make the widget from the loaded parts."""
+    def _mount(self, loaded: SceneRenderer | None) -> None:
         if self._choice is None or self._static is None:
             return
         self._canvas, self._renderer = mount(self._choice, loaded, self._static, self._colours, self)

@@ -32,7 +32,6 @@ class Addresses:
     tip: str = ""
 
     def __bool__(self) -> bool:
-        """Return whether any device is named."""
         return bool(self.wrench or self.skin or self.joints or self.tip)
 
 
@@ -63,9 +62,7 @@ class OpenRequest:
     @property
     def copied(self) -> bool:
         """Whether a copy is opened: a shipped session is never changed."""
-        from skincal.model.scene import ships
-
-        return self.session is not None and not self.read_only and ships(self.session)
+        return self.session is not None and not self.read_only and is_shipped(self.session)
 
 
 def find_scene(scene: Path | None) -> Path:
@@ -147,11 +144,11 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     return pipeline
 
 
-def is_shipped(scene: Path) -> bool:
-    """Whether a scene is one of the program's own."""
+def is_shipped(path: Path) -> bool:
+    """Whether a scene or a session is one of the program's own."""
     from skincal.model.scene import ships
 
-    return ships(scene)
+    return ships(path)
 
 
 def open_recorded(folder: Path, links: Sequence[LinkSpec] | None) -> tuple[Part, Pipeline]:

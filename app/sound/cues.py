@@ -79,11 +79,8 @@ def samples_of(sound: Cue) -> bytes:
         heard = _wave(note)
         wave[begin : begin + len(heard)] += heard
     end = int(np.flatnonzero(wave)[-1]) + 1
-    return (
-        np.round(wave[:end] * (CUE_PEAK_OVER_FULL_SCALE / np.abs(wave).max()) * np.iinfo(np.int16).max)
-        .astype(np.int16)
-        .tobytes()
-    )
+    scale = CUE_PEAK_OVER_FULL_SCALE / np.abs(wave).max() * np.iinfo(np.int16).max
+    return np.round(wave[:end] * scale).astype(np.int16).tobytes()
 
 
 def _wave(note: Note) -> FloatArray:

@@ -1,4 +1,4 @@
-"""PokeError of a press: how it deviates from the target, and which hint to show.
+"""How a press deviates from the target, and which hint to show.
 
 Hints are shown only while the hand still moves; a poke that is held still counts. `CoachMemory` lasts between two ticks.
 `app.text.guidance_text` makes the words.

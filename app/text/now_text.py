@@ -49,7 +49,6 @@ LAST_ACTION_SHOWN_S = 6.0  # The operator's last action is shown this long
 IDLE_PHASE_DEBOUNCE_S = 0.15
 """An idle phase must last this long before it is shown, so that noise does not make the line flicker."""
 
-
 MAX_NAMED_ARM_POSES = 3
 CHANGE_HINT = "  \N{MIDDLE DOT}  A: change addresses"
 _SHORT_VERDICTS = {
@@ -58,8 +57,6 @@ _SHORT_VERDICTS = {
     LinkAnswer.OTHER_WIDTH: "wrong number of values",
 }
 """For large type; the line below has the details."""
-
-
 _SHORT_NAMES = {"wrench": "sensor"}  # Short names of devices, for the large line of the window
 
 
@@ -183,15 +180,8 @@ def _see_outcome(memory: NowMemory, at: ViewState) -> NowMemory:
         return memory
     grown = newly_done(memory.guidance, at.guidance)
     if is_news(memory.outcome, newest):
-        until_s = at.now_s + MIN_POKE_RESULT_SHOWN_S
-        return replace(
-            memory,
-            outcome=newest,
-            verdict_until_s=until_s,
-            deed_until_s=-math.inf,
-            meant=memory.asked,
-            done=tuple(sorted(grown)),
-        )
+        memory = replace(memory, verdict_until_s=at.now_s + MIN_POKE_RESULT_SHOWN_S, deed_until_s=-math.inf)
+        return replace(memory, outcome=newest, meant=memory.asked, done=tuple(sorted(grown)))
     if memory.outcome is None or newest.poke < memory.outcome.poke:
         return replace(memory, outcome=newest, done=())
     # The same poke again, with the tare after it, which may finish a taxel.
@@ -322,11 +312,8 @@ def _no_data(at: ViewState) -> Now:
         return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]}: {verdict}", f"{link_detail(wrong, at)}{CHANGE_HINT}")
     missing = [link for link in links if at.look(link) in (LinkStatus.WAITING, LinkStatus.SILENT)]
     if missing:
-        return Now(
-            Tone.WAIT,
-            f"Waiting for {', '.join(_SHORT_NAMES.get(link.link, link.link) for link in missing)}",
-            link_detail(missing[0], at),
-        )
+        names = ", ".join(_SHORT_NAMES.get(link.link, link.link) for link in missing)
+        return Now(Tone.WAIT, f"Waiting for {names}", link_detail(missing[0], at))
     if links and all(at.look(link) is LinkStatus.ENDED for link in links):
         return Now(Tone.CALM, "Recording ended", "The recording is at its end")
     return Now(Tone.WAIT, "Waiting for data", "Sensor and skin must both stream before a poke counts")
