@@ -100,7 +100,7 @@ class ImportDialog(QDialog):
         self._trouble = ""  # Why there is no preview
         self._folder_problem = ""  # Why no session can be created there; empty if nothing is known
         self._missing_folders: Sequence[Path] = ()  # To create for it, the innermost first
-        self._place_pending = False  # The folder is being checked; what is known is of the folder before
+        self._place_pending = False  # A check runs; `_folder_problem` is of the folder before
         self._starts_later = False  # The import starts after that check
         self._share = 0.0  # Finished share of the import; written in another thread
         self.importing = False
