@@ -28,7 +28,7 @@ from skincal.words.poke_words import REASON_WORDS
 SAMPLE_RATE_HZ = 48_000  # Hz, the usual rate of sound devices
 MAX_CUE_LENGTH_S = 0.120  # No sound is longer: the next may follow at once
 CUE_PEAK_OVER_FULL_SCALE = 0.35  # Largest sample as a share of full scale: audible next to a fan, and not startling
-NOTE_FADE_TIME_S = 0.003  # Time in which a note fades in and out; a harder edge clicks
+NOTE_FADE_TIME_S = 0.003  # Time in which a note fades in and out; a shorter one clicks
 DEVICE_LOST_ALARM_PERIOD_S = 3.0  # The alarm for a lost device is repeated this often
 
 

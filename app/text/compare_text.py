@@ -22,7 +22,7 @@ MODULE_HINTS = (
     "Spacing of neighbouring taxels in the second set, divided by that of the layout",
 )
 MAX_LISTED_MODULES = 40
-"""Longest list of modules, those with the largest difference: nobody reads 350 lines, and each costs time at every poke."""
+"""Longest list of modules, those with the largest difference: 350 lines cannot be read, and each costs time at every poke."""
 ARROW_SCALES = (1, 3, 10)  # Scale factors of the arrows that show differences
 
 

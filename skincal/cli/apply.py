@@ -53,8 +53,7 @@ def apply(
     """Send positions to a running skinManager, one taxel after another, and show what it answers.
 
     Only taxels that have a position, and that the robot has elsewhere, are sent; the others stay as they are. The robot's own
-    positions are read first and kept in a file, by which this command brings them again, with what had none. At the first
-    refusal it stops.
+    positions are read first and kept in a file; this command restores them from it. At the first refusal it stops.
     """
     from skincal.cli import output
     from skincal.robot.skin_manager import (

@@ -306,7 +306,7 @@ def _undo_last_call(folder: Path, session: Session) -> list[str]:
         moment, count = entry.at_s, count + 1
     if not count:
         last = session.snapshot().can_undo or "nothing"
-        raise InputError(f"{folder}: what was done last is {last}, not a landmark; nothing to take back.")
+        raise InputError(f"{folder}: the last action is {last}, not a landmark; there is nothing to undo.")
     lines: list[str] = []
     for _ in range(count):
         lines.append(f"took back {session.snapshot().can_undo}")

@@ -93,7 +93,7 @@ class RtdeHandshake(Handshake):
             if kind != want:
                 raise HandshakeError(f"{name} is of the kind {kind[:SHOWN_TYPE_NAME_MAX_CHARS]!r}; expected {want}")
         if len(kinds) != len(wanted):
-            raise HandshakeError(f"the controller answers {len(kinds)} fields; it was asked for {len(wanted)}")
+            raise HandshakeError(f"the controller sends {len(kinds)} fields; {len(wanted)} were requested")
 
 
 class RtdeDecoder(FrameDecoder):

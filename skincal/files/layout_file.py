@@ -31,7 +31,7 @@ def write_layout(given: Layout, mend: LayoutRepair, path: Path) -> None:
         raise InputError(f"{path}: the layout was read from no file, so there is none to correct; expected one that was.")
     if _same_file(path, given.path):
         raise InputError(
-            f"{path}: is the layout that was read, which is kept as it is; choose another name, such as corrected-{path.name}."
+            f"{path}: is the layout that was read, and is not changed; choose another name, such as corrected-{path.name}."
         )
     text = corrected_text(given.text, mend.changes)
     _check(read_layout(text, path, given.width), mend.layout, path)

@@ -7,8 +7,8 @@ predicted covariance S of each of them shrinks by S J'(D + J S J')^-1 J S, with 
 The free method has two phases. In the sweep, pokes between taxels are welcome, since they say something about several. Then
 come own pokes: pure greed keeps poking between taxels, and pulls their estimates together.
 
-The other methods need even pokes and no tilt: taxels or modules take turns, with a short way for the hand. A taxel that was
-asked for and missed is asked for once more in a round and no more often, so that one out of reach keeps no other waiting.
+The other methods need even pokes and no tilt: taxels or modules take turns, with a short way for the hand. A missed
+taxel is requested once more in a round, and not more often: a taxel out of reach does not delay the others.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ if sys.platform == "win32":
     import msvcrt
 
     LOCKED_BYTE = 1 << 30
-    """Behind the text: Windows lets nobody read a locked byte."""
+    """Behind the text: Windows lets no program read a locked byte."""
 
     def _acquire(file: FileIO, *, shared: bool) -> None:  # noqa: ARG001 - Windows knows no shared lock here
         file.seek(LOCKED_BYTE)

@@ -67,7 +67,7 @@ class SessionLog:
         self.written_by = "" if own else describe_lock_holder(folder)
         """Program that records it now, in words; empty if there is none."""
         if self.written_by:
-            self._findings.append(f"{folder}: is being recorded by {self.written_by}; read as far as it is written.")
+            self._findings.append(f"{folder}: is being recorded by {self.written_by}; it was read up to its present end.")
         if self.scene_changed:
             self._findings.append(
                 f"{self.scene.path}: it, its layout or its mesh was changed after the recording; the changed one is used."
@@ -206,7 +206,7 @@ class Segment:
         self.has_hole = not lines.closed
         # The lines are closed after the MCAP file, which was whole then.
         if lines.closed and not is_closed(self.path):
-            self.finding = "its end is missing or damaged; no poke is lost, and --replay plays what is left of its readings."
+            self.finding = "its end is missing or damaged; no poke is lost, and --replay uses its other readings."
 
     def items(self) -> Iterator[LogItem]:
         """Yield items up to the first damage; only those that the lines confirm, if there are lines."""

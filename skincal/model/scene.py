@@ -27,13 +27,13 @@ SETTING_MIN, SETTING_MAX = 1e-9, 1e6
 """Of thresholds and noise, in their units. No sensor of a robot resolves a nanometre or a nanonewton; raw units of a device of
 20 bits end at a million."""
 MAX_TIME_SETTING_S = 60.0
-"""s. Nobody holds still for a minute at each poke."""
+"""s. A hand does not hold still for a minute at each poke."""
 FORCE_ORDER = ("release_force", "touch_force", "force_min", "force_max")
 """Force thresholds in ascending order."""
 MAX_JOINT_STREAM_COLUMNS = 1000
 """Of a joint stream: a humanoid has about a hundred."""
 DISTANCE_SD_RANGE_M = (1e-5, 0.1)
-"""m. Nobody measures a hundredth of a millimetre on a soft skin."""
+"""m. A soft skin cannot be measured to a hundredth of a millimetre."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 

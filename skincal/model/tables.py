@@ -35,7 +35,7 @@ NETWORK_PATH = re.compile(r"[\\/]([\\/]|\?\?)")
 
 
 def read_text(path: Path) -> str:
-    """Read a text file; its line ends stay as they are."""
+    """Read a text file; its line ends are not changed."""
     data = read_regular(path, MAX_TEXT_BYTES)
     try:
         return data.decode("utf-8")

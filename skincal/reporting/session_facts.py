@@ -64,7 +64,7 @@ class SessionFacts:
     """Time of the report, UTC."""
     results: SessionResults
     method: Method
-    """Whose estimates are shown: the one that is asked for, else the leading one."""
+    """Method whose estimates are shown: the requested one, else the leading one."""
     methods: tuple[MethodFacts, ...]
     errors: Mapping[int, float]
     """m, by channel, of the estimated taxels: distance to the truth if it is known, else predicted error."""

@@ -82,7 +82,7 @@ less than a tenth of the predicted error."""
 LINEAR_SENSOR_MATRIX_COLUMNS = 6
 """Columns of C for a linear sensor."""
 MIN_MEAN_LANDMARK_POKE_TRUST = 0.5
-"""If the mean trust of landmark pokes falls below this, all count fully: with most in doubt, nobody can say which are right."""
+"""If the mean trust of landmark pokes falls below this, all count fully: if most are in doubt, the right ones are unknown."""
 MIN_LANDMARK_POKES = 6
 """With fewer landmark pokes nothing is corrected: none would be left to test a correction on."""
 

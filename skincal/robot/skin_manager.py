@@ -218,7 +218,7 @@ class _Upload:
         numbers = [each for each in answer if isinstance(each, float)]
         if len(numbers) != len(answer) or len(answer) not in (6 * width, 7 * width) or not np.isfinite(numbers).all():
             expected = f"expected the {7 * width} numbers of {width} taxels of {self._positions.part}"
-            raise InputError(f"skinManager answers {answer_text(answer)!r} when asked for its poses; {expected}. {so_far}")
+            raise InputError(f"skinManager answers {answer_text(answer)!r} to the request for its poses; {expected}. {so_far}")
         return np.array(numbers).reshape(width, -1)
 
     def _differs(self, old: FloatArray, channel: int) -> bool:

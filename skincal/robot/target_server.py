@@ -192,7 +192,7 @@ class TargetServer:
         except OSError:
             self._disconnect()
         if len(self._pending) > UNSENT_MAX_BYTES:
-            self._disconnect("it takes nothing of what it is sent.")
+            self._disconnect("it does not read its lines.")
 
     def _read(self, client: socket.socket) -> None:
         try:
@@ -222,15 +222,15 @@ class TargetServer:
             self._put(answer)
 
     def _disconnect(self, reason: str = "") -> None:
-        """Close the connection; with a `reason` the robot is told why, and ignored for a while. Without one, it left itself."""
+        """Close the connection. The robot gets the `reason` and is ignored for a while; without one, it has left."""
         if reason:
-            self._report(f"The robot at the port for targets is hung up on: {reason}")
+            self._report(f"The robot at the port for targets is disconnected: {reason}")
             if self._client is not None:
                 with contextlib.suppress(OSError):
                     self._client.send(f"{write_line(Refused(reason))}\n".encode())
             self._ignore_until_s = time.monotonic() + ACCEPT_ROBOT_AGAIN_AFTER_S
         else:
-            self._report("The robot hung up; what is asked for now is said again when it comes back.")
+            self._report("The robot closed the connection. The present request is sent again when it reconnects.")
         self._put(RobotChange.LEFT)
         self._close_client()
 

@@ -26,7 +26,7 @@ def parse_rpc_address(address: str) -> DeviceAddress:
 class YarpRpcClient:
     """Asks a YARP port one question after another, in binary.
 
-    Raises LinkError: the address is not a YARP port, or nobody answers there within `timeout_s`.
+    Raises LinkError: the address is not a YARP port, or it does not answer within `timeout_s`.
     """
 
     def __init__(self, address: str, timeout_s: float) -> None:

@@ -92,7 +92,7 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
         As for `replay`; also if the folder cannot be written, ships with skincal, or is being written by another process.
     """
     if ships(folder):
-        raise InputError(f"{folder}: ships with skincal and stays as it is; copy the folder and go on with the copy.")
+        raise InputError(f"{folder}: ships with skincal and is not changed; copy the folder and continue with the copy.")
     SessionLog(folder)  # refuses before anything is changed
     lock = SessionLock(folder)
     with ExitStack() as at_failure:

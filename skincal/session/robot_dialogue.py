@@ -170,7 +170,7 @@ class RobotDialogue:
         self._is_stopped = True
         why = answer.text or "it does not say why"
         return Meaning(
-            warning=f"The robot has stopped at target {answer.number}: {why}. It is asked again once it connects anew, "
+            warning=f"The robot has stopped at target {answer.number}: {why}. It is asked again once it connects again, "
             "or for another once it skips this one."
         )
 

@@ -238,7 +238,7 @@ class Session:
 
     def _redo(self) -> None:
         if not self.history.undone:
-            raise InputError("There is nothing to redo: nothing was taken back, or something else was done since.")
+            raise InputError("There is nothing to redo: no action was undone, or another action followed.")
         entry = self.history.undone[-1]
         if isinstance(entry, ActionEntry):
             entry = replace(entry, before=self.decisions)

@@ -193,7 +193,7 @@ class DeviceTimeline:
     def _schedule(self, end: float) -> None:
         """Ask the operator for actions that begin in this block, and drop ended ones."""
         if not self.operator.done:
-            # After a pause, the operator is asked for the present time, not for the past.
+            # After a pause the operator continues at the present time.
             self._free = max(self._free, self.now)
         while self._free < end:
             action = self.operator.next(self._free)

@@ -57,7 +57,7 @@ TOO_LONG = b"...\n"
 FORMAT_BY_STAMPS = {1: "yarp", 2: "yarp-tx-rx"}
 """Number of stamps to the name of the decoder..."""
 BY_RECEIVER = "yarp-rx"
-"""...and of that for two stamps of which the sender's is not always there."""
+"""...and of that for two stamps, if the sender's may be missing."""
 _STAMP_LINE = re.compile(r"^\s*Stamp:\s*([a-z+]+)", re.MULTILINE)
 
 

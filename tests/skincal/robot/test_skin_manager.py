@@ -212,7 +212,7 @@ def test_another_part_or_width_changes_nothing(capsys, sample):
     other._talk = lambda: Elsewhere(other.port, other.poses)
     assert "this skinManager has r_hand, and not r_forearm" in refused_at(capsys, sample, other)[0]
     sentence, poses = refused_at(capsys, sample, SkinManagerOutlet(192))
-    assert "'1344 values' when asked for its poses; expected the 2688 numbers" in sentence
+    assert "'1344 values' to the request for its poses; expected the 2688 numbers" in sentence
     assert sentence.endswith(approved("apply.unchanged"))
     assert not poses.any()
     assert not (sample / "before-r_forearm.txt").exists()
