@@ -197,12 +197,9 @@ class Workspace(QWidget):
 class SessionView(QObject):
     """Everything of the window that exists while a session is open."""
 
-    said = Signal(object)
-    """`Message`."""
-    unsaid = Signal(object)
-    """`Message` that is no longer true."""
-    sound_due = Signal(object)
-    """`DueCue`."""
+    said = Signal(object)  # `Message`
+    unsaid = Signal(object)  # `Message` that is no longer true
+    sound_due = Signal(object)  # `DueCue`
 
     def __init__(
         self,

@@ -39,8 +39,7 @@ def _desktop_points() -> float:
 class TextSize(QObject):
     """One of `STEPS` for the whole application, kept in the settings."""
 
-    changed = Signal()
-    """Every widget has its font."""
+    changed = Signal()  # Every widget has its font
 
     def __init__(self, settings: QSettings, parent: QObject | None = None) -> None:
         super().__init__(parent)

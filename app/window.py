@@ -154,8 +154,7 @@ class Theme(QObject):
 class Window(QMainWindow):
     """Everything the operator sees."""
 
-    _sound_found = Signal(bool)
-    """From the player's thread: whether there is a sound device."""
+    _sound_found = Signal(bool)  # From the player's thread: whether there is a sound device
 
     def __init__(self, controller: Controller, theme: Theme, settings: QSettings, documents: Path, player: Player) -> None:
         super().__init__()

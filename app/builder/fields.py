@@ -49,8 +49,7 @@ def set_silently(box: QDoubleSpinBox | QSpinBox, value: float) -> None:
 class VectorField(QWidget):
     """Three numbers in a row: a point in millimetres, or a direction."""
 
-    edited = Signal(object)
-    """Tuple of three numbers."""
+    edited = Signal(object)  # Tuple of three numbers
 
     def __init__(self, name: str, *, is_direction: bool = False) -> None:
         super().__init__()

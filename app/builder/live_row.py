@@ -16,8 +16,7 @@ from skincal.streams.links import parse_address
 class LiveRow(QWidget):
     """Reads a device while its step is open."""
 
-    read = Signal(object)
-    """List of readings, (n,) float each, since the last signal."""
+    read = Signal(object)  # List of readings, (n,) float each, since the last signal
     address_agreed = Signal(str)
 
     def __init__(self, stream: Stream) -> None:

@@ -58,8 +58,7 @@ class BuilderPage(QWidget):
 
     start_wanted = Signal(object, object)
     """`Path` of the saved scene, and the `Addresses` that were named on the page."""
-    failed = Signal(str)
-    """Sentence on what cannot be done."""
+    failed = Signal(str)  # Sentence on what cannot be done
     left = Signal()
 
     def __init__(self, scenes: Path, parent: QWidget | None = None, make_view: Callable[[], DraftView3D] = DraftView3D) -> None:

@@ -34,12 +34,9 @@ class Step(QWidget):
 
     changed = Signal(object, str)
     """`PartDraft`, and the kind of the change: repeated changes of one kind are undone together. Empty for a change alone."""
-    angles_changed = Signal(object)
-    """Shown angles of joints, rad, by name."""
-    picture_changed = Signal()
-    """The 3D view shows something else: points, mode, module."""
-    failed = Signal(str)
-    """Sentence on what cannot be done."""
+    angles_changed = Signal(object)  # Shown angles of joints, rad, by name
+    picture_changed = Signal()  # The 3D view shows something else: points, mode, module
+    failed = Signal(str)  # Sentence on what cannot be done
 
     def __init__(self) -> None:
         super().__init__()

@@ -25,8 +25,7 @@ def offered_port(links: Iterable[str]) -> str:
 class ApplyDialog(TaskDialog):
     """Dialog that asks before positions are sent to a robot; `verdict_of` makes the session's verdict by a method."""
 
-    apply_requested = Signal(str, object)
-    """Address, method."""
+    apply_requested = Signal(str, object)  # Address, method
 
     def __init__(
         self,

@@ -17,8 +17,7 @@ from skincal.words.units import count
 class ExportDialog(TaskDialog):
     """Choice of format, method and file, and the remarks on the written file."""
 
-    write_requested = Signal(str, object, object)
-    """Format, path, method."""
+    write_requested = Signal(str, object, object)  # Format, path, method
 
     def __init__(self, methods: tuple[Method, ...], shown: Method, stem: Path, parent: QWidget | None = None) -> None:
         super().__init__("Export calibration", "Write file", methods, shown, parent)

@@ -24,8 +24,7 @@ ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
 class ScenePicker(QComboBox):
     """Editable list of the shipped scenes. Each choice is read in the background."""
 
-    scene_read = Signal(object, str)
-    """`Scene`, or `None` and the reason."""
+    scene_read = Signal(object, str)  # `Scene`, or `None` and the reason
 
     def __init__(self, scene: Path | None) -> None:
         super().__init__()

@@ -19,10 +19,8 @@ SIZE_PX = (420, 480)
 class HistoryDialog(QDialog):
     """List of past actions in a window that stays open; Enter or a double click undoes or redoes up to a line."""
 
-    undo_wanted = Signal(int)
-    """Number of undo steps."""
-    redo_wanted = Signal(int)
-    """Number of redo steps."""
+    undo_wanted = Signal(int)  # Number of undo steps
+    redo_wanted = Signal(int)  # Number of redo steps
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)

@@ -86,8 +86,7 @@ class ImportDialog(QDialog):
     folder : proposed for the session
     """
 
-    imported = Signal(object, str)
-    """`Imported`, and the file of the chosen scene."""
+    imported = Signal(object, str)  # `Imported`, and the file of the chosen scene
 
     def __init__(self, paths: Sequence[Path], scene: Path, folder: Path, parent: QWidget | None = None) -> None:
         super().__init__(parent)

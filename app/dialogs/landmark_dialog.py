@@ -43,8 +43,7 @@ class LandmarkDialog(QDialog):
     link : name of the frame
     """
 
-    given = Signal(str, object)
-    """Name, and position (3,) float, metres, link frame."""
+    given = Signal(str, object)  # Name, and position (3,) float, metres, link frame
 
     def __init__(self, position: FloatArray | None, taken: Collection[str], link: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -126,10 +125,8 @@ def _millimetre_field(axis: str) -> QDoubleSpinBox:
 class LandmarkPicking(QObject):
     """Steps from the command to the new landmark: click or coordinates, dialog, action."""
 
-    said = Signal(object)
-    """`Message` that asks for a click."""
-    unsaid = Signal(object)
-    """`Message` that is over."""
+    said = Signal(object)  # `Message` that asks for a click
+    unsaid = Signal(object)  # `Message` that is over
 
     def __init__(
         self, view: View3D, names: Callable[[], Collection[str]], act: Callable[[Action], object], link: str, parent: QObject

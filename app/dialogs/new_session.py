@@ -75,8 +75,7 @@ MAX_LISTED_PORTS = 12
 class StreamRow(QWidget):
     """One stream: address field with a list of ports, and the preview of its link."""
 
-    agreed = Signal()
-    """The operator entered an address or agreed to the shown one."""
+    agreed = Signal()  # The operator entered an address or agreed to the shown one
 
     def __init__(self, stream: Stream) -> None:
         super().__init__()
@@ -197,8 +196,7 @@ class NewSessionDialog(QDialog):
     """
 
     request_chosen = Signal(object)
-    addresses_chosen = Signal(object, object)
-    """`Addresses`, and the set of those that the operator agreed to."""
+    addresses_chosen = Signal(object, object)  # `Addresses`, and the set of those that the operator agreed to
 
     def __init__(
         self,

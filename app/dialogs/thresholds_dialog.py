@@ -62,8 +62,7 @@ class ThresholdsDialog(QDialog):
     scene : thresholds in the scene's file
     """
 
-    thresholds_wanted = Signal(object)
-    """`SetThresholds`."""
+    thresholds_wanted = Signal(object)  # `SetThresholds`
 
     def __init__(self, scene: ContactSettings, parent: QWidget | None = None) -> None:
         super().__init__(parent)

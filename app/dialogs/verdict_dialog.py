@@ -41,8 +41,7 @@ class VerdictDialog(QDialog):
     """
 
     export_wanted = Signal()
-    report_wanted = Signal()
-    """The dialog stays open."""
+    report_wanted = Signal()  # The dialog stays open
     taxel_wanted = Signal(int)
 
     def __init__(

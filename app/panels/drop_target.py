@@ -15,12 +15,9 @@ from skincal.model.errors import InputError
 class DropTarget(QObject):
     """Accepts files that are dropped onto a widget or its children."""
 
-    request_made = Signal(object)
-    """`OpenRequest`."""
-    recording_dropped = Signal(object)
-    """Paths of a recording to import."""
-    refused = Signal(str)
-    """Why the files cannot be opened, and what to do."""
+    request_made = Signal(object)  # `OpenRequest`
+    recording_dropped = Signal(object)  # Paths of a recording to import
+    refused = Signal(str)  # Why the files cannot be opened, and what to do
 
     def __init__(self, over: QWidget) -> None:
         super().__init__(over)

@@ -43,22 +43,14 @@ class Panel(QScrollArea):
 
     title: ClassVar[str]
     """Text of the tab."""
-    taxel_wanted = Signal(int)
-    """Select this channel in every view."""
-    poke_wanted = Signal(int)
-    """Show this poke in the list of pokes."""
-    action_wanted = Signal(object)
-    """Do this `Action` on the session."""
-    command_wanted = Signal(str)
-    """Run the command with this name."""
-    follow_wanted = Signal()
-    """Follow the session again: the panel needs something else from now on."""
-    comparison_changed = Signal(object)
-    """Show this `Comparison` in the 3D view; `None` for the estimates."""
-    message_ready = Signal(str)
-    """Tell this to the operator."""
-    failure_ready = Signal(str)
-    """Tell this failure to the operator."""
+    taxel_wanted = Signal(int)  # Select this channel in every view
+    poke_wanted = Signal(int)  # Show this poke in the list of pokes
+    action_wanted = Signal(object)  # Do this `Action` on the session
+    command_wanted = Signal(str)  # Run the command with this name
+    follow_wanted = Signal()  # Follow the session again: the panel needs something else from now on
+    comparison_changed = Signal(object)  # Show this `Comparison` in the 3D view; `None` for the estimates
+    message_ready = Signal(str)  # Tell this to the operator
+    failure_ready = Signal(str)  # Tell this failure to the operator
 
     def __init__(self, _context: PanelContext | None = None) -> None:
         super().__init__()

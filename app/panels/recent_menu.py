@@ -24,8 +24,7 @@ def kept_texts(settings: QSettings, name: str) -> list[str]:
 class RecentMenu(QMenu):
     """Up to `MAX_SESSIONS` sessions by name, the newest first; missing folders are left out."""
 
-    chosen = Signal(object)
-    """`Path` of the folder."""
+    chosen = Signal(object)  # `Path` of the folder
 
     def __init__(self, settings: QSettings, parent: QWidget | None = None) -> None:
         super().__init__("&Recent sessions", parent)

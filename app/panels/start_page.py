@@ -23,8 +23,7 @@ PART_HINT = "A mesh or a URDF is enough to begin; you can also drop it here."
 class StartPage(QWidget):
     """A line of text, and a button for each offer."""
 
-    command_wanted = Signal(str)
-    """Name of a command."""
+    command_wanted = Signal(str)  # Name of a command
 
     def __init__(self) -> None:
         super().__init__()

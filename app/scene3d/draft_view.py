@@ -71,16 +71,11 @@ class DraftView3D(View3D):
     """The 3D view of the page where a part is described."""
 
     link_picked = Signal(str)
-    point_picked = Signal(object)
-    """(3,) float, metres, link frame: clicked point of the part."""
-    drag_started = Signal(int, object)
-    """Index of the module under the pointer, and the point (3,) there."""
-    layout_dragged = Signal(object)
-    """(3,) float, metres, link frame: the point of the part under the pointer."""
-    layout_turned = Signal(float)
-    """Degrees, counter-clockwise seen from outside."""
-    turn_started = Signal()
-    """The ring around the layout was gripped; its turns follow."""
+    point_picked = Signal(object)  # (3,) float, metres, link frame: clicked point of the part
+    drag_started = Signal(int, object)  # Index of the module under the pointer, and the point (3,) there
+    layout_dragged = Signal(object)  # (3,) float, metres, link frame: the point of the part under the pointer
+    layout_turned = Signal(float)  # Degrees, counter-clockwise seen from outside
+    turn_started = Signal()  # The ring around the layout was gripped; its turns follow
 
     def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
         super().__init__(parent, canvas)

@@ -147,12 +147,10 @@ class Pointer(QObject):
 class View3D(QWidget):
     """The 3D view of a session, its picture made as `canvas` says; by default what suits the machine."""
 
-    taxel_picked = Signal(int)
-    """Channel whose estimate was clicked."""
+    taxel_picked = Signal(int)  # Channel whose estimate was clicked
     surface_picked = Signal(object)
     """(3,) float, metres, link frame: the point of the part that was clicked while one was wanted (`set_picking`)."""
-    ready = Signal()
-    """The picture is there."""
+    ready = Signal()  # The picture is there
 
     def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
         super().__init__(parent)

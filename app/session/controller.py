@@ -100,26 +100,17 @@ class Controller(QObject):
     documents : folder of the sessions
     """
 
-    part_loaded = Signal(object)
-    """`Part`: the scene is loaded."""
-    session_opened = Signal(object)
-    """`Snapshot` of the opened session."""
-    ticked = Signal(object)
-    """`Tick`."""
-    running_changed = Signal(object)
-    """`Running`."""
-    said = Signal(object)
-    """`Message`."""
-    reviewed = Signal(object)
-    """`Review` of sensor and arm; `None` if there is none any more."""
-    truth_found = Signal(object)
-    """`TaxelPositions`: positions of the taxels of a simulated rig."""
-    recorded_elsewhere = Signal(object, str)
-    """`Path` of a session that another process records, and a sentence."""
+    part_loaded = Signal(object)  # `Part`: the scene is loaded
+    session_opened = Signal(object)  # `Snapshot` of the opened session
+    ticked = Signal(object)  # `Tick`
+    running_changed = Signal(object)  # `Running`
+    said = Signal(object)  # `Message`
+    reviewed = Signal(object)  # `Review` of sensor and arm; `None` if there is none any more
+    truth_found = Signal(object)  # `TaxelPositions`: positions of the taxels of a simulated rig
+    recorded_elsewhere = Signal(object, str)  # `Path` of a session that another process records, and a sentence
     confirmation_due = Signal(object)
     """Addresses that a recorded session names: `resume(confirmed=True)` connects them."""
-    stored = Signal(str)
-    """Sentence on the folder of the recording."""
+    stored = Signal(str)  # Sentence on the folder of the recording
 
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
         super().__init__(parent)

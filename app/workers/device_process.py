@@ -25,12 +25,9 @@ SENTENCE_PREFIX = "skincal: "
 class DeviceProcess(QObject):
     """Process that simulates devices for a demonstration."""
 
-    served = Signal(object)
-    """tuple of `LinkSpec`."""
-    truth_printed = Signal(object)
-    """bytes for a `truth.json`, before `served`: the taxels of a simulated rig."""
-    failed = Signal(str)
-    """It did not start, printed no links, or ended without `stop`."""
+    served = Signal(object)  # tuple of `LinkSpec`
+    truth_printed = Signal(object)  # bytes for a `truth.json`, before `served`: the taxels of a simulated rig
+    failed = Signal(str)  # It did not start, printed no links, or ended without `stop`
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)

@@ -302,10 +302,8 @@ def review_job(sent: SentReview, progress: Progress) -> Review | None:
 class ReviewClient(QObject):
     """Requests the reviews of a session."""
 
-    reviewed = Signal(object)
-    """`Review` of the newest request, or of an earlier one that had taken long."""
-    failed = Signal(str)
-    """A sentence; there are no reviews any more."""
+    reviewed = Signal(object)  # `Review` of the newest request, or of an earlier one that had taken long
+    failed = Signal(str)  # A sentence; there are no reviews any more
 
     def __init__(self, session: Session, process: WorkerProcess, parent: QObject | None = None) -> None:
         super().__init__(parent)

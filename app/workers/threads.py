@@ -162,8 +162,7 @@ class ThreadService:
 class _Bridge(QObject):
     """Receiver of the threads' answers in the window's thread; never deleted, so that signals stay valid."""
 
-    answered = Signal(object)
-    """`ThreadService` with an answer."""
+    answered = Signal(object)  # `ThreadService` with an answer
 
     def __init__(self) -> None:
         super().__init__()
