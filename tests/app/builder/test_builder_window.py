@@ -10,6 +10,8 @@ from PySide6.QtGui import QWheelEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from app.builder.part_step import PartStep
+from app.builder.skin_step import SkinStep
 from app.dialogs.new_session import NewSessionDialog
 from app.scene3d.camera import project
 from skincal.model.scene import load_scene
@@ -155,3 +157,13 @@ def test_a_mesh_becomes_a_part_that_is_saved_and_poked(bench, tube):
     assert bench.window.builder is None
     assert bench.window.session_view.workspace.part.scene.path == scene
     bench.until(lambda: bench.window.session_view.state is not None and len(bench.accepted()) > 0, OPEN_MS * 3)
+
+
+@pytest.mark.parametrize("kind", [PartStep, SkinStep])
+def test_a_file_that_cannot_be_read_is_reported_in_a_sentence(qtbot, tmp_path, kind):
+    step = kind()
+    qtbot.addWidget(step)
+    with qtbot.waitSignal(step.failed) as failed:
+        step.take_file(tmp_path / "gone.toml")
+    assert "gone.toml" in failed.args[0]
+    step.end()
