@@ -204,8 +204,10 @@ def _record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, as_json
     from skincal.files.reference import TRUTH_NAME, read_reference
 
     with stopping() as stop:
-        pipeline = record_robot(scene, out, pokes, seed, stop)
+        pipeline, fault = record_robot(scene, out, pokes, seed, stop)
     finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
+    if fault:
+        raise InputError(f"the robot has stopped: {fault}. The session is kept with its pokes so far.")
     if stop.is_set():
         raise typer.Exit(CTRL_C_EXIT_CODE)
 

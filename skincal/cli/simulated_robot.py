@@ -32,8 +32,12 @@ def open_robot(scene: Scene, targets: str | None, seed: int) -> PokingDevices:
     return PokingDevices(robot, surface, *parse_port(targets))
 
 
-def record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, stop: threading.Event) -> Pipeline:
-    """Record a session of a simulated robot: to *enough*, to `pokes`, or to `stop`. Return its pipeline, closed.
+def record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, stop: threading.Event) -> tuple[Pipeline, str]:
+    """Record a session of a simulated robot: to *enough*, to `pokes`, to `stop`, or to a fault of the robot.
+
+    Returns
+    -------
+    Its pipeline, closed, and the reason of the fault, empty without one
 
     Raises InputError: the part has no mesh, the physics engine is missing, or the folder cannot be used.
     """
@@ -51,13 +55,18 @@ def record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, stop: th
         write_atomically(out / TRUTH_NAME, json.dumps(robot.truth(), indent=1).encode() + b"\n")
         client = make_client(robot, surface, session.targets.answer)
         session.targets.answer(client.pace)
-        while not (stop.is_set() or session.is_enough or _count_pokes(session.pipeline) >= (pokes or float("inf"))):
+        while not (
+            stop.is_set()
+            or session.is_enough
+            or session.targets.fault
+            or _count_pokes(session.pipeline) >= (pokes or float("inf"))
+        ):
             while (line := session.targets.poll()) is not None:
                 client.receive_line(line)
             client.run_period()
     finally:
         session.close()
-    return session.pipeline
+    return session.pipeline, session.targets.fault
 
 
 def _count_pokes(pipeline: Pipeline) -> int:

@@ -29,12 +29,14 @@ from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Held, NoTa
 
 OUT_OF_REACH = "out of reach"
 WAY_BLOCKED = "the part is in the way"
+FORCE_ABOVE_LIMIT = "the wanted force is above the robot's limit"
 """Reasons why a target is impossible, for `skip`."""
 NOT_THERE = "the arm does not get there"
 TOUCHED_EARLY = "something was touched before the place"
 NOTHING_FELT = "nothing was felt at the place"
 TOO_STRONG = "the force exceeded the limit"
 NO_FRESH_READING = "no fresh force reading"
+NOT_AWAY = "the arm does not get away from the part"
 PRESSED_AT_REST = "something presses on the sensor while the arm stands still"
 """Reasons why a target failed, for `fault`."""
 MEASURE_AGAIN = "{count} targets in a row failed ({reason}): measure the tip and the pose of the part again"
@@ -110,6 +112,7 @@ class Phase(Enum):
     """State of the client; the value is its name."""
 
     IDLE = "waiting"
+    TARE_AT_REST = "taring before the first motion"
     TRAVEL = "travelling"
     TARE = "taring"
     ENTER = "going to the part"
@@ -163,7 +166,7 @@ class PokingClient:
         self._answer: Answer | None = None
         """To send once the tip has let go."""
         self._since_s = self._expected_s = self._reported_s = arm.time_s
-        self._fresh_s = arm.time_s
+        self._fresh_s = -np.inf
         """Time of the newest reading."""
         self._aim, self._shift = AimCorrection(), np.zeros(3)
         """Correction of the robot's frame, and the one of the present poke: true less believed position, (3,), metres."""
@@ -181,6 +184,7 @@ class PokingClient:
         self._failures = 0
         self._handlers: dict[Phase, Callable[[], object]] = {
             Phase.IDLE: self._idle,
+            Phase.TARE_AT_REST: self._tare_at_rest,
             Phase.TRAVEL: self._travel,
             Phase.TARE: self._take_tare,
             Phase.ENTER: self._go_to_standoff,
@@ -288,7 +292,7 @@ class PokingClient:
         if self._is_too_strong and self._is_tared and self.phase is not Phase.RELEASE:
             self._fail(TOO_STRONG)
             return False
-        if self._is_fresh or self.phase in (Phase.IDLE, Phase.TARE, Phase.RELEASE):
+        if self._is_fresh or self.phase in (Phase.IDLE, Phase.TARE_AT_REST, Phase.TARE, Phase.RELEASE):
             return True
         if self.phase in (Phase.PRESS, Phase.HOLD) or self.arm.time_s - self._fresh_s > self.settings.silence_s:
             self._fail(NO_FRESH_READING)
@@ -337,6 +341,10 @@ class PokingClient:
     def _idle(self) -> None:
         if self._goal is None or not self._is_fresh:
             return
+        if not self._is_tared:
+            # Without a tare no force would stop a motion.
+            self._begin_tare(Phase.TARE_AT_REST)
+            return
         goal, self._goal = self._goal, None
         self._shift = self._shift_for(goal)
         plan = self._plan_poke(goal)
@@ -349,6 +357,8 @@ class PokingClient:
     def _plan_poke(self, target: PokeTarget) -> PokePlan | str:
         """Plan a poke, or give the reason why it is impossible."""
         own, push = self.settings, target.push
+        if target.force >= own.force_limit:
+            return FORCE_ABOVE_LIMIT
         touch = target.place - self.arm.tip_radius_m * push
         standoff, deepest = touch - own.standoff * push, touch + own.search * push
         out = self._clearance.exit_point(touch, push)
@@ -396,19 +406,29 @@ class PokingClient:
                 plan.way.pop(0)
                 self._start_travel()
                 return
-            self._begin_tare()
+            self._begin_tare(Phase.TARE)
         elif self.arm.time_s > self._expected_s + self.settings.late_s:
             self._fail(NOT_THERE)
 
-    def _begin_tare(self) -> None:
+    def _begin_tare(self, phase: Phase) -> None:
         self._sum, self._count = np.zeros(6), 0
-        self._enter(Phase.TARE, self.settings.tare_s)
+        self._enter(phase, self.settings.tare_s)
+
+    def _has_tare(self) -> bool:
+        """Use the mean of the readings as the tare once there are enough; return whether there are."""
+        is_over = self.arm.time_s >= self._expected_s and self._is_fresh and self._count > 0
+        if is_over:
+            self._tare, self._excess, self.force, self._is_tared = self._sum / self._count, 0.0, 0.0, True
+        return is_over
+
+    def _tare_at_rest(self) -> None:
+        if self._has_tare():
+            self._enter(Phase.IDLE)
 
     def _take_tare(self) -> None:
         plan = self._plan
         assert plan is not None
-        if self.arm.time_s >= self._expected_s and self._is_fresh and self._count:
-            self._tare, self._excess, self.force, self._is_tared = self._sum / self._count, 0.0, 0.0, True
+        if self._has_tare():
             # A part that the arm carries has turned on its way.
             self._shift = self._shift_for(plan.target)
             self._enter(Phase.ENTER, 2.0 * self.settings.clearance / self.settings.enter_speed)
@@ -500,10 +520,11 @@ class PokingClient:
     def _release(self) -> None:
         plan = self._plan
         assert plan is not None
-        is_late = self.arm.time_s > self._expected_s + self.settings.late_s
-        if self._go(self._setpoint, self.settings.retreat_speed) or is_late:
+        if self._go(self._setpoint, self.settings.retreat_speed):
             self._failures = 0 if self._answer is not None and self._answer.kind is AnswerKind.REACHED else self._failures
             self._end_poke(self._answer)
+        elif self.arm.time_s > self._expected_s + self.settings.late_s:
+            self._end_poke(Answer(AnswerKind.FAULT, plan.target.number, NOT_AWAY))
 
     def _fail(self, reason: str) -> None:
         """End a poke that failed: at the part let go, else stop. After several in a row report a fault."""

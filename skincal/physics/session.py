@@ -14,7 +14,7 @@ from skincal.model.scene import Scene
 from skincal.physics.devices import RobotDevices
 from skincal.physics.poking_client import PokeSettings, PokingClient
 from skincal.physics.rig import SimulatedRobot
-from skincal.robot.target_lines import AskedLine, RobotLine
+from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, RobotLine
 from skincal.robot.target_server import RobotChange
 from skincal.session.guided_session import RobotGuide
 from skincal.session.pipeline import Pipeline
@@ -40,6 +40,8 @@ class TargetQueue:
         self._answers: list[RobotLine | RobotChange | str] = [RobotChange.CAME]
         self.refused = ""
         """Why the guide would disconnect the robot."""
+        self.fault = ""
+        """Why the robot has stopped for good; empty while it pokes."""
 
     def send(self, lines: Sequence[AskedLine]) -> None:
         """Send lines to the robot."""
@@ -60,6 +62,8 @@ class TargetQueue:
 
     def answer(self, line: RobotLine) -> None:
         """Answer the guide."""
+        if isinstance(line, Answer) and line.kind is AnswerKind.FAULT:
+            self.fault = line.text
         self._answers.append(line)
 
 

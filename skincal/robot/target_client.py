@@ -28,7 +28,6 @@ from skincal.robot.target_lines import (
     PokeTarget,
     Refused,
     RobotLine,
-    TipPose,
     read_number,
     write_answer,
 )
@@ -111,8 +110,8 @@ class TargetClient:
         self._thread.start()
 
     def say(self, line: RobotLine) -> None:
-        """Send a line, from any thread. Answers wait for a connection, poses of the tip do not."""
-        if self._is_connected or not isinstance(line, TipPose):
+        """Send a line, from any thread. Without a connection it is dropped: skincal sends its request again."""
+        if self._is_connected:
             self._lines.put(line)
 
     def close(self) -> None:
@@ -136,7 +135,8 @@ class TargetClient:
     def _talk(self, connection: socket.socket) -> None:
         lines = LineCutter()
         connection.settimeout(SEND_POLL_PERIOD_S)
-        self._is_connected = True
+        # Answers to an earlier connection mean nothing to this one.
+        self._lines, self._is_connected = queue.SimpleQueue(), True
         _send(connection, self._greeting)
         while not self._stop.is_set():
             with contextlib.suppress(queue.Empty):

@@ -166,6 +166,7 @@ def run_session(task: Task) -> Row:
     judged: list[Judged] = []
     while (
         not session.is_enough
+        and not session.targets.fault
         and len(judged) < task.max_pokes
         and robot.time_s < task.max_pokes * SIMULATED_SECONDS_PER_POKE_MAX
     ):

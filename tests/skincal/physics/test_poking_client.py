@@ -8,7 +8,9 @@ from skincal.mesh.surface import make_surface
 from skincal.physics.aim_correction import AimCorrection
 from skincal.physics.clearance import Clearance
 from skincal.physics.poking_client import (
+    FORCE_ABOVE_LIMIT,
     MEASURE_AGAIN,
+    NOT_AWAY,
     OUT_OF_REACH,
     PRESSED_AT_REST,
     WAY_BLOCKED,
@@ -218,6 +220,29 @@ def test_it_draws_back_from_what_it_meets_on_its_way():
     bench.arm.obstacle = None
     bench.ask(target(3)).run(lambda bench: len(bench.answers) == 3)
     assert bench.answers[2] == Answer(AnswerKind.REACHED, 3)
+
+
+def test_on_the_first_way_of_all_it_draws_back_from_what_it_meets():
+    bench = Bench()
+    bench.arm.obstacle = lambda centre: centre[2] < 0.2
+    bench.ask(target(1)).run(answered)
+    assert bench.answers == [Answer(AnswerKind.SKIP, 1)]
+    assert min(place[2] for place, _, _ in bench.arm.course) > 0.19
+    assert bench.forces[-1] == 0.0
+
+
+def test_a_force_above_the_limit_is_not_tried():
+    bench = Bench().ask(target(1, force=40.0)).run(answered)
+    assert bench.answers == [Answer(AnswerKind.SKIP, 1, FORCE_ABOVE_LIMIT)]
+    assert bench.forces.max() == 0.0
+
+
+def test_an_arm_that_does_not_get_away_from_the_part_is_a_fault():
+    bench = Bench().ask(target(1)).until_phase(Phase.HOLD)
+    bench.arm.stop()
+    bench.arm.command = lambda *_: None
+    bench.run(answered)
+    assert bench.answers == [Answer(AnswerKind.FAULT, 1, NOT_AWAY)]
 
 
 def test_what_presses_at_rest_is_a_fault_and_the_next_target_begins_with_a_new_tare():
