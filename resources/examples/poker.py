@@ -28,8 +28,8 @@ TRAVEL, APPROACH, PRESS = 0.10, 0.015, 0.005
 """m/s."""
 TOUCH, FORCE_LIMIT = 1.0, 20.0
 """N above the tare: the part is felt; the tip goes back."""
-FRESH_S, PERIOD_S, TARE_S, SETTLE_S = 0.1, 0.02, 0.3, 5.0
-"""s: oldest force that allows a motion towards the part; time of a step; of taring; to reach the force."""
+FRESH_S, SILENCE_S, PERIOD_S, TARE_S, SETTLE_S = 0.1, 3.0, 0.02, 0.3, 5.0
+"""s: oldest force that allows a motion; silence that is a fault; time of a step; of taring; to reach the force."""
 
 
 class Arm:
@@ -52,23 +52,28 @@ class Stop(Exception):  # noqa: N818 - it ends a poke, it is no error
     """The poke ends: another target, `wait`, `stop`, or skincal is gone."""
 
 
+class Fault(Exception):  # noqa: N818 - as above
+    """The robot stops until an operator has looked; the text is for skincal."""
+
+
 class Poker:
-    """One connection to skincal and the pokes that it asks for."""
+    """The pokes that skincal asks for, over one connection after another."""
 
     def __init__(self, arm: Arm, host: str, port: int) -> None:
-        self.arm, self.target, self.held, self.side = arm, None, False, None
-        self._socket = socket.create_connection((host, port), 5.0)
-        self._socket.setblocking(False)
-        self._rest, self._reported_s = b"", 0.0
-        self.say(f"robot {TRAVEL} 6")
+        self.arm, self.place, self.side = arm, (host, port), None
+        self._reported_s = 0.0
 
     def say(self, line: str) -> None:
         """Send a line."""
         self._socket.sendall(f"{line}\n".encode())
 
     def run(self) -> None:
-        """Poke until skincal has enough; ConnectionError if it hangs up."""
+        """Connect, and poke until skincal has enough; ConnectionError if it closes the connection."""
+        self.target, self.held, self._rest = None, False, b""
+        self._socket = socket.create_connection(self.place, 5.0)
         with self._socket:
+            self._socket.setblocking(False)
+            self.say(f"robot {TRAVEL} 6")
             while self.target != ():
                 with contextlib.suppress(Stop):
                     self._serve_target()
@@ -83,12 +88,15 @@ class Poker:
         if turn < NEAR_SIDE or not all(self.arm.can_reach(end, push) for end in ends):
             self.say(f"skip {number} out of reach")
             return
-        if turn < SAME_SIDE:
-            self._go(_moved(self.arm.read()[0], self.side, -CLEAR), self.side)
-            self._go(ends[0], push)
-        self._go(ends[1], push)
-        self.side = push
-        self.say(f"{'reached' if self._poke(place, push, force, hold) else 'skip'} {number}")
+        try:
+            if turn < SAME_SIDE:
+                self._go(_moved(self.arm.read()[0], self.side, -CLEAR), self.side)
+                self._go(ends[0], push)
+            self._go(ends[1], push)
+            self.side = push
+            self.say(f"{'reached' if self._poke(place, push, force, hold) else 'skip'} {number}")
+        except Fault as fault:
+            self.say(f"fault {number} {fault}")
 
     def _poke(self, place: Vector, push: Vector, force: float, hold: float) -> bool:
         """Poke once; whether something was felt. However it ends, the tip goes back."""
@@ -97,19 +105,16 @@ class Poker:
             tare = self._tare(place, push)
             until_s, pressed_s = math.inf, math.inf
             while depth < SEARCH and time.monotonic() < until_s and not self.held:
-                _, felt, age_s = self.arm.read()
-                felt -= tare
-                if felt > FORCE_LIMIT:
+                felt = self._fresh_force(place, push, depth, is_pressing=until_s < math.inf) - tare
+                if abs(felt) > FORCE_LIMIT:
                     return False
                 if felt > TOUCH and until_s == math.inf:
                     until_s = time.monotonic() + SETTLE_S
                 if abs(felt - force) < 0.06 * force and pressed_s == math.inf:
                     pressed_s = time.monotonic()
                     until_s = pressed_s + hold + 1.5
-                # Never towards the part without a fresh force; slower and slower towards the wished one.
+                # Slower and slower towards the wanted force.
                 speed = APPROACH if felt < TOUCH else max(-PRESS, min(PRESS, (force - felt) * PRESS / force * 2.0))
-                if age_s > FRESH_S:
-                    speed = min(speed, 0.0)
                 if pressed_s == math.inf or abs(felt - force) > 0.06 * force:
                     depth += speed * PERIOD_S
                 self._move(place, push, depth)
@@ -123,18 +128,33 @@ class Poker:
     def _go(self, place: Vector, push: Vector) -> None:
         """Move the tip straight, without a touch."""
         start = self.arm.read()[0]
+        rest = self._fresh_force(start, push, 0.0)
         steps = max(1, math.ceil(math.dist(start, place) / (TRAVEL * PERIOD_S)))
         way = tuple(b - a for a, b in zip(start, place, strict=True))
+        here = start
         for step in range(1, steps + 1):
-            self._move(_moved(start, way, step / steps), push, 0.0)
+            if abs(self._fresh_force(here, push, 0.0) - rest) > FORCE_LIMIT:
+                raise Fault("something was met on the way")
+            here = _moved(start, way, step / steps)
+            self._move(here, push, 0.0)
+
+    def _fresh_force(self, place: Vector, push: Vector, depth: float, *, is_pressing: bool = False) -> float:
+        """Return the force along the push, N; wait at a place while it is old. A pressing tip does not wait."""
+        end_s = time.monotonic() + SILENCE_S
+        while True:
+            _, force, age_s = self.arm.read()
+            if age_s <= FRESH_S:
+                return force
+            if is_pressing or time.monotonic() > end_s:
+                raise Fault("no fresh force reading")
+            self._move(place, push, depth)
 
     def _tare(self, place: Vector, push: Vector) -> float:
         """Return the mean force without contact, N."""
         read: list[float] = []
         end_s = time.monotonic() + TARE_S
         while time.monotonic() < end_s or not read:
-            _, force, age_s = self.arm.read()
-            read += [force] if age_s <= FRESH_S else []
+            read.append(self._fresh_force(place, push, -STANDOFF))
             self._move(place, push, -STANDOFF)
         return sum(read) / len(read)
 
@@ -154,7 +174,7 @@ class Poker:
         except BlockingIOError:
             return
         if not data:
-            raise ConnectionError("skincal hung up")
+            raise ConnectionError("skincal closed the connection")
         *lines, self._rest = (self._rest + data).split(b"\n")
         ends = [self._ends_poke(line.decode()) for line in lines]
         if any(ends):
@@ -186,9 +206,10 @@ def main() -> None:
     options.add_argument("--host", default="127.0.0.1")
     options.add_argument("--port", type=int, default=7010)
     given = options.parse_args()
+    poker = Poker(Arm(), given.host, given.port)
     while True:
         try:
-            Poker(Arm(), given.host, given.port).run()
+            poker.run()
         except OSError as error:
             print(f"{error}; trying again")  # noqa: T201
             time.sleep(1.0)

@@ -44,7 +44,7 @@ class FlatPart:
 
     def __init__(self):
         self.now_s, self.place, self.force_age_s, self.stiffness = 0.0, (0.0, 0.0, 0.2), 0.0, STIFFNESS
-        self.course, self.reach = [], lambda _place: True
+        self.course, self.reach, self.load = [], lambda _place: True, lambda _place: 0.0
 
     def monotonic(self):
         return self.now_s
@@ -54,7 +54,8 @@ class FlatPart:
         time.sleep(seconds / 4.0)
 
     def read(self):
-        return self.place, 3.0 + self.stiffness * max(0.0, -self.place[2]), self.force_age_s
+        force = 3.0 + self.stiffness * max(0.0, -self.place[2]) + self.load(self.place)
+        return self.place, force, self.force_age_s
 
     def move_tip(self, place, _push):
         self.course.append(place[2])
@@ -158,6 +159,29 @@ def test_nothing_moves_towards_the_part_without_a_fresh_force(bench):
     assert bench.said == ["reached 1"]
 
 
+def test_a_pressing_tip_lets_go_once_the_force_is_old(bench):
+    bench.ask(1).until_pressed()
+    bench.arm.force_age_s = 1.0
+    bench.until(lambda: bench.said)
+    assert bench.said == ["fault 1 no fresh force reading"]
+    assert bench.arm.place[2] == pytest.approx(bench.example.STANDOFF, abs=3e-3)
+
+
+def test_without_any_force_the_arm_stays_where_it_is(bench):
+    bench.arm.force_age_s = 1.0
+    bench.ask(1).until(lambda: bench.said)
+    assert bench.said == ["fault 1 no fresh force reading"]
+    assert set(bench.arm.course) == {0.2}
+
+
+@pytest.mark.parametrize("load", [30.0, -30.0])
+def test_what_is_met_on_the_way_stops_it(bench, load):
+    bench.arm.load = lambda place: load if place[2] < 0.1 else 0.0
+    bench.ask(1).until(lambda: bench.said)
+    assert bench.said == ["fault 1 something was met on the way"]
+    assert bench.arm.place[2] > 0.095
+
+
 def test_a_force_above_the_limit_ends_the_poke(bench):
     bench.arm.stiffness = 1e6
     bench.ask(1).until(lambda: bench.said)
@@ -170,6 +194,7 @@ def test_without_skincal_it_lets_go(bench):
     bench.server.close()
     bench.thread.join(PATIENCE_S)
     assert isinstance(bench.ended, ConnectionError)
+    assert bench.poker.side == tuple(DOWN), "after the next connection it first goes back"
     assert bench.arm.place[2] == pytest.approx(bench.example.STANDOFF, abs=3e-3)
 
 
