@@ -4,14 +4,14 @@
     python3 ros2_poker.py --port 7010
 
 It reads skincal's lines (docs/wire.md) and publishes `target_frame` (geometry_msgs/PoseStamped) and `target_wrench`
-(geometry_msgs/WrenchStamped), which cartesian_compliance_controller and its like follow: to a place before the skin, on to
-the skin with the wished force, held, and back. z of the tool points the way of the push.
+(geometry_msgs/WrenchStamped) for a controller such as cartesian_compliance_controller. The tool goes to a place before the
+skin, presses with the wanted force, holds, and goes back. Its z axis points along the push. On `wait`, `stop`, another target
+or a lost connection the force goes to zero at once, and the tool goes back.
 
-What it does not do is the robot's own affair: that the way to the place before the skin is free, that forces and speeds stay
-below what the part and the people beside it bear, that a stop stops it. Set those limits in the controller, not here. Answer
-`skip` where a place cannot be reached and `fault` where the robot has stopped; here only silence of the controller is one.
+It reads no force. Set the limits of force and speed in the controller, and see to it yourself that the way to the place before
+the skin is free. Answer `skip` if a place cannot be reached, and `fault` if the robot has stopped.
 
-The protocol and the course of a poke need no ROS, and are tested without it; `main` alone imports rclpy.
+`main` alone needs ROS (rclpy). The rest is tested without it.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ STANDOFF = 0.05
 SPEED = 0.05
 """m/s at which the set point moves."""
 RAMP_S = 0.3
-"""s from touch to the wished force, and back."""
+"""s from touch to the wanted force, and back."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """One line of skincal's: metres, newtons, seconds, in `frame`."""
+    """A request of skincal: metres, newtons, seconds, in `frame`."""
 
     number: int
     channel: int | None
@@ -46,7 +46,7 @@ class Target:
 
 
 def read_target(line: str) -> Target:
-    """Return what a line that begins with `target` asks for; ValueError where it is none."""
+    """Read a line that begins with `target`; ValueError for any other."""
     word, number, what, frame, pose, *rest = line.split()
     x, y, z, px, py, pz, force, hold = map(float, rest)
     if word != "target" or not all(map(math.isfinite, (x, y, z, px, py, pz, force, hold))):
@@ -57,7 +57,7 @@ def read_target(line: str) -> Target:
 
 
 class Lines:
-    """The connection to skincal; ConnectionError where it is over."""
+    """The connection to skincal; ConnectionError once it is closed."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.create_connection((host, port), 5.0)
@@ -65,13 +65,13 @@ class Lines:
         self._rest = b""
 
     def read(self) -> list[str]:
-        """Return the lines that came, without waiting."""
+        """Return the lines that have arrived, without waiting."""
         try:
             data = self._socket.recv(4096)
         except BlockingIOError:
             return []
         if not data:
-            raise ConnectionError("skincal hung up")
+            raise ConnectionError("skincal closed the connection")
         *lines, self._rest = (self._rest + data).split(b"\n")
         return [line.decode() for line in lines]
 
@@ -80,13 +80,13 @@ class Lines:
         self._socket.sendall(f"{line}\n".encode())
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
 
 @dataclass(frozen=True)
 class SetPoint:
-    """Where the tool's tip is wanted, which way z of the tool points, and the force along it; in `frame`."""
+    """Wanted position of the tool's tip, direction of its z axis, and force along it; in `frame`."""
 
     frame: str
     place: tuple[float, float, float]
@@ -94,7 +94,7 @@ class SetPoint:
     force: float
 
     def quaternion(self) -> tuple[float, float, float, float]:
-        """Return x, y, z, w of the shortest turn that brings z along the push."""
+        """Compute x, y, z, w of the shortest turn that brings z along the push."""
         px, py, pz = self.push
         if pz < -1.0 + 1e-9:
             return 1.0, 0.0, 0.0, 0.0
@@ -104,43 +104,63 @@ class SetPoint:
 
 
 class Poker:
-    """The course of pokes over time: approach, press, hold, let go, back; and what is answered."""
+    """The pokes over time: approach, press, hold, let go, back; and the answers."""
 
     def __init__(self, lines: Lines) -> None:
         self._lines = lines
         self._target: Target | None = None
-        self._begin_s = 0.0
-        self.enough = False
+        self._next: Target | None = None
+        self._begin_s = self._back = 0.0
+        self._stopped_s: float | None = None
+        self.lost = False
+        """skincal is gone: no more targets follow."""
 
     def step(self, now_s: float) -> SetPoint | None:
-        """Take what skincal says and return what is wanted at `now_s`; None: nothing, stay where you are."""
-        for line in self._lines.read():
-            self._hear(line, now_s)
+        """Read skincal's lines and return the set point at `now_s`; None: stay there."""
+        try:
+            for line in [] if self.lost else self._lines.read():
+                self._follow_line(line, now_s)
+        except ConnectionError:
+            self.lost = True
+            self._let_go(now_s)
+        if self._target is None and self._next is not None:
+            self._target, self._next, self._begin_s = self._next, None, now_s
         target = self._target
         if target is None:
             return None
-        back, load, over = self._course(now_s - self._begin_s, target)
+        if self._stopped_s is None:
+            self._back, load, is_over = self._course(now_s - self._begin_s, target)
+            back = self._back
+        else:
+            load, back = 0.0, min(STANDOFF, self._back + SPEED * (now_s - self._stopped_s))
+            is_over = back >= STANDOFF
         place = tuple(p - back * d for p, d in zip(target.place, target.push, strict=True))
-        if over:
-            self._lines.say(f"reached {target.number}")
-            self._target = None
+        if is_over:
+            if self._stopped_s is None:
+                self._lines.say(f"reached {target.number}")
+            self._target = self._stopped_s = None
         return SetPoint(target.frame, place, target.push, load * target.force)
 
-    def _hear(self, line: str, now_s: float) -> None:
+    def _follow_line(self, line: str, now_s: float) -> None:
         word = line.partition(" ")[0]
         if word == "target":
-            # One that comes while another is pressed takes its place: the tool is before the skin at first.
-            self._target, self._begin_s = read_target(line), now_s
-        elif word in ("wait", "any", "enough"):
-            self._target = None
-            self.enough = word == "enough"
+            self._next = read_target(line)
+            self._let_go(now_s)
+        elif word in ("wait", "stop", "any", "enough"):
+            self._next = None
+            self._let_go(now_s)
         elif word == "refused":
             raise ConnectionError(line)
-        # accepted and rejected tell how it went; the next target says what follows.
+        # accepted and rejected are verdicts on pokes; the next target follows them.
+
+    def _let_go(self, now_s: float) -> None:
+        """End the present poke: no force from now on, and back."""
+        if self._target is not None and self._stopped_s is None:
+            self._stopped_s = now_s
 
     @staticmethod
     def _course(since_s: float, target: Target) -> tuple[float, float, bool]:
-        """Return how far before the skin, m, which share of the force, and whether it is over."""
+        """Compute the distance before the skin, m, the share of the force, and whether the poke is over."""
         way_s = STANDOFF / SPEED
         pressed_s = since_s - way_s
         released_s = pressed_s - RAMP_S - target.hold
@@ -172,6 +192,8 @@ def main() -> None:
         now = node.get_clock().now()
         wanted = poker.step(now.nanoseconds * 1e-9)
         if wanted is None:
+            if poker.lost:
+                raise SystemExit("skincal closed the connection")
             return
         pose, wrench = PoseStamped(), WrenchStamped()
         pose.header.stamp = wrench.header.stamp = now.to_msg()

@@ -22,20 +22,20 @@ class Effects:
     weight: float = 0.883
     """kg, mass of the part on the sensor. Forearm and hand of the public iCub's URDF (icub-models, iCubGazeboV2_5)."""
     friction: float = 0.6
-    """Coulomb coefficient at the tip; off, the tip sticks. Rubber or plastic on fabric: 0.6 to 0.9."""
+    """Coulomb coefficient at the tip; off, the tip sticks. Assumed, for rubber or plastic on fabric."""
     patch: float = 1.0
     """Radius of the contact patch over that of the circle that the tip cuts into the layer's face, and grows with the force
     (Johnson, Contact Mechanics, 4.3). Off, the force acts on a point."""
     overshoot: float = 0.25
-    """Overshoot of the arm's servo over a step: damping ratio 0.4 (Astrom and Murray, Feedback Systems, 6.3)."""
+    """Overshoot of the arm's servo over a step. Assumed: damping ratio 0.4 (Astrom and Murray, Feedback Systems, 6.3)."""
     sag: float = 5e-4
     """rad per N m: compliance of each joint, under the load and the arm's weight. A harmonic drive of size 14 has 2e-4
     (CSF-14 catalogue); belts and servo add to it. Assumed."""
     low_pass: float = 50.0
     """Hz, first-order low-pass filter in the sensor; readings are 20 ms late (`SENSOR_DELAY_S`). Assumed."""
     base: float = 0.002
-    """m, sd along each axis of the error of the robot's base frame, with 0.25 degrees for each millimetre. A robot knows its
-    tip to 1 to 5 mm."""
+    """m, sd along each axis of the error of the robot's base frame, with 0.25 degrees for each millimetre. Assumed:
+    robots know their tip to 1 to 5 mm."""
 
     @classmethod
     def none(cls) -> Effects:

@@ -1,7 +1,7 @@
 """MJCF models of the two rigs, made of primitives: an arm that pokes a part, and a part that an arm presses onto a fixed tip.
 
 Both have the same parts by the same names: the force/torque sensor (site `ft`), the body `part` behind it with its `facet`, and
-the spherical `tip` on a compliant wrist. The facet is a box whose upper face the engine touches (`engine.Rig.place_facet`).
+the spherical `tip` on a compliant wrist. The facet is a box whose upper face the engine touches (`Engine._place_facet`).
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from skincal.physics.effects import FRICTION_COEFFICIENT_WITHOUT_SLIP, Effects
 TIP_RADIUS_M = 0.002
 PHYSICS_TIME_STEP_S = 0.001
 FOAM_STIFFNESS_N_PER_M = 8000.0
-"""N/m, of the layer under the tip: foam of 0.75 MPa, 2.5 mm thick, under a patch of 27 mm^2."""
+"""N/m, of the layer under the tip. Assumed: foam of 0.75 MPa, 2.5 mm thick, has 3000 under the 10 mm^2 that the tip cuts into
+it; the fabric spreads the force wider."""
 FOAM_THICKNESS_M = 0.0025
 """m, from the taxels to the outer face: 2 to 3 mm of foam and fabric on an iCub."""
 CONTACT_IMPEDANCE = 0.9
-"""Constant impedance d of the contact: it makes the contact a linear spring (`contact_reference`)."""
+"""Constant impedance d of the contact: it makes the contact a linear spring (`Engine._set_layer_stiffness`)."""
 FOAM_DAMPING_OVER_STIFFNESS_S = 0.004
 """s, damping of the layer over its stiffness."""
 WRIST_STIFFNESS_N_PER_M = 3000.0

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -201,10 +202,33 @@ def test_the_example_approaches_presses_as_wished_holds_lets_go_and_goes_back(ex
                 said += [item for item in server.take() if not isinstance(item, str)]
                 assert time.monotonic() < end
             assert (said[1].kind.value, said[1].number) == ("reached", 3)
-            server.send([NoTarget.ENOUGH])
-            while not poker.enough:
-                assert poker.step(9.0) is None
-                assert time.monotonic() < end
+
+
+@pytest.mark.parametrize("end", ["wait", "stop", "another", "lost"])
+def test_the_example_lets_go_at_once_and_goes_back(example, end):
+    with closing(TargetServer(*parse_port("0"))) as server, closing(example.Lines("127.0.0.1", server.port)) as lines:
+        poker, now_s, late_s = example.Poker(lines), 0.0, time.monotonic() + 60.0
+        asked = PokeTarget(1, 7, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -1.0]), force=8.0, hold=60.0)
+
+        def step_until(condition):
+            nonlocal now_s
+            while not condition(point := poker.step(now_s)):
+                assert time.monotonic() < late_s
+                now_s += 0.02 * (point is not None)
+            return point
+
+        server.send([asked])
+        step_until(lambda point: point is not None and point.force == 8.0)
+        lines_to_send = {"wait": [NoTarget.WAIT], "stop": [NoTarget.STOP], "another": [replace(asked, number=2)]}
+        server.send(lines_to_send[end]) if end != "lost" else server.close()
+        released = step_until(lambda point: point is None or point.force == 0.0)
+        assert released.place[2] == pytest.approx(0.3, abs=0.002)
+        away = step_until(lambda point: point is None or point.place[2] >= 0.3 + example.STANDOFF - 1e-9)
+        assert away.force == 0.0
+        assert poker.lost is (end == "lost")
+        follows = poker.step(now_s + 0.02)
+        assert (follows is not None) is (end == "another"), "the next target begins before the skin"
+        assert not any(isinstance(item, Answer) for item in server.take())
 
 
 def test_the_commands_play_both_sides(tmp_path):
