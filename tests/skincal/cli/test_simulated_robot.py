@@ -1,0 +1,28 @@
+"""`simulate --physics --out`: a session that the robot's fault ends."""
+
+import numpy as np
+import pytest
+
+from skincal.cli import main, simulated_robot
+from skincal.physics.effects import Effects
+from skincal.physics.layouts import make_robot
+from skincal.session.part import load_scene_surface
+
+
+def test_a_robot_that_stops_ends_its_session_with_the_reason(tmp_path, monkeypatch, capsys):
+    """Its base is 40 mm farther away than it knows: it feels nothing at three places."""
+    pytest.importorskip("mujoco")
+
+    def displaced(scene, seed):
+        surface = load_scene_surface(scene)[0]
+        robot = make_robot(scene, surface, Effects.none(), seed)
+        robot.engine.displace_base(np.array([-0.04, 0.0, 0.0]), np.eye(3))
+        return robot, surface
+
+    monkeypatch.setattr(simulated_robot, "_make_robot", displaced)
+    out = tmp_path / "session"
+    assert main(["simulate", "--physics", "mujoco", "--scene", "icub-forearm", "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "skincal: the robot has stopped: 3 targets in a row failed" in said
+    assert "measure the tip and the pose of the part again" in said
+    assert (out / "truth.json").is_file()
