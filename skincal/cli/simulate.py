@@ -123,6 +123,13 @@ def simulate(
         Physics | None,
         typer.Option(help="Physics engine with a robot arm that pokes the guide's targets, in place of an operator."),
     ] = None,
+    effects: Annotated[
+        str,
+        typer.Option(
+            help="With --physics: imperfections of the robot and the rig, by name, separated by commas: noise, vibration, "
+            "weight, friction, patch, overshoot, sag, low_pass, base; or all, or none (docs/robot.md)."
+        ),
+    ] = "all",
     as_json: Json = False,
 ) -> None:
     """Simulate a rig and its operator: record a session (--out), or send live readings like real devices (--serve).
@@ -150,12 +157,14 @@ def simulate(
         if unused := [name for name, is_used in others.items() if is_used]:
             raise InputError(f"{unused[0]} has no effect with --physics {'--serve' if serve else '--out'}: leave it out.")
         if out is not None:
-            _record_robot(loaded, out, pokes, seed, as_json)
+            _record_robot(loaded, out, pokes, seed, effects, as_json)
         else:
-            _serve_robot(loaded, targets, seed, tcp=tcp, as_json=as_json)
+            _serve_robot(loaded, targets, seed, effects, tcp=tcp, as_json=as_json)
         return
     serve, speak_as = serve or ros2, f"{speak_as},ros2".strip(",") if ros2 else speak_as
     _demand_sense(serve, out, operator, targets, other="--tcp" if tcp else "--as" if speak_as else "--run" if run else "")
+    if effects != "all":
+        raise InputError("--effects is for --physics; --errors are those of a simulated rig.")
     surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
     names = tuple(name.strip() for name in poses.split(",") if name.strip())
     habits = (Habits.careful() if careful else Habits()).at_pace(pace)
@@ -199,12 +208,12 @@ def _record(simulate_session: Callable[..., Pipeline], out: Path, count: int, as
         raise typer.Exit(CTRL_C_EXIT_CODE)
 
 
-def _record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, as_json: bool) -> None:
+def _record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, effects: str, as_json: bool) -> None:
     """Record a session of a simulated robot in `out`; Ctrl-C ends it early, and what is there stays."""
     from skincal.files.reference import TRUTH_NAME, read_reference
 
     with stopping() as stop:
-        pipeline, fault = record_robot(scene, out, pokes, seed, stop)
+        pipeline, fault = record_robot(scene, out, pokes, seed, stop, effects)
     finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
     if fault:
         raise InputError(f"the robot has stopped: {fault}. The session is kept with its pokes so far.")
@@ -212,12 +221,12 @@ def _record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, as_json
         raise typer.Exit(CTRL_C_EXIT_CODE)
 
 
-def _serve_robot(scene: Scene, targets: str | None, seed: int, *, tcp: bool, as_json: bool) -> None:
+def _serve_robot(scene: Scene, targets: str | None, seed: int, effects: str, *, tcp: bool, as_json: bool) -> None:
     """Serve the devices of a simulated robot until stdin closes, Ctrl-C or a termination signal."""
     from skincal.simulate.serve import Server
 
     with (
-        closing(open_robot(scene, targets, seed)) as devices,
+        closing(open_robot(scene, targets, seed, effects)) as devices,
         closing(Server(devices, tcp=tcp)) as server,
         stopping() as stop,
     ):

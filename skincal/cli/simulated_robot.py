@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
 
 
-def open_robot(scene: Scene, targets: str | None, seed: int) -> PokingDevices:
+def open_robot(scene: Scene, targets: str | None, seed: int, effects: str) -> PokingDevices:
     """Make a simulated robot with its devices, which pokes the targets of a port until it is closed.
 
     Raises InputError: no port is named, the part has no mesh, or the physics engine is missing.
@@ -28,11 +28,13 @@ def open_robot(scene: Scene, targets: str | None, seed: int) -> PokingDevices:
 
     if targets is None:
         raise InputError("--physics with --serve has nothing to poke; expected --targets [HOST:]PORT of a recording.")
-    robot, surface = _make_robot(scene, seed)
+    robot, surface = _make_robot(scene, seed, effects)
     return PokingDevices(robot, surface, *parse_port(targets))
 
 
-def record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, stop: threading.Event) -> tuple[Pipeline, str]:
+def record_robot(
+    scene: Scene, out: Path, pokes: int | None, seed: int, stop: threading.Event, effects: str
+) -> tuple[Pipeline, str]:
     """Record a session of a simulated robot: to *enough*, to `pokes`, to `stop`, or to a fault of the robot.
 
     Returns
@@ -47,7 +49,7 @@ def record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, stop: th
     from skincal.physics.session import RobotSession, make_client
     from skincal.streams.links import LinkSpec
 
-    robot, surface = _make_robot(scene, seed)
+    robot, surface = _make_robot(scene, seed, effects)
     streams = (Stream.WRENCH, Stream.SKIN, *((Stream.JOINTS,) if scene.arm is not None else ()))
     links = [LinkSpec(stream.value, f"simulated:{stream.value}", (stream,)) for stream in streams]
     session = RobotSession(scene, surface, robot, create_session(out, scene, links))
@@ -73,7 +75,7 @@ def _count_pokes(pipeline: Pipeline) -> int:
     return sum(record.outcome.final for record in pipeline.snapshot().pokes)
 
 
-def _make_robot(scene: Scene, seed: int) -> tuple[SimulatedRobot, Surface]:
+def _make_robot(scene: Scene, seed: int, effects: str) -> tuple[SimulatedRobot, Surface]:
     from skincal.physics.effects import Effects
     from skincal.physics.layouts import make_robot
     from skincal.session.part import load_scene_surface
@@ -81,4 +83,4 @@ def _make_robot(scene: Scene, seed: int) -> tuple[SimulatedRobot, Surface]:
     surface = load_scene_surface(scene)[0]
     if surface is None:
         raise InputError(f"{scene.name} has no mesh, which the arm presses; expected a scene with [surface].")
-    return make_robot(scene, surface, Effects(), seed), surface
+    return make_robot(scene, surface, Effects.named(effects), seed), surface

@@ -43,6 +43,13 @@ class Effects:
         return cls(**{item.name: 0.0 for item in fields(cls)})
 
     @classmethod
+    def named(cls, text: str) -> Effects:
+        """Read `all`, `none`, or names separated by commas. Raises InputError: a name is unknown."""
+        if text in ("all", "none"):
+            return cls() if text == "all" else cls.none()
+        return cls.only(*(name.strip() for name in text.split(",")))
+
+    @classmethod
     def only(cls, *names: str) -> Effects:
         """Switch on the named effects alone. Raises InputError: a name is unknown."""
         sizes = {item.name: item.default for item in fields(cls)}

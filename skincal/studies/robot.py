@@ -55,7 +55,8 @@ scene of the forearm has 0.10 N and 0.010 N m, for a real sensor that drifts."""
 DISPLACED_MM, DISPLACED_SEEDS = (0.0, 5.0, 10.0), 3
 """Displacement of the arm's base, in a direction of each seed's own."""
 SOLVES_PER_TIMING = 5
-MEAN_MAX_MM, ACCEPTED_MIN, COVERAGE_MIN = 1.0, 0.90, 0.85
+MEAN_MAX_MM, ACCEPTED_MIN, COVERAGE_MIN, ENOUGH_MIN = 1.0, 0.90, 0.85, 0.95
+"""mm, and shares: of accepted pokes, of taxels inside their 95 % regions, of sessions that end with *enough*."""
 PREDICTED_RANGE = (0.7, 1.5)
 """Allowed ratio of predicted to true error, rms over the sessions with all imperfections."""
 Row: TypeAlias = dict[str, Any]
@@ -152,12 +153,11 @@ def _write_moving_part(shipped: Path, folder: Path) -> Path:
 
 def run_session(task: Task) -> Row:
     """Let a robot calibrate a part; give the numbers of a row for one session."""
-    effects = {"none": Effects.none(), "all": Effects()}.get(task.case) or Effects.only(task.case)
     with tempfile.TemporaryDirectory() as folder:
         scene = scene_of(task.rig, Path(folder))
         assert scene.surface is not None
         surface = load_surface(scene.surface)[0]
-    robot = make_robot(scene, surface, effects, task.seed)
+    robot = make_robot(scene, surface, Effects.named(task.case), task.seed)
     direction = np.random.default_rng(task.seed).standard_normal(3)
     robot.engine.displace_base(1e-3 * task.displaced_mm * direction / length_of(direction), np.eye(3))
     session = RobotSession(scene, surface, robot, method=Method.MODULES)
@@ -241,6 +241,7 @@ def robot_limits(rows: Sequence[Mapping[str, Any]], *, quick: bool = False) -> d
     limits["robot_inside_all"] = (min(own["inside"] for case, own in lead if case == "all"), ">=", COVERAGE_MIN)
     if quick:
         return limits
+    limits["robot_enough"] = (min(row["enough"] for row in rows if row["case"] in ("none", "all")), ">=", ENOUGH_MIN)
     limits["robot_mean_mm"] = (max(own["mean_mm"] for case, own in lead if case in ("none", "all")), "<=", MEAN_MAX_MM)
     ratios = [own["predicted_mm"] / own["true_rms_mm"] for case, own in lead if case == "all"]
     limits["robot_predicted_over_true_least"] = (min(ratios), ">=", PREDICTED_RANGE[0])

@@ -195,6 +195,8 @@ REFUSALS = [
     (["simulate", *SCENE, "--poses", "9"], "9"),
     *((["simulate", *SCENE, *options], NOT_SERVED.replace("OPTIONS", " ".join(options)))
       for options in (["--operator", "told"], ["--operator", "guided"], ["--tcp"])),
+    (["simulate", *SCENE, "--effects", "none"], approved("operator.effects_of_physics")),
+    (["simulate", "--scene", "icub-forearm", "--physics", "mujoco", "--effects", "sag,wind"], "there is no effect 'wind'"),
     (["simulate", *SCENE, "--run", "2"], NOT_SERVED.replace("OPTIONS", "--run")),
     *((["simulate", *SCENE, "--physics", "mujoco", *options], approved("operator.not_of_a_robot", option=options[0]))
       for options in (["--errors", "paper"], ["--poses", "1"], ["--careful"], ["--pace", "2"], ["--tcp"], ["--as", "xela"])),

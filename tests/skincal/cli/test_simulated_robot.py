@@ -13,15 +13,15 @@ def test_a_robot_that_stops_ends_its_session_with_the_reason(tmp_path, monkeypat
     """Its base is 40 mm farther away than it knows: it feels nothing at three places."""
     pytest.importorskip("mujoco")
 
-    def displaced(scene, seed):
+    def displaced(scene, seed, effects):
         surface = load_scene_surface(scene)[0]
-        robot = make_robot(scene, surface, Effects.none(), seed)
+        robot = make_robot(scene, surface, Effects.named(effects), seed)
         robot.engine.displace_base(np.array([-0.04, 0.0, 0.0]), np.eye(3))
         return robot, surface
 
     monkeypatch.setattr(simulated_robot, "_make_robot", displaced)
     out = tmp_path / "session"
-    assert main(["simulate", "--physics", "mujoco", "--scene", "icub-forearm", "--out", str(out)]) == 2
+    assert main(["simulate", "--physics", "mujoco", "--scene", "icub-forearm", "--effects", "none", "--out", str(out)]) == 2
     said = capsys.readouterr().err
     assert "skincal: the robot has stopped: 3 targets in a row failed" in said
     assert "measure the tip and the pose of the part again" in said

@@ -41,9 +41,13 @@ def test_equal_seeds_give_equal_sessions() -> None:
     np.testing.assert_equal(*sessions)
 
 
-def rows(*, mean: float = 0.8, inside: float = 0.9, predicted: float = 1.0, accepted: float = 0.95) -> list[dict[str, Any]]:
+def rows(
+    *, mean: float = 0.8, inside: float = 0.9, predicted: float = 1.0, accepted: float = 0.95, enough: float = 1.0
+) -> list[dict[str, Any]]:
     methods = {"modules": {"mean_mm": mean, "inside": inside, "predicted_mm": predicted, "true_rms_mm": 1.0, "missing": 0}}
-    return [{"rig": "arm", "case": case, "accepted": accepted, "methods": methods} for case in ("none", "all")]
+    return [
+        {"rig": "arm", "case": case, "accepted": accepted, "enough": enough, "methods": methods} for case in ("none", "all")
+    ]
 
 
 @pytest.mark.parametrize(
@@ -55,6 +59,7 @@ def rows(*, mean: float = 0.8, inside: float = 0.9, predicted: float = 1.0, acce
         ({"predicted": 1.6}, {"robot_predicted_over_true_most"}),
         ({"predicted": 0.6}, {"robot_predicted_over_true_least"}),
         ({"accepted": 0.8}, {"robot_accepted"}),
+        ({"enough": 0.9}, {"robot_enough"}),
     ],
 )
 def test_limits_fail_where_a_number_is_wrong(wrong: dict[str, float], failing: set[str]) -> None:
