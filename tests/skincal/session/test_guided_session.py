@@ -210,18 +210,19 @@ def test_the_example_lets_go_at_once_and_goes_back(example, end):
         poker, now_s, late_s = example.Poker(lines), 0.0, time.monotonic() + 60.0
         asked = PokeTarget(1, 7, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -1.0]), force=8.0, hold=60.0)
 
-        def step_until(condition):
+        def step_until(condition, period_s=0.02):
             nonlocal now_s
             while not condition(point := poker.step(now_s)):
                 assert time.monotonic() < late_s
-                now_s += 0.02 * (point is not None)
+                now_s += period_s * (point is not None)
             return point
 
         server.send([asked])
         step_until(lambda point: point is not None and point.force == 8.0)
         lines_to_send = {"wait": [NoTarget.WAIT], "stop": [NoTarget.STOP], "another": [replace(asked, number=2)]}
         server.send(lines_to_send[end]) if end != "lost" else server.close()
-        released = step_until(lambda point: point is None or point.force == 0.0)
+        # The time stands until the line has arrived.
+        released = step_until(lambda point: point is None or point.force == 0.0, 0.0)
         assert released.place[2] == pytest.approx(0.3, abs=0.002)
         away = step_until(lambda point: point is None or point.place[2] >= 0.3 + example.STANDOFF - 1e-9)
         assert away.force == 0.0
