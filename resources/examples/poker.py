@@ -3,8 +3,8 @@
     skincal record --targets 7010 ...            # or the window: skincal --targets 7010 ...
     python3 poker.py --port 7010
 
-Fill in the three functions of `Arm`; docs/robot.md has those for UR by RTDE and for ROS 2. All places are metres in the frame
-of the part: convert with the measured pose of the part in the robot's base. Try it first on a soft part, with a low
+Fill in the frame and the three functions of `Arm`; docs/robot.md has those for UR by RTDE and for ROS 2. All places are metres
+in that frame: convert with the measured pose of the part in the robot's base. Try it first on a soft part, with a low
 `FORCE_LIMIT`, and a hand on the emergency stop.
 
 Between other directions the tip goes back by `CLEAR`, more than the part is wide. It skips the far side of the part.
@@ -17,6 +17,7 @@ import contextlib
 import math
 import socket
 import time
+from urllib.parse import unquote
 
 Vector = tuple[float, float, float]
 
@@ -34,6 +35,9 @@ FRESH_S, SILENCE_S, PERIOD_S, TARE_S, SETTLE_S = 0.1, 3.0, 0.02, 0.3, 5.0
 
 class Arm:
     """Your robot."""
+
+    frame = ""
+    """Name of the part's frame: the link that the scene calibrates. A target in another frame is a fault."""
 
     def read(self) -> tuple[Vector, float, float]:
         """Return the place of the tip's end; the force along the push, N, not tared; and its age, s."""
@@ -184,6 +188,13 @@ class Poker:
         """Follow a line; whether it ends the present poke."""
         word, *rest = line.split() or [""]
         if word == "target":
+            frame = unquote(rest[2])
+            if frame not in (self.arm.frame, "-"):
+                self.target = None
+                self.say(
+                    f"fault {rest[0]} the target is in the frame {frame}, the robot works in {self.arm.frame or 'no frame'}"
+                )
+                return True
             x, y, z, px, py, pz, force, hold = map(float, rest[4:])
             self.target = int(rest[0]), (x, y, z), (px, py, pz), force, hold
             return True

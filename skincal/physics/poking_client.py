@@ -38,6 +38,7 @@ TOO_STRONG = "the force exceeded the limit"
 NO_FRESH_READING = "no fresh force reading"
 NOT_AWAY = "the arm does not get away from the part"
 PRESSED_AT_REST = "something presses on the sensor while the arm stands still"
+OTHER_FRAME = "the target is in the frame {}, this robot's part is {}"
 """Reasons why a target failed, for `fault`."""
 MEASURE_AGAIN = "{count} targets in a row failed ({reason}): measure the tip and the pose of the part again"
 REACH_CHECK_SPACING_M = 0.06
@@ -101,6 +102,8 @@ class PokeSettings:
     """m, from a goal at which it is reached."""
     late_s: float = 3.0
     """s after the expected arrival at which the arm does not get there."""
+    frame: str = ""
+    """Name of the part's frame: a target in another one is a fault. Empty: any frame."""
     corrects_aim: bool = True
     """The force axes of the pokes correct the robot's frame."""
     tip_report_s: float = 0.1
@@ -225,6 +228,11 @@ class PokingClient:
         match line:
             case PokeTarget():
                 self.is_finished = False
+                if line.frame and self.settings.frame not in ("", line.frame):
+                    self._goal = None
+                    self._break_off()
+                    self._say(Answer(AnswerKind.FAULT, line.number, OTHER_FRAME.format(line.frame, self.settings.frame)))
+                    return
                 if self._plan is not None and self._can_renumber(self._plan, line):
                     self._plan = replace(self._plan, target=line)
                     return

@@ -119,7 +119,7 @@ def make_client(
     robot: SimulatedRobot, surface: Surface, answer: Callable[[RobotLine], object], *, corrects_aim: bool = True
 ) -> PokingClient:
     """Make the client of a simulated robot; a robot that carries the part moves slowly."""
-    settings = PokeSettings(corrects_aim=corrects_aim)
+    settings = PokeSettings(frame=robot.scene.link, corrects_aim=corrects_aim)
     if robot.carries_part:
         settings = replace(
             settings,

@@ -38,8 +38,9 @@ def box(*boxes):
 BOX = box((np.zeros(3), HALF))
 
 
-def target(number, place=(0.01, 0.02, 0.02), push=DOWN, force=9.5):
-    return PokeTarget(number, 3, np.array(place, dtype=float), np.array(push, dtype=float), force=force, hold=0.6)
+def target(number, place=(0.01, 0.02, 0.02), push=DOWN, force=9.5, frame="box"):
+    place, push = np.array(place, dtype=float), np.array(push, dtype=float)
+    return PokeTarget(number, 3, place, push, frame=frame, force=force, hold=0.6)
 
 
 class Bench:
@@ -47,7 +48,7 @@ class Bench:
 
     def __init__(self, surface=BOX, **options):
         self.arm, self.answers, self.tips = PlainArm(surface, **options), [], []
-        self.client = PokingClient(self.arm, surface, self.hear, PokeSettings())
+        self.client = PokingClient(self.arm, surface, self.hear, PokeSettings(frame="box"))
 
     def hear(self, line):
         (self.tips if isinstance(line, TipPose) else self.answers).append(line)
@@ -78,6 +79,14 @@ class Bench:
 
 def answered(bench):
     return bool(bench.answers)
+
+
+def test_a_target_in_another_frame_is_a_fault_and_ends_the_poke_before():
+    bench = Bench().ask(target(1)).until_phase(Phase.TRAVEL).ask(target(2, frame="hand")).run(answered).rest(1.0)
+    assert [(answer.kind, answer.number) for answer in bench.answers] == [(AnswerKind.FAULT, 2)]
+    assert bench.answers[0].text == "the target is in the frame hand, this robot's part is box"
+    assert bench.client.phase is Phase.IDLE
+    assert not bench.forces.any()
 
 
 def test_the_force_across_the_push_is_let_go_before_the_hold():

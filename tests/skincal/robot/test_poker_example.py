@@ -42,6 +42,8 @@ def load_example():
 class FlatPart:
     """An arm above a flat part at height 0, in its own time, four times as fast: faster, its reports were a flood."""
 
+    frame = "flat part"
+
     def __init__(self):
         self.now_s, self.place, self.force_age_s, self.stiffness = 0.0, (0.0, 0.0, 0.2), 0.0, STIFFNESS
         self.course, self.reach, self.load = [], lambda _place: True, lambda _place: 0.0
@@ -82,8 +84,8 @@ class Bench:
         except ConnectionError as error:
             self.ended = error
 
-    def ask(self, number, place=(0.01, 0.02, 0.0), push=DOWN):
-        self.server.send([PokeTarget(number, 3, np.array(place), push, force=9.5, hold=0.6)])
+    def ask(self, number, place=(0.01, 0.02, 0.0), push=DOWN, frame="flat part"):
+        self.server.send([PokeTarget(number, 3, np.array(place), push, frame=frame, force=9.5, hold=0.6)])
         return self
 
     def until(self, condition):
@@ -134,6 +136,14 @@ def test_what_it_cannot_reach_it_skips_with_the_reason(bench):
     bench.ask(2).until(lambda: len(bench.said) == 2)
     bench.ask(3, push=-DOWN).until(lambda: len(bench.said) == 3)
     assert bench.said == ["skip 1 out of reach", "reached 2", "skip 3 out of reach"]
+
+
+def test_a_target_in_another_frame_is_a_fault_without_a_motion(bench):
+    bench.ask(1, frame="r_hand").until(lambda: bench.said)
+    assert bench.said == ["fault 1 the target is in the frame r_hand, the robot works in flat part"]
+    assert not bench.arm.course
+    bench.ask(2).until(lambda: len(bench.said) == 2)
+    assert bench.said[1] == "reached 2"
 
 
 @pytest.mark.parametrize("line", [NoTarget.STOP, NoTarget.WAIT])
@@ -202,7 +212,7 @@ class PhysicsArm:
     """The simulated robot behind the three functions of the template, and the clock of its simulated time."""
 
     def __init__(self, robot):
-        self.robot, self.monotonic = robot, lambda: robot.time_s
+        self.robot, self.monotonic, self.frame = robot, lambda: robot.time_s, robot.scene.link
 
     def sleep(self, seconds):
         for _ in range(round(seconds / self.robot.period_s)):
