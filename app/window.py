@@ -651,7 +651,7 @@ class Window(QMainWindow):
             self.commands.update_actions()
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask whether to keep a provisional session; then stop the timers, close the 3D view, then the journal."""
+        """Ask whether to keep an unsaved session; then stop the timers, close the 3D view, then the journal."""
         is_unsaved = self.controller.unsaved_pokes or (self.builder is not None and self.builder.is_changed)
         if not self._leaves and is_unsaved:
             self._confirm_unsaved(self.leave)

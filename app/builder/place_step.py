@@ -22,7 +22,7 @@ from skincal.session.part_draft import AnchorDraft, PartDraft
 
 WHOLE_LAYOUT = -1  # Data of the entry for the whole layout
 TURNS_DEG = (-15.0, -1.0, 1.0, 15.0)
-SLIDE_STEP_MM = 2.0
+ARROW_BUTTON_STEP_MM = 2.0
 TURN_RING_RADIUS_OVER_LAYOUT = 1.15  # Radius of the ring that turns the layout, over that of the layout
 ARROW_BUTTONS = (("\N{LEFTWARDS ARROW}", -1, 0, 1, 0), ("\N{RIGHTWARDS ARROW}", 1, 0, 1, 2), ("\N{UPWARDS ARROW}", 0, 1, 0, 1),
           ("\N{DOWNWARDS ARROW}", 0, -1, 2, 1))  # fmt: skip
@@ -49,7 +49,7 @@ class PlaceStep(Step):
         self.point.edited.connect(lambda millimetres: self.take_point(np.array(millimetres) * 1e-3))
         self.step = number_field("step of the arrows", " mm", 1000.0)
         self.step.setMinimum(0.1)
-        self.step.setValue(SLIDE_STEP_MM)
+        self.step.setValue(ARROW_BUTTON_STEP_MM)
         self.turns = [button(f"{degrees:+g}\N{DEGREE SIGN}", f"turn by {degrees:g} degrees") for degrees in TURNS_DEG]
         for each, degrees in zip(self.turns, TURNS_DEG, strict=True):
             each.clicked.connect(lambda _=False, degrees=degrees: self.turn(degrees))

@@ -43,7 +43,7 @@ MIN_BUSY_PICTURE_INTERVAL_S = 0.1  # The same while readings or taxels wait: rea
 IDLE_PICTURE_INTERVAL_S = 0.5  # Between two pictures without data, to show that a link fell silent
 SHOW_SOLVING_AFTER_S = 0.4  # Solving that lasts longer is shown
 READINGS_TIME_PER_TICK_S = 0.012  # Time for readings per tick; the rest waits, so that the window stays responsive
-BACKLOG_MAX_DELAY_NS = 1_000_000_000  # Readings that wait longer are soon dropped: they go before pictures
+PREFER_READINGS_IF_BEHIND_BY_NS = 1_000_000_000  # Readings that wait longer are soon dropped: they go before pictures
 BACKLOG_READINGS_TIME_PER_TICK_S = 0.060  # Time for readings per tick then: the window still answers within 0.1 s
 SOLVING_TIME_PER_TICK_S = 0.012  # Time for solving per tick. All taxels, as after a correction, take several ticks.
 MAX_UNSOLVED_TAXELS = 200
@@ -399,7 +399,9 @@ class Controller(QObject):
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
-        is_far_behind = recording.has_backlog and 0 < recording.reached_ns < time.monotonic_ns() - BACKLOG_MAX_DELAY_NS
+        is_far_behind = (
+            recording.has_backlog and 0 < recording.reached_ns < time.monotonic_ns() - PREFER_READINGS_IF_BEHIND_BY_NS
+        )
         drained = recording.drain(BACKLOG_READINGS_TIME_PER_TICK_S if is_far_behind else READINGS_TIME_PER_TICK_S)
         recording.pipeline.tick(time.monotonic_ns())
         if recording.pipeline.journal_failure and self.running is Running.STREAMING:

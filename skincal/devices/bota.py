@@ -16,7 +16,14 @@ from dataclasses import replace
 from importlib.util import find_spec
 from typing import ClassVar
 
-from skincal.devices.decoding import INVALID_BIT, SATURATED_BIT, DeviceTime, FrameDecoder, FrameSplitter, HeadSplitter
+from skincal.devices.decoding import (
+    INVALID_READING_FLAG,
+    SATURATED_READING_FLAG,
+    DeviceTime,
+    FrameDecoder,
+    FrameSplitter,
+    HeadSplitter,
+)
 from skincal.devices.family import Command, DeviceAddress, Family, Form, Handshake, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.readings import TEMPERATURE, Loss, Stream
@@ -82,7 +89,9 @@ class BotaDecoder(FrameDecoder):
         self._add_side_reading(TEMPERATURE, temperature)
         said = [words for bit, words in STATUS_SENTENCES.items() if status & bit]
         self._status = f"The sensor says: {'; '.join(said)}" if said else ""
-        flags = (SATURATED_BIT if status & OVERRANGE else 0) | (INVALID_BIT if status & (INVALID | RAW) else 0)
+        flags = (SATURATED_READING_FLAG if status & OVERRANGE else 0) | (
+            INVALID_READING_FLAG if status & (INVALID | RAW) else 0
+        )
         return self._add(Stream.WRENCH, -1, self._time.unwrap(raw_us), wrench, flags)
 
 

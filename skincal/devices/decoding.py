@@ -29,8 +29,8 @@ SEQ_MAX = 1 << 62
 TIME_STAMP_MAX_S = 5e9
 """s. Times of any clock are nearer to 0 (the year 2128); a larger one has a wrong digit."""
 CRC_CCITT_INITIAL_VALUE = 0xFFFF
-SATURATED_BIT = 1
-INVALID_BIT = 2
+SATURATED_READING_FLAG = 1
+INVALID_READING_FLAG = 2
 WRENCH_VALUES = 6
 DEFAULT_UNITS = {
     Stream.WRENCH: "Fx Fy Fz in N, Mx My Mz in N m",
@@ -395,7 +395,7 @@ class FrameDecoder(ABC):
         seq : unwrapped number, or `NO_SEQ`
         device_s : device's clock, seconds, or NaN
         values : one reading, in the units of `skincal.model.readings`, but joint angles in degrees
-        status : `SATURATED_BIT` and `INVALID_BIT`; other bits are ignored
+        status : `SATURATED_READING_FLAG` and `INVALID_READING_FLAG`; other bits are ignored
         """
         if stream not in self._widths:
             return None
@@ -404,7 +404,7 @@ class FrameDecoder(ABC):
             self._problem = f"{stream.value} readings of {len(values)} values arrive where {expected} are expected; {advice}"
             return Loss.BAD_WIDTH
         self._widths[stream] = len(values)
-        self._readings[stream].append((seq, device_s, values, status & (SATURATED_BIT | INVALID_BIT)))
+        self._readings[stream].append((seq, device_s, values, status & (SATURATED_READING_FLAG | INVALID_READING_FLAG)))
         return None
 
     def _batch_of(self, stream: Stream, readings: list[tuple[int, float, list[float] | NDArray[Any], int]]) -> Batch:
@@ -423,7 +423,7 @@ class FrameDecoder(ABC):
         if stream is Stream.JOINTS:
             values = np.radians(values)  # every format has degrees
         bits = np.zeros(len(seq), np.int64) if status is None or stream is not Stream.WRENCH else status
-        saturated, invalid = (bits & SATURATED_BIT) != 0, (bits & INVALID_BIT) != 0
+        saturated, invalid = (bits & SATURATED_READING_FLAG) != 0, (bits & INVALID_READING_FLAG) != 0
         for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
             if flags.any():
                 self.counts[loss] += int(np.count_nonzero(flags))

@@ -17,7 +17,14 @@ import struct
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from skincal.devices.decoding import INVALID_BIT, SATURATED_BIT, FrameDecoder, FrameSplitter, pack, packet_splitter
+from skincal.devices.decoding import (
+    INVALID_READING_FLAG,
+    SATURATED_READING_FLAG,
+    FrameDecoder,
+    FrameSplitter,
+    pack,
+    packet_splitter,
+)
 from skincal.devices.family import DeviceAddress, Family, Form, Handshake, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.readings import Loss, Stream
@@ -221,8 +228,10 @@ class RdtDecoder(FrameDecoder):
         words = [table.words.get(bit, f"bit {bit}, see its manual") for bit in bits]
         self._status = f"The sensor says (status {status:08X}): {', '.join(words) or 'an error'}" if status & ~8 else ""
         if status & table.saturated:
-            return SATURATED_BIT
-        return INVALID_BIT if status & ~table.harmless or (status == ANY_ERROR_BIT and table.harmless != ALL_BITS) else 0
+            return SATURATED_READING_FLAG
+        return (
+            INVALID_READING_FLAG if status & ~table.harmless or (status == ANY_ERROR_BIT and table.harmless != ALL_BITS) else 0
+        )
 
 
 COUNTS_ADVICE = "give the counts for each N and N m of its data sheet, such as ?cpf=1000000&cpt=1000000"

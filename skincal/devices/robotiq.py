@@ -12,7 +12,7 @@ import math
 import struct
 from typing import ClassVar
 
-from skincal.devices.decoding import NO_SEQ, SATURATED_BIT, WRENCH_VALUES, FrameDecoder, FrameSplitter, HeadSplitter
+from skincal.devices.decoding import NO_SEQ, SATURATED_READING_FLAG, WRENCH_VALUES, FrameDecoder, FrameSplitter, HeadSplitter
 from skincal.devices.family import Family, Form, Handshake, Route, Vector
 from skincal.model.readings import Loss, Stream
 
@@ -86,7 +86,7 @@ class RobotiqDecoder(FrameDecoder):
         _, *counts, _ = FRAME_STRUCT.unpack(frame)
         self.valid_records += 1
         values = [count / size for count, size in zip(counts, COUNTS_PER_SI_UNIT, strict=True)]
-        flags = SATURATED_BIT if max(abs(count) for count in counts) >= SATURATED_RAW_COUNT else 0
+        flags = SATURATED_READING_FLAG if max(abs(count) for count in counts) >= SATURATED_RAW_COUNT else 0
         return self._add(Stream.WRENCH, NO_SEQ, math.nan, values, flags)
 
 

@@ -211,7 +211,7 @@ def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
 
 
 def _csv_numbers(estimate: Estimate) -> list[float | None]:
-    """Return position, normal and `sd_mm`; None, which is written as an empty field, for what is not known."""
+    """Return position, normal and `sd_mm`; unknown numbers are `None`, which CSV writes as an empty field."""
     if estimate.position is None:
         return [None] * 7
     normal = [np.nan] * 3 if estimate.normal is None else estimate.normal.tolist()

@@ -56,7 +56,7 @@ def plan_from_layout(layout: Layout, laid: PlacedLayout) -> PlannedPlaces | None
 
 
 def plan_without_positions(channels: IntArray, modules: IntArray | None = None) -> PlannedPlaces:
-    """Make a plan of `channels` (n,) without positions; `modules` is (n,) their modules, `None` without a layout."""
+    """Make planned places of `channels` (n,) that are all unknown; `modules` is (n,) their modules, `None` if unknown."""
     nowhere = np.full((len(channels), 3), np.nan)
     owners = np.zeros(len(channels), dtype=np.int64) if modules is None else modules
     return PlannedPlaces(channels, nowhere, nowhere.copy(), owners)

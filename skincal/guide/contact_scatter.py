@@ -22,7 +22,7 @@ from skincal.geometry import FloatArray, IntArray
 CHI2_2DOF_MEDIAN = 1.3863
 POKES_PER_WINDOW = 12
 """Pokes of one window, half a minute of work: 24 numbers, six for a rigid motion."""
-MIN_WINDOWS_TO_LEARN_NOISE = 8
+MIN_POKE_WINDOWS_TO_LEARN_NOISE = 8
 """Windows below which the scene's noise is kept: of fewer misses the median is too uncertain (8 % in standard deviations)."""
 MAX_LEARNED_OVER_SCENE_NOISE = 1.5
 """Largest learned noise of a poke over the scene's (standard deviations). Sessions whose regions are right need at most 1.44
@@ -93,7 +93,7 @@ def learn_scatter(misses: PokeMisses) -> Scatter:
     0 if the scene's noise is enough. 0 as well if more than `MAX_LEARNED_OVER_SCENE_NOISE` is needed: an error and not scatter.
     """
     windows = _windows(misses)
-    if len(windows) < MIN_WINDOWS_TO_LEARN_NOISE:
+    if len(windows) < MIN_POKE_WINDOWS_TO_LEARN_NOISE:
         return Scatter()
     own = misses.select(windows.ravel())
     edge_answers = int(EDGE_POKE_MAX_ANSWERS_OVER_MEDIAN * np.median(own.answers))

@@ -163,7 +163,7 @@ def find_segments(folder: Path) -> list[Path]:
 
 
 class Segment:
-    """One segment, read once by one of its methods; the `last` one may end anywhere."""
+    """One segment of a recording; call one of its methods, once. Only the `last` segment may be cut off."""
 
     def __init__(self, path: Path, *, last: bool) -> None:
         self.path = path

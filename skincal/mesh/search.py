@@ -266,7 +266,7 @@ def _halved(centres: FloatArray) -> IntArray:
 
 
 def _first_half(sizes: IntArray) -> IntArray:
-    """Compute about half of each of `sizes` such that all blocks of 8, 64, 512 ... but the last are whole."""
+    """Compute the size of the first half of each of `sizes`, rounded so that it fills whole nodes of 8, 64, 512, ... items."""
     exponent = np.frexp(np.maximum(sizes - 1, 1).astype(float))[1] - 1
     whole = 1 << (exponent // _HALVINGS_PER_TREE_LEVEL * _HALVINGS_PER_TREE_LEVEL)
     return np.where(sizes > 2 * whole, -(-(sizes // 2) // whole) * whole, whole << (exponent % _HALVINGS_PER_TREE_LEVEL))

@@ -116,7 +116,7 @@ def find_edges(triangles: IntArray) -> Edges:
 
 
 def neighbours(triangles: IntArray) -> IntArray:
-    """Find (nt, 3) the adjacent side of each side; -1 at the rim and at non-manifold edges."""
+    """Find (nt, 3) for each edge of each triangle the same edge of the adjacent one; -1 at the rim and non-manifold edges."""
     pairs = find_edges(triangles).pairs
     other = np.full(triangles.size, -1, dtype=np.int64)
     other[pairs[:, 0]], other[pairs[:, 1]] = pairs[:, 1], pairs[:, 0]

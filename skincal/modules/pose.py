@@ -7,7 +7,7 @@ with x', y' the directions of the module's x and y carried to a pad at (bx, by),
     dP/da = x',   dP/db = y',   dP/dtheta = bx y' - by x',
 
 exactly, within a triangle. Without a surface a module is flat and has six unknowns: a shift t and a turn w about its origin,
-dP/dt = I, dP/dw = -S(P - origin). A turn is counted as the path of a point `MODULE_TURN_LEVER_M` from the origin, so all
+dP/dt = I, dP/dw = -S(P - origin). A turn is the path of a point `MODULE_TURN_TO_LENGTH_RADIUS_M` from the origin, so all
 unknowns are metres.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
     from skincal.model.scene import KnownDistance
 
-MODULE_TURN_LEVER_M = 0.010
+MODULE_TURN_TO_LENGTH_RADIUS_M = 0.010
 """Distance from a module's origin at which turns are counted as metres: about that of its outer pads."""
 
 
@@ -77,7 +77,7 @@ class ModulesOnSurface:
         end = _walked(self.surface, poses, flat)
         normals = self.surface.normals[end.triangles]
         x, y = end.x, crossed(normals, end.x)
-        turn = (flat[:, :1] * y - flat[:, 1:] * x) / MODULE_TURN_LEVER_M
+        turn = (flat[:, :1] * y - flat[:, 1:] * x) / MODULE_TURN_TO_LENGTH_RADIUS_M
         return Pads(end.points, np.stack([x, y, turn], axis=2), normals, end.triangles)
 
     def move(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
@@ -85,7 +85,7 @@ class ModulesOnSurface:
         end = _walked(self.surface, poses, moves[:, :2])
         normals = self.surface.normals[end.triangles]
         y = crossed(normals, end.x)
-        c, s = np.cos(moves[:, 2:] / MODULE_TURN_LEVER_M), np.sin(moves[:, 2:] / MODULE_TURN_LEVER_M)
+        c, s = np.cos(moves[:, 2:] / MODULE_TURN_TO_LENGTH_RADIUS_M), np.sin(moves[:, 2:] / MODULE_TURN_TO_LENGTH_RADIUS_M)
         return ModulePoses(end.points, c * end.x + s * y, normals, end.triangles)
 
     def axes(self, normals: FloatArray) -> FloatArray:
@@ -101,12 +101,14 @@ class ModulesInSpace:
     def place_pads(self, poses: ModulePoses, flat: FloatArray) -> Pads:
         """Place pads at `flat` (n, 2), metres, of modules at `poses` (n,), in the planes of the modules."""
         arms = flat[:, :1] * poses.x + flat[:, 1:] * crossed(poses.normals, poses.x)
-        gradients = np.concatenate([np.tile(np.eye(3), (len(flat), 1, 1)), -cross_matrix(arms) / MODULE_TURN_LEVER_M], axis=2)
+        gradients = np.concatenate(
+            [np.tile(np.eye(3), (len(flat), 1, 1)), -cross_matrix(arms) / MODULE_TURN_TO_LENGTH_RADIUS_M], axis=2
+        )
         return Pads(poses.points + arms, gradients, poses.normals, poses.triangles)
 
     def move(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
         """Move the poses (n,) by `moves` (n, 6): shift and turn them."""
-        turn = rotations(moves[:, 3:] / MODULE_TURN_LEVER_M)
+        turn = rotations(moves[:, 3:] / MODULE_TURN_TO_LENGTH_RADIUS_M)
         x, normals = (np.sum(turn * v[:, None], axis=2) for v in (poses.x, poses.normals))
         return ModulePoses(poses.points + moves[:, :3], x, normals, poses.triangles)
 
@@ -221,7 +223,7 @@ def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> Mod
 
         start = place_anchor(ground.surface, anchor, f"the anchor of module {module.id}")
         at = ModulePoses(start.points, start.x, ground.surface.normals[start.triangles], start.triangles)
-        return ground.move(at, np.array([[*way, module.angle * MODULE_TURN_LEVER_M]]))
+        return ground.move(at, np.array([[*way, module.angle * MODULE_TURN_TO_LENGTH_RADIUS_M]]))
     normal = anchor.normal / np.linalg.norm(anchor.normal)
     x, y = tangent_axes(anchor.x, normal)
     own = np.cos(module.angle) * x + np.sin(module.angle) * y

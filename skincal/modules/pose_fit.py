@@ -45,7 +45,15 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, orthonormal_pair
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import MODULE_TURN_LEVER_M, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, join_poses
+from skincal.modules.pose import (
+    MODULE_TURN_TO_LENGTH_RADIUS_M,
+    ModuleGround,
+    ModuleModel,
+    ModulePoses,
+    ModulesOnSurface,
+    Pads,
+    join_poses,
+)
 from skincal.solver.machine import INTEGER, Call, Machine, shared
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate
@@ -186,7 +194,7 @@ def _write_touches(call: Call, touches: Touches, noise: NoiseSettings, unknowns:
     """Write the first part of `Touches` in `skincal/solver/source/modules.h`, up to the pads."""
     evidence, at = touches.evidence, touches.rows
     rules = (
-        MODULE_TURN_LEVER_M, FULL_TRUST_SDS, ZERO_TRUST_SDS, MIN_MODULE_POKES_FOR_TRUST, MIN_POKES_PER_ARM_POSE,
+        MODULE_TURN_TO_LENGTH_RADIUS_M, FULL_TRUST_SDS, ZERO_TRUST_SDS, MIN_MODULE_POKES_FOR_TRUST, MIN_POKES_PER_ARM_POSE,
         MIN_SUM_OF_POKE_TRUSTS, FULL_WEIGHT_MAX_MISS_SDS, ROBUST_SEARCH_STEPS, SMALL_SAMPLE_SPREAD_CORRECTION, CHI2_2DOF_MEDIAN,
         CHI2_1DOF_MEDIAN, POSE_SEARCH_MAX_STEP_M, ROUNDING_MAX_STEP_M, POSE_SEARCH_CONVERGED_STEP_M,
         MIN_CURVATURE_OVER_GAUSS_NEWTON, HALVED_STEP_MIN_REVERSAL_SHARE, POSE_SEARCH_MAX_STEPS, MIN_SINGULAR_VALUE_RATIO,
@@ -330,7 +338,7 @@ class Fitted:
     of: IntArray
     """(n,) the module of each pad, 0 to b - 1."""
     covariances: FloatArray
-    """(b, d, d) float, m^2, of the unknowns (turns at `MODULE_TURN_LEVER_M`); without meaning along `blind`."""
+    """(b, d, d) float, m^2, of the unknowns (turns at `MODULE_TURN_TO_LENGTH_RADIUS_M`); without meaning along `blind`."""
     blind: FloatArray
     """(b, d, d) float: rows of each are the directions of its unknowns that the pokes do not determine, the others zero."""
     misses: FloatArray

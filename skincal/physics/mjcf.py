@@ -34,8 +34,8 @@ JOINT_STIFFNESS_NM_PER_RAD = 2e4
 """N m/rad of an arm's joint without sag."""
 VIBRATING_MOUNT_STIFFNESS_N_PER_M = 5e4
 """N/m of the sensor's mount where it vibrates: with the part a resonance of about 30 Hz."""
-WEIGHTLESS_PART_MASS_KG = 1e-3
-"""kg of a part without weight."""
+MASS_OF_LINK_WITHOUT_MASS_KG = 1e-3
+"""kg given to a link whose mass is not known: the engine needs one."""
 FACET_HALF = (0.02, 0.02, 0.005)
 
 
@@ -144,7 +144,7 @@ def _add_chain(parent: Element, chain: Sequence[Joint], prefix: str, actuators: 
 
 def _add_part(parent: Element, plan: RigPlan, effects: Effects) -> None:
     # A mount that trembles is felt by the part's inertia.
-    mass = effects.weight or (Effects().weight if effects.vibration else WEIGHTLESS_PART_MASS_KG)
+    mass = effects.weight or (Effects().weight if effects.vibration else MASS_OF_LINK_WITHOUT_MASS_KG)
     part = _add(parent, "body", name="part")
     for number, (axis, point) in enumerate(plan.soft_axes if effects.sag else ()):
         _add(

@@ -112,7 +112,7 @@ class PokeSettings:
 
 
 class Phase(Enum):
-    """State of the client; the value is its name."""
+    """What the robot does at present; the value is its name."""
 
     IDLE = "waiting"
     TARE_AT_REST = "taring before the first motion"

@@ -99,7 +99,7 @@ def draw_map(facts: SessionFacts, layout: Layout) -> bytes:
 
 
 def draw_course(facts: SessionFacts) -> bytes:
-    """Return an SVG of the error of every method against pokes and against time, and against what it costs to solve.
+    """Return an SVG: the error of each method against pokes, against poking time, and against computing time.
 
     Some method knows a taxel: of nothing there is no course.
     """

@@ -112,7 +112,7 @@ class _Groups:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModuleGroups(_Groups):
-    """The poked modules, each a rigid group of taxels in the fit."""
+    """The poked modules; each moves as a rigid body in the fit."""
 
     model: ModuleModel
     touches: Touches
@@ -133,7 +133,7 @@ class ModuleGroups(_Groups):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaxelGroups(_Groups):
-    """The poked taxels, each a group of its own in the fit."""
+    """The poked taxels; each moves on its own in the fit."""
 
     points: FloatArray
     """(count, 3) float, metres."""

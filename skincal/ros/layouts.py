@@ -30,7 +30,7 @@ CDR_HEAD_BYTES = 4
 
 LAYOUT_SEARCH_MIN_MESSAGES = 8
 """For fewer, finding a layout takes longer than reading them one by one."""
-FAILED_LAYOUT_SEARCHES_MAX = 20
+FAILED_LAYOUT_SEARCHES_BEFORE_GIVING_UP = 20
 """Searches for a layout in a row that helped one run each: then the messages of a topic differ too often."""
 
 
@@ -217,7 +217,7 @@ class RunReader:
     def __init__(self, types: MessageTypes, reader: MessageReader) -> None:
         self._types, self._reader = types, reader
         self._layout: MessageLayout | None = None
-        self._searches_left = FAILED_LAYOUT_SEARCHES_MAX
+        self._searches_left = FAILED_LAYOUT_SEARCHES_BEFORE_GIVING_UP
 
     def read(self, messages: Sequence[bytes]) -> tuple[FloatArray, FloatArray] | None:
         """Read (n, width) values and (n,) stamps, NaN for no stamp. `None`: few messages, or they have not one layout."""
@@ -225,7 +225,7 @@ class RunReader:
             return None
         found = self._layout.read(messages) if self._layout is not None else None
         if found is not None:
-            self._searches_left = FAILED_LAYOUT_SEARCHES_MAX
+            self._searches_left = FAILED_LAYOUT_SEARCHES_BEFORE_GIVING_UP
         elif self._searches_left:
             self._searches_left -= 1
             self._layout = find_layout(self._types, self._reader, messages[0])

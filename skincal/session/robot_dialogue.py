@@ -34,7 +34,7 @@ POKE_VERDICT_TIMEOUT_S = 2.0
 """s. The next target waits this long at most for a verdict: links that stop leave a poke open."""
 HOLD_TIME_IN_STILL_WINDOWS = 2.0
 """A robot is asked to hold for this many still windows, since the force has to settle, too."""
-MAX_TARGETS_AWAITING_A_POKE = 8
+MAX_UNANSWERED_TARGETS = 8
 """Targets that a late poke may belong to."""
 NOT_DETECTED = f"no poke was felt within {POKE_DETECTION_TIMEOUT_S:g} s after it was said to be reached"
 
@@ -73,7 +73,7 @@ class RobotDialogue:
 
     def __init__(self, scene: Scene) -> None:
         self._frame = scene.link
-        self._requests: deque[_Request] = deque(maxlen=MAX_TARGETS_AWAITING_A_POKE)
+        self._requests: deque[_Request] = deque(maxlen=MAX_UNANSWERED_TARGETS)
         self._last_line: NoTarget | None = None
         """The last line if it was no target."""
         self._is_stopped = False

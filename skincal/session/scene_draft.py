@@ -60,7 +60,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
 
 
 def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:
-    """Place the layout's middle at a point, (3,) mm, or at the farthest one along the link's z axis."""
+    """Place the layout's middle at a point, (3,) mm; without one at the part's farthest point along the link's z axis."""
     surface, layout = preview.surface, preview.layout
     assert layout is not None
     if point_mm is None:

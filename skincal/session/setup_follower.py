@@ -16,7 +16,7 @@ CHECK_AT_POKES = (6, 8, 10, 13, 16, 20, 26, 32, 40)
 
 
 class SetupFollower:
-    """Looks for mistakes of the scene in the newest snapshot. Without a laid layout it does nothing."""
+    """Looks for mistakes in the scene file by the newest pokes. Without a layout on the part it does nothing."""
 
     def __init__(self, part: Part, run: Run) -> None:
         self._part, self._run = part, run

@@ -185,7 +185,7 @@ def add_tips(
     rng: np.random.Generator,
     first_poke: int = 1,
 ) -> list[Contact]:
-    """Add the position of the tip to contacts of `simulate_contacts`, as a robot or a tracker reports it.
+    """Return contacts of `simulate_contacts` with the position of the tip, as a robot or a tracker reports it.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ def join(parts: list[PressedPlaces]) -> PressedPlaces:
 
 
 def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two unit directions (n, 3) in the plane of normals (n, 3): e1, the projection of the link's x, and e2 = n x e1.
+    """Return two unit directions (n, 3) across normals (n, 3): e1, the projection of the link's x axis, and e2 = n x e1.
 
     For normals within 26 degrees of x, e1 is the projection of y.
     """

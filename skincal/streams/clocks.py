@@ -55,7 +55,7 @@ Point: TypeAlias = tuple[float, float]
 
 
 class ConvexHullClock:
-    """Maps a device's time to the host's, reading by reading, by the line of the module's docstring."""
+    """Maps a device's time to the host's, reading by reading: a line below all arrivals, from their lower convex hull."""
 
     def __init__(self, slope_change_max: float = MAX_CLOCK_RATE_DIFFERENCE) -> None:
         self._slope_change_max = slope_change_max
@@ -218,7 +218,7 @@ class IndexClock:
         return made_s
 
     def note_loss(self) -> None:
-        """Restart the line, as a reading is missing before the next one; a device's own numbers show this themselves."""
+        """Start the fit again after a lost reading. For a device that numbers its readings this does nothing."""
         if self._has_numbers:
             return
         if self._period is None:
@@ -273,7 +273,7 @@ class Timestamper:
         self._index.clear()
 
     def note_loss(self) -> None:
-        """Note that readings were lost, which a count does not show."""
+        """Note that readings were lost, so that counts of readings no longer tell their time."""
         for index in self._index.values():
             index.note_loss()
 

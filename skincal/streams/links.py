@@ -38,7 +38,7 @@ QUEUED_MAX_BYTES = 1 << 20
 """Bytes of a link that may wait in the queue: a second of the fastest devices, a tenth of a second of work."""
 CHUNK_MEMORY_OVERHEAD_BYTES = 200
 """Memory of a chunk beyond its bytes, so that many small chunks count, too."""
-TOO_FAST_LINK_DROP_TIME_NS = 500_000_000
+DROP_BYTES_AFTER_OVERFLOW_FOR_NS = 500_000_000
 """ns. A link that is too fast is dropped for this long, so that it causes at most two messages a second."""
 READ_TIMEOUT_S = 0.1
 """s. Longest wait in one read, and so until a stop is noticed."""
@@ -185,8 +185,8 @@ def yarp_ports() -> list[tuple[str, tuple[str, int]]]:
 class ChunkQueue:
     """Queue of the readers' chunks and events. Of each link at most `QUEUED_MAX_BYTES` wait. Safe from any thread.
 
-    Bytes beyond that are dropped for `TOO_FAST_LINK_DROP_TIME_NS`, and a `LinkEvent` with their number takes their place. So
-    garbage at the speed of a network does not slow other links, and nothing old is shown.
+    Bytes beyond that are dropped for `DROP_BYTES_AFTER_OVERFLOW_FOR_NS`, and a `LinkEvent` with their number takes their
+    place. So garbage at the speed of a network does not slow other links, and nothing old is shown.
     """
 
     def __init__(self) -> None:
@@ -203,7 +203,7 @@ class ChunkQueue:
             if isinstance(item, Chunk):
                 until_ns, dropped = self._dropping.get(item.link, (item.host_ns, 0))
                 if not self._fits(item) or item.host_ns < until_ns:
-                    until_ns = until_ns if item.link in self._dropping else item.host_ns + TOO_FAST_LINK_DROP_TIME_NS
+                    until_ns = until_ns if item.link in self._dropping else item.host_ns + DROP_BYTES_AFTER_OVERFLOW_FOR_NS
                     self._dropping[item.link] = until_ns, dropped + len(item.data)
                     return False
                 self._waiting[item.link] += len(item.data) + CHUNK_MEMORY_OVERHEAD_BYTES
@@ -349,7 +349,7 @@ class Reader:
             if self._stop.wait(BACKPRESSURE_POLL_S) or time.monotonic() > until_s:
                 break
         if self._items.put(chunk) is False and self._needs_every_byte:
-            self._stop.wait(TOO_FAST_LINK_DROP_TIME_NS * 1e-9)
+            self._stop.wait(DROP_BYTES_AFTER_OVERFLOW_FOR_NS * 1e-9)
             raise LinkError(FailureKind.VANISHED, f"{self._spec.address}: bytes were dropped, so it is connected again.")
 
     def _report_closed(self, failure: LinkError) -> None:

@@ -202,7 +202,7 @@ def solve_blind(equations: NormalEquations) -> tuple[Exact, Exact]:
 
 
 def nearest(equations: NormalEquations, corners: Exact) -> tuple[Exact, Exact]:
-    """Minimise the sum of squares over each of `corners` (t, 3, 3): the least values (t,), and their points (t, 3).
+    """Minimise the sum of squares over each triangle of `corners` (t, 3, 3): the least values (t,), and their points (t, 3).
 
     In shares (s, t) of two sides e and g the sum is convex: a stationary point inside is the minimum; else it lies on the rim.
     """

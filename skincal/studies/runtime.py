@@ -456,7 +456,7 @@ def poke_time(bench: ExamplePart, per_taxel: int, pokes: int) -> dict[str, Any]:
 
 
 def with_neighbours(bench: ExamplePart, contact: Contact) -> Contact:
-    """Make the seven taxels nearest to the contact's strongest one answer."""
+    """Return the contact with answers of the seven taxels nearest to its strongest one."""
     places = bench.rig.places
     strongest = bench.rig.row_of(contact.strongest_channel)
     rows = np.argsort(np.linalg.norm(places - places[strongest], axis=1))[:TAXELS_ANSWERING_A_POKE]
@@ -569,7 +569,7 @@ def _row_text(row: Row) -> str:
 
 
 def summary(result: dict[str, Any]) -> list[str]:
-    """List the rows of the two main sizes, the limits, and omissions."""
+    """List the measured times of the largest problem of each part, the limits, and what was not measured."""
     lines: list[str] = []
     for size, rows in groupby(main_rows(result), key=lambda row: (row["part"], *_size(row))):
         lines.append("{}: {} taxels, {} triangles, {} pokes a taxel".format(*size))

@@ -34,7 +34,7 @@ from skincal.modules.distances import GAUSS_NEWTON_STEPS as DISTANCE_STEPS
 from skincal.modules.distances import apply_distances
 from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.off_surface import HEIGHT_MAX_SD_M, SIGNIFICANT_HEIGHT_MIN_SDS, SUBTRACTED_SKIN_THICKNESS_SDS
-from skincal.modules.pose import MODULE_TURN_LEVER_M, ModulePoses, ModulesOnSurface
+from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import trust_from_squares
 from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, Correction, CorrectionErrors, RigPrior, products
 from skincal.rig.correction_fit import (
@@ -626,12 +626,12 @@ def _end_of(joined: DistanceInputs, told: KnownDistance, side: int) -> tuple[int
 
 
 def _place_points(joined: DistanceInputs, at: int, x: Exact, flat: FloatArray) -> ExactPads:
-    """Lay points of a module's plane after the move x, whose turns are lengths at `MODULE_TURN_LEVER_M`."""
+    """Lay points of a module's plane after the move x, whose turns are lengths at `MODULE_TURN_TO_LENGTH_RADIUS_M`."""
     pose, step = joined.fitted[at].pose, x[6 * at : 6 * at + 6]
-    by = step[3:] / to_mp(MODULE_TURN_LEVER_M)
+    by = step[3:] / to_mp(MODULE_TURN_TO_LENGTH_RADIUS_M)
     place = to_mp(pose.points[0]) + step[:3]
     pads = InPlane(place, rotate(to_mp(pose.x[0]), by), rotate(to_mp(pose.normals[0]), by), to_mp(flat)).pads()
-    turns = pads.changes[:, :, 3:] / to_mp(MODULE_TURN_LEVER_M)
+    turns = pads.changes[:, :, 3:] / to_mp(MODULE_TURN_TO_LENGTH_RADIUS_M)
     return pads._replace(changes=np.concatenate([pads.changes[:, :, :3], turns], axis=2))
 
 

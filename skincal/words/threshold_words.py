@@ -44,8 +44,10 @@ THRESHOLD_GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
     },
     "Holding still": {
         "still_s": ThresholdWords("Held still for", UNITS["s"], "Readings are averaged over it: 15 skin readings at 50 Hz."),
-        "still_change": ThresholdWords("The force varies by", UNITS["1"], "Maximum standard deviation during this time."),
-        "slide_max": ThresholdWords("The axis travels", UNITS["m"], "Maximum movement of the contact during this time."),
+        "still_change": ThresholdWords(
+            "The force varies by", UNITS["1"], "Maximum standard deviation of the force over that time."
+        ),
+        "slide_max": ThresholdWords("The axis travels", UNITS["m"], "Maximum movement of the contact over that time."),
         "pitch_max": ThresholdWords(
             "Pitch of the axis",
             UNITS["m"],

@@ -99,7 +99,7 @@ class _Log:
 
 @dataclass(slots=True)
 class _Contents:
-    """What a first reading of a log counts."""
+    """Counts of the unusual lines of a log, from its first reading."""
 
     # Distinct values of a skin; None for others, and once they are not those of a binarised skin.
     levels: set[float] | None

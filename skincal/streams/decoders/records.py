@@ -122,6 +122,6 @@ class RecordsDecoder(FrameDecoder):
 
 
 def _in_range(records: NDArray[Any]) -> bool:
-    """Check numbers and times; NaN is not within a limit."""
+    """Check whether record numbers and times are within their limits; NaN is not."""
     numbers, seconds = records["number"], records["seconds"]
     return bool((np.abs(seconds) <= TIME_STAMP_MAX_S).all() and (numbers <= SEQ_MAX).all() and (numbers >= -SEQ_MAX).all())

@@ -12,7 +12,7 @@ from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.modules import pose_fit
 from skincal.modules.estimate import estimate_modules
-from skincal.modules.pose import MODULE_TURN_LEVER_M, ModuleModel, ModulesOnSurface, rotations
+from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModuleModel, ModulesOnSurface, rotations
 from skincal.modules.pose_fit import assign_pokes, offset_variances, whitened_rows
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
@@ -36,9 +36,9 @@ def moved_poses(model, rng, shift=0.003, turn=0.1):
     """Every module beside its plan."""
     plans = [model.plan(module) for module in range(len(model.pads))]
     unknowns = model.ground.unknowns
-    sizes = np.r_[np.full(unknowns - unknowns // 2, shift), np.full(unknowns // 2, turn * MODULE_TURN_LEVER_M)]
+    sizes = np.r_[np.full(unknowns - unknowns // 2, shift), np.full(unknowns // 2, turn * MODULE_TURN_TO_LENGTH_RADIUS_M)]
     if unknowns == 3:
-        sizes = np.array([shift, shift, turn * MODULE_TURN_LEVER_M])
+        sizes = np.array([shift, shift, turn * MODULE_TURN_TO_LENGTH_RADIUS_M])
     return [model.ground.move(plan, (sizes * rng.standard_normal(unknowns))[None]) for plan in plans]
 
 
@@ -101,7 +101,7 @@ def test_exact_pokes_give_the_exact_places(name, surface, rng):
 def test_a_module_that_is_turned_against_its_plan_is_found_as_it_lies(turn, rng):
     model = model_of()
     poses = [model.plan(module) for module in range(7)]
-    poses[2] = model.ground.move(poses[2], np.array([[0.0, 0.0, np.radians(turn) * MODULE_TURN_LEVER_M]]))
+    poses[2] = model.ground.move(poses[2], np.array([[0.0, 0.0, np.radians(turn) * MODULE_TURN_TO_LENGTH_RADIUS_M]]))
     found = modules(press(model, poses, rng, 140), model)
     pads = laid(model, 2, poses[2])
     for channel, point in zip(model.layout.modules[2].channels.tolist(), pads.points, strict=True):

@@ -11,7 +11,7 @@ import pytest
 from skincal.journal.documents import event_to_json, read_document
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.streams.intake import Intake
-from skincal.streams.links import QUEUED_MAX_BYTES, TOO_FAST_LINK_DROP_TIME_NS, ChunkQueue, LinkSpec, Reader
+from skincal.streams.links import DROP_BYTES_AFTER_OVERFLOW_FOR_NS, QUEUED_MAX_BYTES, ChunkQueue, LinkSpec, Reader
 from skincal.streams.transports.tcp import TcpLink
 
 BLOCK = bytes(65536)
@@ -73,7 +73,7 @@ def test_what_was_dropped_is_said_when_the_link_falls_silent():
         inbox.put(Chunk("wrench", time.monotonic_ns(), BLOCK))
     while not inbox.empty():
         inbox.get()
-    time.sleep(TOO_FAST_LINK_DROP_TIME_NS * 1e-9 + 0.05)
+    time.sleep(DROP_BYTES_AFTER_OVERFLOW_FOR_NS * 1e-9 + 0.05)
     assert not inbox.empty()
     event = inbox.get()
     assert event.dropped == 5 * len(BLOCK)
