@@ -25,6 +25,7 @@ from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.virtual_session import simulate_session
 from skincal.taxels.result import Method, State
 from tests.approved import approved
+from tests.skincal.meanwhile import meanwhile
 
 PATCH = resource("scenes/flat-patch/scene.toml")
 FOREARM = resource("scenes/icub-forearm/scene.toml")
@@ -121,6 +122,20 @@ def test_solving_a_patch_imports_and_starts_nothing_it_does_not_need(patch):
     assert set(json.loads(done.stdout)["methods"]) == {"free", "modules"}
 
 
+def pokes_in(server, folder):
+    """Order three pokes of a server once its readings are recorded in a folder: earlier ones would be missed or lack a tare."""
+
+    def order(over):
+        while not over.wait(0.1) and not list(folder.glob("segment-*.mcap")):
+            pass
+        if not over.wait(2.0):
+            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\npoke 3 25 210 9\n")
+            server.stdin.flush()
+
+    return meanwhile(order)
+
+
+@pytest.mark.timeout(240)
 def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
     """The shipped patch served over TCP, told where to poke, recorded like any device, exported."""
     server = subprocess.Popen(
@@ -134,11 +149,10 @@ def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
     with server:
         try:
             links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
-            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\npoke 3 25 210 9\n")
-            server.stdin.flush()
             folder = tmp_path / "live"
             arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH), "--out", str(folder)]
-            assert main(["record", *arguments, "--pokes", "3", "--seconds", "40", "--json"]) == 0
+            with pokes_in(server, folder):
+                assert main(["record", *arguments, "--pokes", "3", "--seconds", "120", "--json"]) == 0
         finally:
             server.terminate()
     said = json.loads(capsys.readouterr().out)
@@ -156,6 +170,7 @@ def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
     assert unseen[5:] == [*[""] * 9, "0"]
 
 
+@pytest.mark.timeout(240)
 def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_path, monkeypatch, capsys):
     """A taxel's place is named as a landmark and asked for on stdin: the pokes at the taxel are found to be there."""
     scene = load_scene(PATCH)
@@ -173,10 +188,9 @@ def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_pat
         monkeypatch.setattr(sys, "stdin", stdin)
         try:
             links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
-            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\npoke 3 25 210 9\n")
-            server.stdin.flush()
-            arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH)]
-            done = main(["record", *arguments, "--out", str(tmp_path / "s"), "--pokes", "3", "--seconds", "40", "--orders"])
+            arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH), "--orders"]
+            with pokes_in(server, tmp_path / "s"):
+                done = main(["record", *arguments, "--out", str(tmp_path / "s"), "--pokes", "3", "--seconds", "120"])
         finally:
             server.terminate()
     assert done == 0
