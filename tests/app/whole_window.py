@@ -20,7 +20,7 @@ from skincal.contacts.outcome import Contact
 from skincal.model.scene import resource
 
 POKE_MS = 60_000  # A poke takes about three seconds; a busy machine gets twenty times as long
-OPEN_MS = 40_000
+OPEN_MS = 100_000  # A report or an import takes some seconds
 
 
 class Listener(Player):
