@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 
 LOOPBACK = (
@@ -20,7 +19,7 @@ os.environ["CYCLONEDDS_URI"] = LOOPBACK
 
 from cyclonedds.core import Policy, Qos  # noqa: E402 - after the network is chosen
 from cyclonedds.domain import DomainParticipant  # noqa: E402
-from cyclonedds.idl import IdlStruct  # noqa: E402
+from cyclonedds.idl import make_idl_struct  # noqa: E402
 from cyclonedds.idl.annotations import final  # noqa: E402
 from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32  # noqa: E402
 from cyclonedds.pub import DataWriter  # noqa: E402
@@ -32,118 +31,28 @@ DOMAIN = 1 + os.getpid() % 100
 """Of this process: runs on one machine do not hear each other. Larger domains have ports that the system lends."""
 
 
-@dataclass
-@final
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    sec: int32
-    nanosec: uint32
+def struct(package, name, /, **fields):
+    """Make the type of a message as a node's own code has it."""
+    return final(make_idl_struct(f"{name}_", f"{package}::msg::dds_::{name}_", fields))
 
 
-@dataclass
-@final
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-@final
-class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-@final
-class Wrench(IdlStruct, typename="geometry_msgs::msg::dds_::Wrench_"):
-    force: Vector3
-    torque: Vector3
-
-
-@dataclass
-@final
-class WrenchStamped(IdlStruct, typename="geometry_msgs::msg::dds_::WrenchStamped_"):
-    header: Header
-    wrench: Wrench
-
-
-@dataclass
-@final
-class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64] = field(default_factory=list)
-    effort: sequence[float64] = field(default_factory=list)
-
-
-@dataclass
-@final
-class Dimension(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayDimension_"):
-    label: str
-    size: uint32
-    stride: uint32
-
-
-@dataclass
-@final
-class Layout(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayLayout_"):
-    dim: sequence[Dimension] = field(default_factory=list)
-    data_offset: uint32 = 0
-
-
-@dataclass
-@final
-class Float32MultiArray(IdlStruct, typename="std_msgs::msg::dds_::Float32MultiArray_"):
-    layout: Layout
-    data: sequence[float32]
-
-
-@dataclass
-@final
-class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
-    data: str
-
-
-@dataclass
-@final
-class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-@final
-class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-@final
-class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
-    position: Point
-    orientation: Quaternion
-
-
-@dataclass
-@final
-class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):
-    header: Header
-    pose: Pose
-
-
-@dataclass
-@final
-class Cells(IdlStruct, typename="lab_msgs::msg::dds_::Cells_"):
-    """A laboratory's own type: `uint8[3] id`, `Pair[] pairs`."""
-
-    id: array[uint8, 3]
-    pairs: sequence[Vector3]
+Time = struct("builtin_interfaces", "Time", sec=int32, nanosec=uint32)
+Header = struct("std_msgs", "Header", stamp=Time, frame_id=str)
+Vector3 = struct("geometry_msgs", "Vector3", x=float64, y=float64, z=float64)
+Wrench = struct("geometry_msgs", "Wrench", force=Vector3, torque=Vector3)
+WrenchStamped = struct("geometry_msgs", "WrenchStamped", header=Header, wrench=Wrench)
+_DOUBLES = dict.fromkeys(("position", "velocity", "effort"), sequence[float64])
+JointState = struct("sensor_msgs", "JointState", header=Header, name=sequence[str], **_DOUBLES)
+Dimension = struct("std_msgs", "MultiArrayDimension", label=str, size=uint32, stride=uint32)
+Layout = struct("std_msgs", "MultiArrayLayout", dim=sequence[Dimension], data_offset=uint32)
+Float32MultiArray = struct("std_msgs", "Float32MultiArray", layout=Layout, data=sequence[float32])
+String = struct("std_msgs", "String", data=str)
+Point = struct("geometry_msgs", "Point", x=float64, y=float64, z=float64)
+Quaternion = struct("geometry_msgs", "Quaternion", x=float64, y=float64, z=float64, w=float64)
+Pose = struct("geometry_msgs", "Pose", position=Point, orientation=Quaternion)
+PoseStamped = struct("geometry_msgs", "PoseStamped", header=Header, pose=Pose)
+Cells = struct("lab_msgs", "Cells", id=array[uint8, 3], pairs=sequence[Vector3])
+"""A laboratory's own type: `uint8[3] id`, `Vector3[] pairs`."""
 
 
 def header(seconds=None):
@@ -156,11 +65,11 @@ def wrench(number, stamp=None):
 
 
 def skin(number, channels=4):
-    return Float32MultiArray(Layout(), [float(number), *range(1, channels)])
+    return Float32MultiArray(Layout([], 0), [float(number), *range(1, channels)])
 
 
 def joints(number):
-    return JointState(header(), ["wheel", "elbow", "wrist"], [9.0, 0.5, 0.001 * number])
+    return JointState(header(), ["wheel", "elbow", "wrist"], [9.0, 0.5, 0.001 * number], [], [])
 
 
 MAKERS = {
@@ -194,15 +103,16 @@ class Peer:
 
     def publish(self, topic, message, *, latched=False):
         if topic not in self._writers:
-            durability = Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile
-            qos = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), durability, Policy.History.KeepLast(10))
-            self._writers[topic] = DataWriter(self._participant, Topic(self._participant, f"rt{topic}", type(message)), qos)
+            self._writers[topic] = self._open(DataWriter, topic, type(message), latched, kept=10)
         self._writers[topic].write(message)
 
     def reader(self, topic, kind, *, latched=False):
+        return self._open(DataReader, topic, kind, latched, kept=100)
+
+    def _open(self, end, topic, kind, latched, kept):
         durability = Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile
-        qos = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), durability, Policy.History.KeepLast(100))
-        return DataReader(self._participant, Topic(self._participant, f"rt{topic}", kind), qos)
+        qos = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), durability, Policy.History.KeepLast(kept))
+        return end(self._participant, Topic(self._participant, f"rt{topic}", kind), qos)
 
     def drop(self, topic):
         del self._writers[topic]
