@@ -32,7 +32,6 @@ from tests.skincal.streams.link_support import next_data, next_event, reading
 
 PATIENCE_S = 30.0
 FAKE = Path(__file__).with_name("fake_bota_driver.py")
-WRONG_BOTAS = ["bota://", "bota://host/path", "bota://host:80", "bota://host?mode=x", "bota://u@host"]
 posix = pytest.mark.skipif(sys.platform == "win32", reason="words of a shell of POSIX")
 
 
@@ -114,12 +113,6 @@ def test_a_command_that_ends_at_once_says_why_and_is_not_started_again(tmp_path,
     with pytest.raises(LinkError, match=re.escape(said)) as failed, opened(script(tmp_path, text)):
         pass
     assert failed.value.kind is FailureKind.ADDRESS
-
-
-@pytest.mark.parametrize("wrong", ["run:", "run:  ", "run:'open", *WRONG_BOTAS])
-def test_an_address_that_cannot_be_right_is_refused(wrong):
-    with pytest.raises(InputError, match=r"Example: (run|bota):"):
-        parse_address(wrong)
 
 
 def test_a_command_that_is_none_is_said():
@@ -312,22 +305,6 @@ def test_without_the_driver_one_sentence_says_what_to_install():
     with pytest.raises(LinkError, match="python -m pip install bota-driver") as failed:
         open_link(LinkSpec("link", "bota://192.168.0.45", (Stream.WRENCH,)))
     assert failed.value.kind is FailureKind.ADDRESS
-
-
-@pytest.mark.parametrize(
-    ("address", "kind", "place"),
-    [
-        ("bota://192.168.0.45?mode=1&submode=3", "command", ("192.168.0.45", "")),
-        ("bota:///dev/ttyACM0?baud=230400", "command", ("", "/dev/ttyACM0")),
-        ("bota:///COM7", "command", ("", "COM7")),
-        ("bota://dummy", "command", ("dummy", "")),
-        ("bota:/dev/ttyUSB0", "serial", ("", "/dev/ttyUSB0")),
-    ],
-)
-def test_which_bota_is_told_by_the_slashes(address, kind, place):
-    found = parse_device(address)
-    assert found is not None
-    assert (found.route.transport, (found.host, found.path), found.route.format) == (kind, place, "bota")
 
 
 @pytest.mark.usefixtures("fake_driver")

@@ -504,6 +504,7 @@ def test_a_server_that_hangs_up_on_everybody_is_asked_ever_later(first, monkeypa
     [
         ("netft://192.168.1.1", "rdt"), ("netft://[fe80::1]:49152?device=hex", "rdt"), ("yarp:/icub/x:o", "yarp-port"),
         ("yarp://10.0.0.1:10000/icub/x:o", "yarp-port"), ("bota:/dev/ttyUSB0", "bota"), ("bota:COM3", "bota"),
+        ("bota://192.168.0.45?mode=1&submode=3", "bota"), ("bota:///COM7", "bota"),
         ("robotiq:COM4", "robotiq"), ("robotiq://10.0.0.2", "robotiq-text"), ("rtde://ur", "rtde"),
         ("xela://localhost", "xela"), ("papillarray:/dev/ttyACM0", "papillarray"), ("lines://127.0.0.1:7000", "auto"),
         ("/dev/ttyUSB0", "auto"), ("simulated:wrench", "auto"),
@@ -521,7 +522,9 @@ LONG = f"socket://{'h' * (ADDRESS_MAX_CHARS - len('socket://:7'))}:7"
     "address",
     [
         "netft:/dev/ttyUSB0", "netft://", "netft://h:99999", "netft://h?speed=9", "yarp:x", "yarp://server", "yarp:", "bota://h/x",
-        "rtde:", "xela:5000", "lines://host", "lines:", "netft://user@h", "bota:/dev/x?rate=1", LONG + "7",
+        "rtde:", "xela:5000", "lines://host", "lines:", "netft://user@h", "bota:/dev/x?rate=1", LONG + "7", "run:", "run:  ",
+        "run:'open", "bota://", "bota://host/path", "bota://host:80", "bota://host?mode=x", "bota://u@host", "ros2:",
+        "ros2:/a b", "ros2:/a?domain=233", "ros2:/a?domain=x", "ros2://host/a", "ros2:/a++/b",
     ],
 )  # fmt: skip
 def test_addresses_that_cannot_be_right(address):

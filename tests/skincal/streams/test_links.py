@@ -347,6 +347,12 @@ def test_only_links_that_are_known_are_opened(tmp_path, monkeypatch, address):
         ("/dev/by-id/x@y", "serial", "/dev/by-id/x@y", 0),
         ("/dev/x@y@9600", "serial", "/dev/x@y", 9600),
         (f"./{'a' * 300}", "serial", f"./{'a' * 300}", 0),
+        # The slashes say which Bota it is.
+        ("bota:/dev/ttyUSB0", "serial", "/dev/ttyUSB0", 460800),
+        ("bota:///dev/ttyACM0?baud=230400", "command", "/dev/ttyACM0", 0),
+        ("bota:///COM7", "command", "COM7", 0),
+        ("bota://192.168.0.45?mode=1&submode=3", "command", "192.168.0.45", 0),
+        ("bota://dummy", "command", "dummy", 0),
     ],
 )
 def test_what_an_address_names(address, kind, place, number):

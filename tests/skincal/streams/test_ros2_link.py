@@ -26,7 +26,7 @@ from skincal.ros.types import MessageTypes
 from skincal.streams import ros_topics
 from skincal.streams.clocks import MAX_CLOCK_RATE_DIFFERENCE
 from skincal.streams.decoders.auto_detect import make_decoder
-from skincal.streams.links import ChunkQueue, LinkSpec, Reader, open_link, parse_address
+from skincal.streams.links import ChunkQueue, LinkSpec, Reader, open_link
 from skincal.streams.ros_topics import read_robot_description
 from tests.skincal.meanwhile import PATIENCE_S, meanwhile
 from tests.skincal.ros.dds_peer import DOMAIN, Cells, Peer, String, Vector3, joints, process, skin, wrench
@@ -330,14 +330,6 @@ def test_a_type_that_contains_itself_is_a_sentence(tmp_path):
     (tmp_path / "Cells.msg").write_text("uint8[3] id\nCells[] pairs\n")
     with publishing(("/cells", cells)), pytest.raises(LinkError, match="lab_msgs/msg/Cells contains itself"):
         open_link(spec("/cells", Stream.SKIN, field="id", msg=tmp_path / "Cells.msg"))
-
-
-@pytest.mark.parametrize(
-    "address", ["ros2:", "ros2:/a?domain=233", "ros2:/a?domain=x", "ros2:/a b", "ros2://host/a", "ros2:/a++/b"]
-)
-def test_other_addresses_are_refused(address):
-    with pytest.raises(InputError, match="is not a valid ros2 address"):
-        parse_address(address)
 
 
 def test_topics_are_listed_with_rate_and_values_and_proposed(monkeypatch, capsys):
