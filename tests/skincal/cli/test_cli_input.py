@@ -23,17 +23,6 @@ SCENE = ["--scene", "flat-patch"]
 CHANNELS = 64
 
 
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        code = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        assert "Traceback" not in err, err
-        return code, out, err
-
-    return run
-
-
 def write_logs(folder: Path, seconds: float = 2.0, width: int = CHANNELS) -> list[str]:
     """Write logs of a still rig; return the options that name them."""
     rng = np.random.default_rng(1)
@@ -182,6 +171,7 @@ REFUSALS = [
     (["export", "x"], "Missing option '--format'. Choose from: icub, json, csv,"),
     (["solve", "x", "--fly"], "No such option: --fly"),
     (["fly"], "No such command 'fly'; `skincal --help`"),
+    (["study", "astrology"], "No such command 'astrology'; `skincal study --help`"),
     (["solve", "{given}/file"], "{given}/file: not a session (it is no folder); expected"),
     (["solve", "{given}/none"], "{given}/none: not a session (" + approved("yarp_log.no_folder") + "); expected"),
     (["solve", "{given}"], "{given}: not a session"),
@@ -387,7 +377,7 @@ def test_help_has_an_example_and_every_command_can_print_json(run, command):
     code, out, _ = run(*command.split(), "--help")
     assert code == 0
     assert f"skincal {command}".strip() in out.partition("Example")[2]
-    wanted = {"": WINDOW_OPTIONS, "import": (), "study": ()}.get(command, ("--json",))
+    wanted = {"": WINDOW_OPTIONS, "import": (), "study": ()}.get(command, ("--json", *["--quick"] * ("study" in command)))
     assert [option for option in wanted if option not in out] == []
 
 

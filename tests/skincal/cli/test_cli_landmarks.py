@@ -97,20 +97,8 @@ def imported(log, tmp_path_factory):
     return folder
 
 
-def run(capsys, *words: object) -> tuple[int, str, str]:
-    capsys.readouterr()
-    code = main([str(word) for word in words])
-    return code, *capsys.readouterr()
-
-
-def answered(capsys, *words: object) -> dict:
-    code, out, err = run(capsys, *words, "--json")
-    assert code == 0, err
-    return json.loads(out)
-
-
-def corrected_error(capsys, folder: Path, log: Log) -> dict[str, float]:
-    said = answered(capsys, "solve", folder, "--correct", "--reference", log.folder / "truth.json")
+def corrected_error(answered, folder: Path, log: Log) -> dict[str, float]:
+    said = answered("solve", folder, "--correct", "--reference", log.folder / "truth.json")
     return {name: method["error_mm"]["mean"] for name, method in said["methods"].items()}
 
 
@@ -125,22 +113,22 @@ def asked(log, imported, tmp_path_factory):
     return folder
 
 
-def test_an_imported_log_knows_no_landmark_until_it_is_said(log, imported, capsys):
-    said = answered(capsys, "landmarks", imported)
+def test_an_imported_log_knows_no_landmark_until_it_is_said(log, imported, run, answered):
+    said = answered("landmarks", imported)
     assert len(said["pokes"]) == log.count
     silent = [row["poke"] for row in said["pokes"] if row["outcome"] == "no taxel answered"]
     assert silent == list(log.names)
     assert {row["landmark"] for row in said["pokes"]} == {None}
     assert len(said["landmarks"]) == 6
     assert said["pokes"][0]["start_s"] == pytest.approx(2.0, abs=0.1)
-    text = run(capsys, "landmarks", imported)[1].splitlines()
+    text = run("landmarks", imported)[1].splitlines()
     assert text[0].startswith("landmarks, mm: elbow, outer (25.2, 13.2, -3.9);")
     assert len([line for line in text if "nearest is" in line]) == len(log.names)
-    assert run(capsys, "solve", imported, "--correct")[0] == 2
+    assert run("solve", imported, "--correct")[0] == 2
 
 
-def ways(log: Log, imported: Path, folder: Path, capsys) -> dict[str, list[str]]:
-    rows = {row["poke"]: row for row in answered(capsys, "landmarks", imported)["pokes"]}
+def ways(log: Log, imported: Path, folder: Path, answered) -> dict[str, list[str]]:
+    rows = {row["poke"]: row for row in answered("landmarks", imported)["pokes"]}
     numbers = [f'{poke},"{name}"' for poke, name in log.names.items()]
     times = [f'{rows[poke]["start_s"] - 0.3},{rows[poke]["end_s"] + 0.3},"{name}"' for poke, name in log.names.items()]
     (folder / "numbers.csv").write_text("\n".join(["poke,landmark", *numbers]), encoding="utf-8")
@@ -153,36 +141,36 @@ def ways(log: Log, imported: Path, folder: Path, capsys) -> dict[str, list[str]]
     }
 
 
-def test_in_each_way_it_reaches_the_corrected_error_of_the_recorded_session(log, imported, asked, tmp_path, capsys):
-    error = corrected_error(capsys, asked, log)
-    plain = answered(capsys, "solve", imported, "--reference", log.folder / "truth.json")["methods"]
+def test_in_each_way_it_reaches_the_corrected_error_of_the_recorded_session(log, imported, asked, tmp_path, answered):
+    error = corrected_error(answered, asked, log)
+    plain = answered("solve", imported, "--reference", log.folder / "truth.json")["methods"]
     assert error["modules"] < 0.3 * plain["modules"]["error_mm"]["mean"]
-    for way, words in ways(log, imported, tmp_path, capsys).items():
+    for way, words in ways(log, imported, tmp_path, answered).items():
         folder = shutil.copytree(imported, tmp_path / way)
-        said = answered(capsys, "landmarks", folder, *words)
+        said = answered("landmarks", folder, *words)
         named = {row["poke"]: row["landmark"] for row in said["pokes"] if row["landmark"] is not None}
         assert named == log.names
         assert len(said["said"]) == len(log.names) + 1
-        assert corrected_error(capsys, folder, log) == error, way
+        assert corrected_error(answered, folder, log) == error, way
     assert main(["export", str(folder), "--correct", "--format", "icub", "--out", str(tmp_path / "p.txt")]) == 0
 
 
-def test_what_was_found_from_the_axes_is_right_and_enough(log, imported, asked, tmp_path, capsys):
+def test_what_was_found_from_the_axes_is_right_and_enough(log, imported, asked, tmp_path, answered):
     folder = shutil.copytree(imported, tmp_path / "s")
-    said = answered(capsys, "landmarks", folder, "--find")
+    said = answered("landmarks", folder, "--find")
     named = {row["poke"]: row["landmark"] for row in said["pokes"] if row["landmark"] is not None}
     assert named.items() <= log.names.items()
     assert len(named) >= 0.8 * len(log.names)
     unsure = [line for line in said["said"] if "not sure" in line]
     assert len(unsure) == len(log.names) - len(named)
-    assert corrected_error(capsys, folder, log)["modules"] < 1.5 * corrected_error(capsys, asked, log)["modules"]
+    assert corrected_error(answered, folder, log)["modules"] < 1.5 * corrected_error(answered, asked, log)["modules"]
 
 
-def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(imported, tmp_path, capsys):
+def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(imported, tmp_path, run, answered):
     folder = shutil.copytree(imported, tmp_path / "s")
     before = load(folder).snapshot()
-    answered(capsys, "landmarks", folder, "--at", "1=elbow, outer", "--at", "2=side, inner")
-    answered(capsys, "landmarks", folder, "--add", "bolt", "-1.5", "2", "3.25", "--at", "2=bolt", "--at", "1=")
+    answered("landmarks", folder, "--at", "1=elbow, outer", "--at", "2=side, inner")
+    answered("landmarks", folder, "--add", "bolt", "-1.5", "2", "3.25", "--at", "2=bolt", "--at", "1=")
     now = load(folder)
     times = [entry.at_s for entry in now.session.history.entries[-5:]]
     assert times[0] == times[1] < times[2] == times[3] == times[4] < time.time(), "each call has its time of day"
@@ -190,12 +178,12 @@ def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(
     assert now.session.decisions.landmarks[-1].place == pytest.approx([-0.0015, 0.002, 0.00325])
     assert same_estimates(now.snapshot(), replay(folder).snapshot())
     assert replay(folder).session.snapshot().at_landmarks == {2: "bolt"}
-    assert len(answered(capsys, "landmarks", folder, "--undo")["said"]) == 3
+    assert len(answered("landmarks", folder, "--undo")["said"]) == 3
     assert load(folder).session.snapshot().at_landmarks == {1: "elbow, outer", 2: "side, inner"}
-    assert len(answered(capsys, "landmarks", folder, "--undo")["said"]) == 2
+    assert len(answered("landmarks", folder, "--undo")["said"]) == 2
     assert same_estimates(load(folder).snapshot(), before)
     assert load(folder).session.snapshot().at_landmarks == {}
-    assert run(capsys, "landmarks", folder, "--undo")[0] == 2
+    assert run("landmarks", folder, "--undo")[0] == 2
     assert load(folder).session.excluded == (), "no poke was taken out instead"
 
 
@@ -228,38 +216,38 @@ def named(folder: Path) -> dict[int, str]:
     return dict(load(folder).session.snapshot().at_landmarks)
 
 
-def test_an_order_is_of_all_pokes_that_no_taxel_answered_or_of_those_before_the_first_that_one_did(small, capsys):
-    assert run(capsys, "landmarks", small, "--order", "head;tail, left")[0] == 0
+def test_an_order_is_of_all_pokes_that_no_taxel_answered_or_of_those_before_the_first_that_one_did(small, run):
+    assert run("landmarks", small, "--order", "head;tail, left")[0] == 0
     assert named(small) == {1: "head", 2: "tail, left"}
-    assert run(capsys, "landmarks", small, "--order", "-;head;tail, left")[0] == 0
+    assert run("landmarks", small, "--order", "-;head;tail, left")[0] == 0
     assert named(small) == {2: "head", 4: "tail, left"}
-    code, out, _ = run(capsys, "landmarks", small, "--order", "-;head;tail, left")
+    code, out, _ = run("landmarks", small, "--order", "-;head;tail, left")
     assert (code, out.splitlines()[0]) == (0, approved("landmark.nothing_new"))
 
 
 @pytest.mark.parametrize("rows", ["poke;landmark\n1;head\n2;tail, left\n", "\npoke\tlandmark\n1\thead\n2\ttail, left\n"])
-def test_columns_of_a_file_are_parted_as_those_of_a_recording(small, tmp_path, rows, capsys):
+def test_columns_of_a_file_are_parted_as_those_of_a_recording(small, tmp_path, rows, run):
     (tmp_path / "f.csv").write_text(rows, encoding="utf-8")
-    assert run(capsys, "landmarks", small, "--csv", tmp_path / "f.csv")[0] == 0
+    assert run("landmarks", small, "--csv", tmp_path / "f.csv")[0] == 0
     assert named(small) == {1: "head", 2: "tail, left"}
 
 
-def test_between_semicolons_a_comma_is_the_decimal_point(small, tmp_path, capsys):
-    row = answered(capsys, "landmarks", small)["pokes"][1]
+def test_between_semicolons_a_comma_is_the_decimal_point(small, tmp_path, run, answered):
+    row = answered("landmarks", small)["pokes"][1]
     times = [f"{time:.3f}".replace(".", ",") for time in (row["start_s"] - 0.1, row["end_s"] + 0.1)]
     (tmp_path / "f.csv").write_text(f"start_s;end_s;landmark\n{';'.join(times)};tail, left\n", encoding="utf-8")
-    assert run(capsys, "landmarks", small, "--csv", tmp_path / "f.csv")[0] == 0
+    assert run("landmarks", small, "--csv", tmp_path / "f.csv")[0] == 0
     assert named(small) == {2: "tail, left"}
 
 
-def test_how_many_pokes_are_missing_for_a_correction_is_said(log, imported, tmp_path, capsys):
+def test_how_many_pokes_are_missing_for_a_correction_is_said(log, imported, tmp_path, run):
     folder, pairs = shutil.copytree(imported, tmp_path / "s"), list(log.names.items())
     of = {name: [poke for poke, there in pairs if there == name] for name in dict.fromkeys(log.names.values())}
     first, *rest = of
 
     def said(*at):
         words = [word for each in at for word in ("--at", each)]
-        return run(capsys, "landmarks", folder, *words)[1].splitlines()[-1]
+        return run("landmarks", folder, *words)[1].splitlines()[-1]
 
     assert said(f"{of[first][0]}={first}") == approved(
         "landmark.missing_pokes", pokes="1 poke", missing="5 more, 3 of them at others"
@@ -268,28 +256,28 @@ def test_how_many_pokes_are_missing_for_a_correction_is_said(log, imported, tmp_
     assert said(*more) == approved("landmark.missing_pokes", pokes="3 pokes", missing="3 more, 1 of them at another")
     more = [f"{of[name][1]}={name}" for name in (first, *rest[:2])]
     assert said(*more) == approved("landmark.missing_pokes", pokes="6 pokes", missing="1 more, 1 of them at another")
-    assert run(capsys, "solve", folder, "--correct")[0] == 2
+    assert run("solve", folder, "--correct")[0] == 2
     assert said(f"{of[rest[2]][0]}={rest[2]}") == approved("landmark.enough_for_correction", pokes=7, session=folder)
 
 
-def test_a_poke_that_a_taxel_answered_is_not_found_from_its_axis_and_can_be_said(small, capsys):
-    assert run(capsys, "landmarks", small, "--find")[0] == 0
+def test_a_poke_that_a_taxel_answered_is_not_found_from_its_axis_and_can_be_said(small, run):
+    assert run("landmarks", small, "--find")[0] == 0
     assert named(small) == {1: "head", 2: "tail, left", 4: "tail, left"}
-    assert run(capsys, "landmarks", small, "--at", "3=head")[0] == 0
+    assert run("landmarks", small, "--at", "3=head")[0] == 0
     assert named(small)[3] == "head"
 
 
-def test_without_landmarks_in_the_scene_one_can_be_added_first(tmp_path, capsys):
+def test_without_landmarks_in_the_scene_one_can_be_added_first(tmp_path, run):
     scene, folder = write_scene(tmp_path / "source"), tmp_path / "s"
     script = Script(scene).quiet().press(np.array([0.0, 0.0, -8.0]), np.zeros(3), {}).quiet()
     recording(scene, folder, as_chunks(script.samples)).close()
-    assert approved("landmark.none_in_scene") in run(capsys, "landmarks", folder)[1]
-    code, out, _ = run(capsys, "landmarks", folder, "--find")
+    assert approved("landmark.none_in_scene") in run("landmarks", folder)[1]
+    code, out, _ = run("landmarks", folder, "--find")
     assert (code, out.splitlines()[0]) == (0, approved("landmark.none_in_scene"))
     assert named(folder) == {}
-    code, _, err = run(capsys, "landmarks", folder, "--at", "1=nose")
+    code, _, err = run("landmarks", folder, "--at", "1=nose")
     assert (code, approved("landmark.none_known", name="nose") in err) == (2, True)
-    assert run(capsys, "landmarks", folder, "--add", "bolt", 0, 0, 100, "--find")[0] == 0
+    assert run("landmarks", folder, "--add", "bolt", 0, 0, 100, "--find")[0] == 0
     assert named(folder) == {1: "bolt"}
 
 
@@ -315,9 +303,9 @@ def test_without_landmarks_in_the_scene_one_can_be_added_first(tmp_path, capsys)
         (["--add", "a", "1", "2"], "--add"),
     ],
 )
-def test_each_refusal_is_one_sentence_and_writes_nothing(small, words, sentence, capsys):
+def test_each_refusal_is_one_sentence_and_writes_nothing(small, words, sentence, run):
     files = sorted(small.iterdir())
-    code, out, err = run(capsys, "landmarks", small, *words)
+    code, out, err = run("landmarks", small, *words)
     assert (code, out) == (2, "")
     assert sentence in err
     assert len(err.strip().splitlines()) == 1
@@ -339,9 +327,9 @@ def test_each_refusal_is_one_sentence_and_writes_nothing(small, words, sentence,
         ("start_s,end_s,landmark\n0,3,head\n1,5,\"tail, left\"\n", "said to be at"),
     ],
 )  # fmt: skip
-def test_a_file_that_does_not_fit_is_refused(small, tmp_path, text, sentence, capsys):
+def test_a_file_that_does_not_fit_is_refused(small, tmp_path, text, sentence, run):
     (tmp_path / "f.csv").write_text(text, encoding="utf-8")
-    code, _, err = run(capsys, "landmarks", small, "--csv", tmp_path / "f.csv")
+    code, _, err = run("landmarks", small, "--csv", tmp_path / "f.csv")
     assert code == 2
     assert sentence in err
     assert named(small) == {}
@@ -358,28 +346,28 @@ sys.stdin.read()
 """
 
 
-def test_a_session_that_is_being_recorded_can_be_listed_and_not_written(small, capsys):
+def test_a_session_that_is_being_recorded_can_be_listed_and_not_written(small, run):
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, str(small)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as holder:
         assert holder.stdout.readline() == "1\n"
         for words in (["--at", "1=head"], ["--find"], ["--undo"]):
-            code, _, err = run(capsys, "landmarks", small, *words)
+            code, _, err = run("landmarks", small, *words)
             assert code == 2
             assert approved("landmark.in_use") in err
-        assert run(capsys, "landmarks", small)[0] == 0
+        assert run("landmarks", small)[0] == 0
         holder.stdin.close()
     assert named(small) == {}
-    assert run(capsys, "landmarks", small, "--at", "1=head")[0] == 0
+    assert run("landmarks", small, "--at", "1=head")[0] == 0
 
 
-def test_a_poke_that_was_undone_since_is_not_taken_back_in_place_of_a_landmark(small, capsys):
+def test_a_poke_that_was_undone_since_is_not_taken_back_in_place_of_a_landmark(small, run):
     """Undo of the last accepted poke, as in the window, comes after the landmark was named."""
-    assert run(capsys, "landmarks", small, "--at", "1=head")[0] == 0
+    assert run("landmarks", small, "--at", "1=head")[0] == 0
     pipeline = resume(small)
     pipeline.act(Undo(), 1)
     pipeline.act(Undo(), 2)
     pipeline.close()
     assert named(small) == {}
     assert load(small).session.excluded == (3,)
-    assert run(capsys, "landmarks", small, "--undo")[0] == 2
+    assert run("landmarks", small, "--undo")[0] == 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,26 +52,23 @@ def damaged(tmp_path_factory):
     return Damaged(folder, out, said.getvalue().splitlines())
 
 
-def run(capsys, *words, code=0):
-    assert main([str(word) for word in words]) == code
-    said = capsys.readouterr()
-    return said.err if code else said.out
-
-
-def result_of(capsys, *words) -> dict:
-    return json.loads(run(capsys, *words, "--json"))
+def printed(run, *words, code=0):
+    """What a command prints on stdout, or on stderr where it ends with another code than 0."""
+    found, out, err = run(*words)
+    assert found == code
+    return err if code else out
 
 
 def error(result: dict) -> float:
     return result["methods"]["modules"]["error_mm"]["mean"]
 
 
-def test_the_corrected_layout_is_written_and_a_session_solved_with_it(damaged, capsys):
+def test_the_corrected_layout_is_written_and_a_session_solved_with_it(damaged, answered):
     given, undamaged = load_layout(damaged.out, 384), load_scene(SAMPLE / "scene" / "scene.toml").skin.layout
     np.testing.assert_allclose(given.places, undamaged.places, atol=1e-9)
     assert "angle_deg = 180   # by hand" in damaged.out.read_text(encoding="utf-8")
 
-    before = result_of(capsys, "solve", damaged.folder, "--reference", TRUTH)
+    before = answered("solve", damaged.folder, "--reference", TRUTH)
     assert len(before["misfits"]) == 3
     assert before["layout"] == {
         "used": None,
@@ -84,14 +80,14 @@ def test_the_corrected_layout_is_written_and_a_session_solved_with_it(damaged, c
         "left": [],
         "written": None,
     }
-    after = result_of(capsys, "solve", damaged.folder, "--reference", TRUTH, "--layout", damaged.out)
+    after = answered("solve", damaged.folder, "--reference", TRUTH, "--layout", damaged.out)
     assert (after["misfits"], after["layout"]["used"], after["layout"]["changes"]) == ([], str(damaged.out), [])
-    right = result_of(capsys, "solve", SAMPLE, "--reference", TRUTH)
+    right = answered("solve", SAMPLE, "--reference", TRUTH)
     assert error(before) > 2.0 * error(right)
     assert error(after) == pytest.approx(error(right), abs=0.01)
 
 
-def test_it_says_what_it_corrects_and_where_it_is(damaged, capsys):
+def test_it_says_what_it_corrects_and_where_it_is(damaged, run):
     change = approved(
         "modules_check.changes_of_three",
         turned=17,
@@ -104,71 +100,71 @@ def test_it_says_what_it_corrects_and_where_it_is(damaged, capsys):
     )
     assert f"corrected {change}" in damaged.said
     assert approved("layout_file.wrote", path=damaged.out) in damaged.said
-    lines = run(capsys, "solve", damaged.folder).splitlines()
+    lines = printed(run, "solve", damaged.folder).splitlines()
     assert any(line.startswith(approved("modules_check.mirrored_clause", module=17)) for line in lines)
     assert any(line.startswith("surface") and "neighbours 1." in line for line in lines)
     assert approved("layout_file.says", change=change) in lines
-    lines = run(capsys, "solve", SAMPLE, "--layout", damaged.out).splitlines()
+    lines = printed(run, "solve", SAMPLE, "--layout", damaged.out).splitlines()
     assert approved("layout_file.solved_with", path=damaged.out) in lines
 
 
-def test_where_nothing_is_wrong_no_file_is_written(tmp_path, capsys):
+def test_where_nothing_is_wrong_no_file_is_written(tmp_path, run, answered):
     out = tmp_path / "new.toml"
-    said = run(capsys, "solve", SAMPLE, "--layout-out", out)
+    said = printed(run, "solve", SAMPLE, "--layout-out", out)
     assert approved("layout_file.not_written", path=out, count=7) in said
-    assert result_of(capsys, "solve", SAMPLE, "--layout-out", out)["layout"]["written"] is None
+    assert answered("solve", SAMPLE, "--layout-out", out)["layout"]["written"] is None
     assert not out.exists()
 
 
-def test_an_export_with_a_layout_is_of_that_layout(damaged, tmp_path, capsys):
+def test_an_export_with_a_layout_is_of_that_layout(damaged, tmp_path, answered):
     files = [tmp_path / name for name in ("a.json", "b.json")]
     plan = damaged.folder / "scene" / "modules.toml"
-    said = result_of(capsys, "export", SAMPLE, "--format", "json", "--out", files[0], "--layout", plan)
+    said = answered("export", SAMPLE, "--format", "json", "--out", files[0], "--layout", plan)
     assert said["layout"] == str(plan)
     assert read_json(files[0]).modules_text == plan.read_text(encoding="utf-8")
-    assert "layout" not in result_of(capsys, "export", SAMPLE, "--format", "json", "--out", files[1])
+    assert "layout" not in answered("export", SAMPLE, "--format", "json", "--out", files[1])
     assert read_json(files[1]).modules_text != read_json(files[0]).modules_text
     wrong, right = (np.array([estimate.position for estimate in read_json(file).estimates[Method.MODULES]]) for file in files)
     assert np.abs(wrong - right).max() > 0.003
 
 
-def test_bytes_are_judged_by_the_layout_that_is_given(damaged, tmp_path, capsys):
+def test_bytes_are_judged_by_the_layout_that_is_given(damaged, tmp_path, answered):
     folder, settings = tmp_path / "s", DeviceSettings(wrench_hz=200.0, joints_hz=20.0)
     at = (341, 337, 338, 340)  # at the edge of a module whose channels are exchanged
     simulate_session(*scene_and_surface(), folder, 4, 1, RigErrors.noise(), channels=at, settings=settings)
-    plain, replayed = (result_of(capsys, "solve", folder, "--layout", damaged.out, *more) for more in ((), ("--replay",)))
+    plain, replayed = (answered("solve", folder, "--layout", damaged.out, *more) for more in ((), ("--replay",)))
     assert plain["methods"] == replayed["methods"]
     plan = damaged.folder / "scene" / "modules.toml"
-    wrong, judged = (result_of(capsys, "solve", folder, "--layout", plan, *more) for more in ((), ("--replay",)))
+    wrong, judged = (answered("solve", folder, "--layout", plan, *more) for more in ((), ("--replay",)))
     assert wrong["rejected"] == plain["rejected"]
     assert judged["rejected"] != plain["rejected"], "neighbours of the wrong layout are no neighbours"
 
 
-def test_a_session_without_a_layout_is_solved_with_one(tmp_path, capsys):
+def test_a_session_without_a_layout_is_solved_with_one(tmp_path, run, answered):
     folder = sample_with(tmp_path, "scene.toml", ('modules = "modules.toml"\n', ""))
     plan = SAMPLE / "scene" / "modules.toml"
-    said = result_of(capsys, "solve", folder, "--layout", plan, "--reference", TRUTH)
+    said = answered("solve", folder, "--layout", plan, "--reference", TRUTH)
     assert error(said) < 1.0
-    err = run(capsys, "solve", folder, "--layout-out", tmp_path / "new.toml", code=2)
+    err = printed(run, "solve", folder, "--layout-out", tmp_path / "new.toml", code=2)
     assert approved("layout_file.scene_has_none") in err
 
 
-def test_a_layout_that_does_not_fit_the_skin_is_refused(tmp_path, capsys):
+def test_a_layout_that_does_not_fit_the_skin_is_refused(tmp_path, run):
     wide = tmp_path / "wide.toml"
     wide.write_text('[[modules]]\nid = 1\nkind = "triangle_12"\nfirst_channel = 380\n', encoding="utf-8")
     for command in (("solve", SAMPLE), ("export", SAMPLE, "--format", "csv", "--out", tmp_path / "c.csv")):
-        err = run(capsys, *command, "--layout", wide, code=2)
+        err = printed(run, *command, "--layout", wide, code=2)
         assert approved("layout_file.beyond_frame", first=380, last=391, channels=384) in err
-        assert approved("layout_file.no_such_file") in run(capsys, *command, "--layout", tmp_path / "none.toml", code=2)
+        assert approved("layout_file.no_such_file") in printed(run, *command, "--layout", tmp_path / "none.toml", code=2)
     assert not (tmp_path / "c.csv").exists()
 
 
-def test_the_layout_that_was_read_is_not_overwritten(damaged, tmp_path, capsys):
+def test_the_layout_that_was_read_is_not_overwritten(damaged, tmp_path, run):
     path = damaged.folder / "scene" / "modules.toml"
     text = path.read_text(encoding="utf-8")
-    assert approved("layout_file.the_same_clause") in run(
-        capsys, "solve", SAMPLE, "--layout", path, "--layout-out", path, code=2
+    assert approved("layout_file.the_same_clause") in printed(
+        run, "solve", SAMPLE, "--layout", path, "--layout-out", path, code=2
     )
     assert path.read_text(encoding="utf-8") == text
     missing = tmp_path / "none" / "new.toml"
-    assert "does not exist" in run(capsys, "solve", SAMPLE, "--layout", path, "--layout-out", missing, code=2)
+    assert "does not exist" in printed(run, "solve", SAMPLE, "--layout", path, "--layout-out", missing, code=2)

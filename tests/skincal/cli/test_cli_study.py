@@ -7,21 +7,9 @@ from importlib import import_module
 
 import pytest
 
-from skincal.cli import main
 from skincal.studies import STUDIES, runtime
 from tests.approved import approved
 from tests.skincal.studies.studies_support import tiny
-
-
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        code = main(["study", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        assert "Traceback" not in err, err
-        return code, out, err
-
-    return run
 
 
 @pytest.fixture
@@ -47,7 +35,7 @@ def test_a_study_writes_its_numbers_and_its_figure(run, tmp_path, monkeypatch):
         return {**result, "quick": quick}
 
     monkeypatch.setattr(runtime, "run", measure)
-    code, out, err = run("runtime", "--quick", "--out", tmp_path / "new" / "measured")
+    code, out, err = run("study", "runtime", "--quick", "--out", tmp_path / "new" / "measured")
     assert code == 0
     names = {path.name for path in (tmp_path / "new" / "measured").iterdir()}
     assert names == {"runtime.json", "runtime.svg", "runtime.png"}
@@ -68,7 +56,7 @@ def test_a_study_writes_its_numbers_and_its_figure(run, tmp_path, monkeypatch):
 )
 def test_json_goes_to_stdout_and_files_into_a_folder(run, tmp_path, monkeypatch, canned, options, quick, files):
     monkeypatch.chdir(tmp_path)
-    code, out, err = run("runtime", *options)
+    code, out, err = run("study", "runtime", *options)
     assert (code, canned, err) == (0, [quick], "measuring\n")
     assert {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")} == files
     if "--json" in options:
@@ -88,7 +76,7 @@ def test_json_goes_to_stdout_and_files_into_a_folder(run, tmp_path, monkeypatch,
 def test_what_is_in_the_way_is_one_sentence_before_anything_is_measured(run, tmp_path, canned, folder, sentence):
     (tmp_path / "taken").write_text("", encoding="utf-8")
     (tmp_path / "there" / "runtime.png").mkdir(parents=True)
-    code, out, err = run("runtime", "--out", tmp_path / folder)
+    code, out, err = run("study", "runtime", "--out", tmp_path / folder)
     assert (code, out, err.count("\n"), canned) == (2, "", 1, [])
     assert sentence in err
 
@@ -98,25 +86,11 @@ def test_a_folder_that_cannot_be_written_to_is_one_sentence(run, tmp_path, canne
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.NamedTemporaryFile", refuse)
-    code, _, err = run("runtime", "--out", tmp_path)
+    code, _, err = run("study", "runtime", "--out", tmp_path)
     assert code == 2
     assert "Permission denied" in err
     assert err.count("\n") == 1
     assert canned == []
-
-
-def test_an_unknown_study_is_the_users_error(run):
-    code, _, err = run("astrology")
-    assert code == 2
-    assert "astrology" in err
-
-
-@pytest.mark.parametrize("name", STUDIES)
-def test_help_has_an_example_for_each_study(run, name):
-    code, out, _ = run(name, "--help")
-    assert code == 0
-    assert approved("study.command", name=name) in " ".join(out.split())
-    assert "--quick" in out
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -125,7 +99,7 @@ def test_each_study_is_found_by_its_name(run, tmp_path, monkeypatch, name):
     monkeypatch.setattr(study, "run", lambda quick, _: {"study": name, "quick": quick})
     monkeypatch.setattr(study, "summary", lambda result: [f"measured {result['study']}"])
     monkeypatch.setattr(study, "draw", lambda _, figure: figure.add_subplot().plot([0, 1]))
-    code, out, _ = run(name, "--quick", "--out", tmp_path)
+    code, out, _ = run("study", name, "--quick", "--out", tmp_path)
     assert code == 0
     assert f"measured {name}" in out
     assert {path.name for path in tmp_path.iterdir()} == {f"{name}.{ending}" for ending in ("json", "svg", "png")}
