@@ -21,13 +21,8 @@ from skincal.taxels.result import Estimate, Method, Rival, State, StateReason
 from skincal.taxels.shared_errors import predicted_error
 from skincal.words.taxel_words import predicted_words, state_sentence
 from tests.approved import approved, approved_pattern
-from tests.skincal.files.files_support import Part, make_calibration, make_contacts, make_part
+from tests.skincal.files.files_support import make_calibration, make_contacts, make_part
 from tests.skincal.files.json_reader import read_json
-
-
-@pytest.fixture(scope="module")
-def part(tmp_path_factory) -> Part:
-    return make_part(tmp_path_factory.mktemp("part"))
 
 
 def same(one: object, other: object) -> bool:

@@ -8,12 +8,7 @@ import pytest
 from skincal.files.export import lint, write_calibration
 from skincal.taxels.result import Method
 from tests.approved import approved
-from tests.skincal.files.files_support import CHANNELS, Part, make_calibration, make_part
-
-
-@pytest.fixture(scope="module")
-def part(tmp_path_factory) -> Part:
-    return make_part(tmp_path_factory.mktemp("part"))
+from tests.skincal.files.files_support import CHANNELS, make_calibration
 
 
 def changed(calibration, edits):

@@ -15,15 +15,10 @@ from skincal.files.reference import load_reference, read_place_sets
 from skincal.files.tactile_urdf import tactile_urdf_text
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
-from tests.skincal.files.files_support import Part, estimate, make_calibration, make_part
+from tests.skincal.files.files_support import estimate, make_calibration
 
 OF_ONE = (ExportFormat.URDF, ExportFormat.TACTILE_URDF, ExportFormat.SDF, ExportFormat.MJCF, ExportFormat.NPZ)
 LEFT_OUT = (5, 13)
-
-
-@pytest.fixture(scope="module")
-def part(tmp_path_factory) -> Part:
-    return make_part(tmp_path_factory.mktemp("part"))
 
 
 @pytest.fixture(scope="module")

@@ -12,14 +12,9 @@ from skincal.files.icub import NO_TAXEL, THERMAL_PAD, icub_text, parse_icub, rea
 from skincal.model.errors import InputError, list_channels
 from skincal.taxels.result import Method
 from tests.approved import approved_pattern
-from tests.skincal.files.files_support import CHANNELS, Part, make_calibration, make_part
+from tests.skincal.files.files_support import CHANNELS, make_calibration
 
 ROW = "0.01 0.02 0.03 0 0 1\n"
-
-
-@pytest.fixture(scope="module")
-def part(tmp_path_factory) -> Part:
-    return make_part(tmp_path_factory.mktemp("part"))
 
 
 def yarp_property_rows(text: str) -> list[list[str]]:

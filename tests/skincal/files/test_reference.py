@@ -12,12 +12,7 @@ from skincal.files.reference import TaxelPositions, compare_sets, load_reference
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 from tests.approved import approved_pattern
-from tests.skincal.files.files_support import Part, make_calibration, make_part
-
-
-@pytest.fixture(scope="module")
-def part(tmp_path_factory) -> Part:
-    return make_part(tmp_path_factory.mktemp("part"))
+from tests.skincal.files.files_support import make_calibration
 
 
 @pytest.fixture(scope="module")
