@@ -18,6 +18,7 @@ from tests.skincal.import_support import read_recording
 EPOCH = 1_420_000_000.0
 CHANNELS = 24
 ONE_STAMP = "Type: Bottle;\nStamp: rx;\n[1.0] /icub/x [connected]\n"
+BOTH_STAMPS = "Type: Bottle;\nStamp: tx+rx;\n"
 
 
 def values_at(time: float) -> tuple[list[float], list[int], list[float]]:
@@ -47,12 +48,12 @@ def text(values) -> str:
     return " ".join(map(str, values))
 
 
-def recording(folder: Path, seconds: float = 3.0, start: float = EPOCH, rates=(100, 50, 20), **options) -> dict[str, Path]:
-    """Write wrench, skin and joints logs of the same pokes."""
+def recording(folder: Path, seconds: float = 3.0, rates=(100, 50, 20), set_back=lambda _: 0.0, **options) -> dict[str, Path]:
+    """Write wrench, skin and joints logs of the same pokes, by a clock that is `set_back` by some seconds at a time."""
     folders: dict[str, Path] = {}
     for index, (name, rate) in enumerate(zip(("wrench", "skin", "joints"), rates, strict=True)):
         times = np.arange(int(seconds * rate)) / rate
-        rows = [(seq, start + time, text(values_at(time)[index])) for seq, time in enumerate(times)]
+        rows = [(seq, EPOCH + time - set_back(time), text(values_at(time)[index])) for seq, time in enumerate(times)]
         folders[name] = write_log(folder / name, rows, **options)
     return folders
 
@@ -71,7 +72,7 @@ def decode(links, chunks):
     [
         ({}, "yarp"),
         ({"info": None}, "yarp"),
-        ({"info": "Type: Bottle;\nStamp: tx+rx;\n", "rx": 0.003}, "yarp-tx-rx"),
+        ({"info": BOTH_STAMPS, "rx": 0.003}, "yarp-tx-rx"),
         ({"info": "Type: Bottle;\n", "rx": 0.003}, "yarp-tx-rx"),
         ({"info": None, "rx": 0.003}, "yarp-tx-rx"),
     ],
@@ -97,7 +98,7 @@ def test_a_recording_decodes_to_what_was_logged(tmp_path, options, format_):
 
 
 def test_chunks_are_whole_lines_and_never_run_backwards(tmp_path):
-    folders = recording(tmp_path, info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.5)
+    folders = recording(tmp_path, info=BOTH_STAMPS, rx=0.5)
     _, chunks, _ = read_recording("yarp", folders["wrench"], folders["skin"])
     items = list(chunks)
     assert all(item.data.endswith(b"\n") for item in items)
@@ -130,9 +131,6 @@ def test_a_log_of_pokes_pairs_each_frame_with_its_wrench(tmp_path):
         assert sample.angles is not None
 
 
-BOTH_STAMPS = {"info": "Type: Bottle;\nStamp: tx+rx;\n", "rx": 0.003}
-
-
 def without_sender_times(folder, lines=None):
     """Make the sender's stamps 0, as the dumper writes them of a sender without an envelope; of all lines, or of some."""
     path = folder / "data.log"
@@ -142,7 +140,7 @@ def without_sender_times(folder, lines=None):
     path.write_text("".join(" ".join(line) + "\n" for line in words))
 
 
-@pytest.mark.parametrize("info", [BOTH_STAMPS["info"], None], ids=["by info.log", "by the lines"])
+@pytest.mark.parametrize("info", [BOTH_STAMPS, None], ids=["by info.log", "by the lines"])
 @pytest.mark.parametrize(
     "which", [None, range(5), range(40, 150, 3), [149]], ids=["no line", "not at first", "not always", "the last"]
 )
@@ -173,7 +171,7 @@ def test_a_log_of_a_sender_without_times_and_of_nothing_else_is_refused(tmp_path
 
 
 def test_lines_that_travel_together_give_the_samples_of_lines_alone(tmp_path, monkeypatch):
-    folders = recording(tmp_path, rates=(500, 50, 100), info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.002)
+    folders = recording(tmp_path, rates=(500, 50, 100), info=BOTH_STAMPS, rx=0.002)
     samples = samples_of(folders)
     monkeypatch.setattr("skincal.files.importers.timeline.CHUNK_MAX_LINES", 1)
     alone = samples_of(folders)
@@ -227,14 +225,7 @@ def test_the_end_of_a_line_that_is_too_long_is_no_record(tmp_path):
 
 
 def test_a_clock_set_back_in_all_logs_loses_nothing(tmp_path):
-    folders: dict[str, Path] = {}
-    for index, (name, rate) in enumerate((("wrench", 100), ("skin", 50), ("joints", 20))):
-        times = np.arange(3 * rate) / rate
-        rows = [
-            (seq, EPOCH + time - (3600.0 if time > 1.303 else 0.0), text(values_at(time)[index]))
-            for seq, time in enumerate(times)
-        ]
-        folders[name] = write_log(tmp_path / name, rows)
+    folders = recording(tmp_path, set_back=lambda time: 3600.0 if time > 1.303 else 0.0)
     _, chunks, findings = read_recording("yarp", folders["wrench"], folders["skin"], folders["joints"])
     rates, lines = {"wrench": 100, "skin": 50, "joints": 20}, dict.fromkeys(folders, 0)
     for chunk in chunks:
@@ -318,7 +309,7 @@ def test_the_new_ports_structure_is_read(tmp_path):
 
 def test_logs_placed_by_different_clocks_are_said(tmp_path):
     wrench = recording(tmp_path / "a", info="Type: Bottle;\nStamp: tx;\n")["wrench"]
-    skin = recording(tmp_path / "b", info="Type: Bottle;\nStamp: tx+rx;\n", rx=0.001)["skin"]
+    skin = recording(tmp_path / "b", info=BOTH_STAMPS, rx=0.001)["skin"]
     _, _, findings = read_recording("yarp", wrench, skin)
     assert any(approved("yarp_log.two_clocks") in finding for finding in findings)
 
@@ -374,7 +365,7 @@ def test_wrong_input_is_said(tmp_path, make, said):
 
 def memory_of_reading(folder, seconds):
     """Return the most bytes that reading a recording of so many seconds takes, the files not counted."""
-    folders = recording(folder, seconds=seconds, rates=(100, 50, 20))
+    folders = recording(folder, seconds)
     tracemalloc.start()
     try:
         _, chunks, _ = read_recording("yarp", folders["wrench"], folders["skin"], folders["joints"])
