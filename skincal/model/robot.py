@@ -53,15 +53,8 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
     columns = tuple(table.words("joints", []))
     fixed = _degrees(table.table("fixed"), urdf)
     chain, sign = urdf.chain(link, sensor, columns, fixed, where)
-    poses_table, poses = table.table("poses"), dict[str, FloatArray]()
-    for name in [] if poses_table is None else poses_table.keys:
-        assert poses_table is not None
-        angles: FloatArray = poses_table.array(name, (len(columns),))
-        check_degrees(angles, f"{poses_table.where}: {name}")
-        poses[name] = np.radians(angles)[list(chain.joints)]
-    tolerance = table.take("tolerance_deg", float, 0.5)
-    if not tolerance > 0:
-        raise InputError(f"{where}: tolerance_deg is {tolerance}; expected a number above 0.")
+    poses, tolerance = read_poses(table, len(columns))
+    poses = {name: angles[list(chain.joints)] for name, angles in poses.items()}
     packages_table, packages = table.table("packages"), dict[str, Path]()
     for name in [] if packages_table is None else packages_table.keys:
         assert packages_table is not None
@@ -80,9 +73,21 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
             )
         mesh = file, found[0].scale(where), found[1]
     table.refuse_unknown_keys()
-    return RobotSpec(
-        urdf, sensor, chain, columns, sign, poses, float(np.radians(tolerance)), mesh, found[0].link if mesh and found else ""
-    )
+    return RobotSpec(urdf, sensor, chain, columns, sign, poses, tolerance, mesh, found[0].link if mesh and found else "")
+
+
+def read_poses(table: Table, joints: int) -> tuple[dict[str, FloatArray], float]:
+    """Read the named poses of an arm, (joints,) each, and their tolerance; radians."""
+    poses_table, poses = table.table("poses"), dict[str, FloatArray]()
+    for name in [] if poses_table is None else poses_table.keys:
+        assert poses_table is not None
+        angles: FloatArray = poses_table.array(name, (joints,))
+        check_degrees(angles, f"{poses_table.where}: {name}")
+        poses[name] = np.radians(angles)
+    tolerance = table.take("tolerance_deg", float, 0.5)
+    if not tolerance > 0:
+        raise InputError(f"{table.where}: tolerance_deg is {tolerance}; expected a number above 0.")
+    return poses, float(np.radians(tolerance))
 
 
 def _degrees(table: Table | None, urdf: Robot) -> dict[str, float]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
-from skincal.model.robot import RobotSpec, read_robot
+from skincal.model.robot import RobotSpec, read_poses, read_robot
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
 from skincal.model.tables import MAX_LENGTH_M, Table, check_degrees, check_metres, parse_toml, read_text
 from skincal.model.urdf import UrdfChain
@@ -278,18 +278,7 @@ def _read_arm(table: Table) -> ArmSpec:
     check_metres(rows[:, :2], f"{table.where}: dh")
     check_degrees(rows[:, 2:], f"{table.where}: dh")
     chain = tuple(DhLink(float(a), float(d), float(np.radians(al)), float(np.radians(of))) for a, d, al, of in rows)
-    arm = Arm(joints, chain, _read_pose(table, "base_from_sensor"))
-    poses = table.table("poses")
-    named: dict[str, FloatArray] = {}
-    if poses is not None:
-        for name in poses.keys:
-            angles: FloatArray = poses.array(name, (len(joints),))
-            check_degrees(angles, f"{poses.where}: {name}")
-            named[name] = np.radians(angles)
-    tolerance = table.take("tolerance_deg", float, 0.5)
-    if not tolerance > 0:
-        raise InputError(f"{table.where}: tolerance_deg is {tolerance}; expected a number above 0.")
-    return ArmSpec(arm, named, float(np.radians(tolerance)))
+    return ArmSpec(Arm(joints, chain, _read_pose(table, "base_from_sensor")), *read_poses(table, len(joints)))
 
 
 def _robot_arm(robot: RobotSpec | None) -> ArmSpec | None:
