@@ -109,6 +109,8 @@ def record(
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} for the next pokes,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and the other actions of a session's journal.
     """
+    from skincal.model.actions import SetPose
+    from skincal.session.guided_session import RobotGuide
     from skincal.session.importing import new_session
     from skincal.streams.links import ChunkQueue, Reader, describe_links
 
@@ -124,8 +126,9 @@ def record(
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
         readers = {link.name: Reader(link, items) for link in links}
         try:
-            robot = _guide(pipeline, server, method)
-            _choose_pose(pipeline, pose)
+            robot = None if server is None else RobotGuide(pipeline, server, method)
+            if pose is not None:
+                pipeline.act(SetPose(pose), time.monotonic_ns())
             for reader in readers.values():
                 reader.start()
             _loop(pipeline, items, readers, (seconds, pokes), stop, robot)
@@ -153,12 +156,6 @@ def _asking(targets: str | None) -> Generator[Targets | None]:
     with contextlib.closing(open_targets(targets)) as server:
         say(f"targets: a robot is asked at {server.place}", err=True)
         yield server
-
-
-def _guide(pipeline: Pipeline, server: Targets | None, method: Method | None) -> RobotGuide | None:
-    from skincal.session.guided_session import RobotGuide
-
-    return None if server is None else RobotGuide(pipeline, server, method)
 
 
 @contextlib.contextmanager
@@ -215,13 +212,6 @@ def check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
         )
     if pose is not None and pose not in known:
         raise InputError(f"--pose is {pose!r}; the scene has {', '.join(known) or 'no named poses'}.")
-
-
-def _choose_pose(pipeline: Pipeline, pose: str | None) -> None:
-    from skincal.model.actions import SetPose
-
-    if pose is not None:
-        pipeline.act(SetPose(pose), time.monotonic_ns())
 
 
 def _loop(
