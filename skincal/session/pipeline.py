@@ -361,7 +361,7 @@ class Pipeline:
         if not self._wants_decoded or host_ns - self._decoded_ns < WRENCH_RECORD_PERIOD_NS:
             return
         self._decoded_ns = host_ns
-        times, wrenches = self._intake.wrench_after(self._decoded_s)
+        times, wrenches = self._intake.recent_wrench(self._decoded_s)
         if len(times):
             self._decoded_s = float(times[-1])
             self._record(lambda journal: journal.write_wrenches(times, wrenches))

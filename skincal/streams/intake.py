@@ -114,14 +114,10 @@ class Intake:
             elif len(values) >= self._joints:
                 self._pairing.add_joints(stamp, values)
 
-    def wrench_after(self, host_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds that are later than `host_s`."""
+    def recent_wrench(self, after_s: float = -math.inf) -> tuple[FloatArray, FloatArray]:
+        """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds that are later than `after_s`, as sent."""
         ring = self._pairing.ring
-        return ring.since(max(ring.newest_s - LIVE_CURVE_SPAN_S, math.nextafter(host_s, math.inf)))
-
-    def recent_wrench(self) -> tuple[FloatArray, FloatArray]:
-        """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds, as the device sent them."""
-        return self._pairing.ring.since(self._pairing.ring.newest_s - LIVE_CURVE_SPAN_S)
+        return ring.since(max(ring.newest_s - LIVE_CURVE_SPAN_S, math.nextafter(after_s, math.inf)))
 
     def side_readings(self) -> dict[str, Mapping[str, SideReading]]:
         """Return the other quantities that each link's device measured."""
