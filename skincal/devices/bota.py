@@ -74,7 +74,6 @@ class BotaDecoder(FrameDecoder):
 
     name: ClassVar[str] = "Bota gen0"
     loss_of_garbage: ClassVar[Loss] = Loss.BAD_CHECKSUM
-    has_checksum: ClassVar[bool] = True
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)

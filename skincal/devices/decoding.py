@@ -311,8 +311,6 @@ class FrameDecoder(ABC):
     """Bytes. A longer frame is dropped whole."""
     loss_of_garbage: ClassVar[Loss] = Loss.UNREADABLE
     """Loss that is counted for bytes that are no frame."""
-    has_checksum: ClassVar[bool] = False
-    """Whether one good frame proves the format; then the decoder is tried on unknown bytes."""
     starts_whole: ClassVar[bool] = False
     """Whether a connection begins with a whole frame. Else the first frame is not counted as lost if it cannot be read."""
     single_stream: ClassVar[bool] = False

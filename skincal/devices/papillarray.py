@@ -59,7 +59,6 @@ class PapillArrayDecoder(FrameDecoder):
 
     name: ClassVar[str] = "PapillArray"
     loss_of_garbage: ClassVar[Loss] = Loss.BAD_CHECKSUM
-    has_checksum: ClassVar[bool] = True
 
     def _make_splitter(self) -> FrameSplitter:
         return HeadSplitter(BEGIN, len(BEGIN) + 1, _frame_end)

@@ -77,7 +77,6 @@ class RobotiqDecoder(FrameDecoder):
 
     name: ClassVar[str] = "Robotiq FT 300"
     loss_of_garbage: ClassVar[Loss] = Loss.BAD_CHECKSUM
-    has_checksum: ClassVar[bool] = True
 
     def _make_splitter(self) -> FrameSplitter:
         return HeadSplitter(FRAME_HEAD, FRAME_STRUCT.size, _frame_end, START_ANSWER)
