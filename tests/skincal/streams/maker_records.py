@@ -1,8 +1,10 @@
 """Records of makers' devices, written from the formats' descriptions; the published ones are the vectors of the families."""
 
+import binascii
 import struct
 
 import numpy as np
+from cobs import cobs as reference_cobs
 
 from skincal.devices.decoding import pack
 from skincal.devices.netft import PAGE, RECORDS, given_page
@@ -17,6 +19,21 @@ RDT_PAGE = (
 )
 YARP_NUMBER, YARP_HEAD = bytes.fromhex("5941062900005250"), bytes.fromhex("59410a0000005250")
 YARP_VECTOR = VECTORS["yarp-port"].repeat
+SKB_TAXELS = bytes.fromhex("020102110420300502C902C7040609C803F32E00")
+SKT_TAXELS = b"T,17,340000,201,199,2310,200*E4DB\n"
+
+
+def skb(kind, seq, t_us, payload, source=0):
+    body = struct.pack("<BBHI", kind, source, seq & 0xFFFF, t_us & 0xFFFFFFFF) + payload
+    return reference_cobs.encode(body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")) + b"\x00"
+
+
+def skb_skin(seq, t_us, values, dtype="<u2"):
+    return skb({"<u2": 1, "u1": 3, "<f4": 4}[dtype], seq, t_us, np.array(values, dtype).tobytes())
+
+
+def skb_wrench(seq, t_us, wrench, status=0):
+    return skb(2, seq, t_us, struct.pack("<6fI", *wrench, status))
 
 
 def rdt_packets(records, page=None):

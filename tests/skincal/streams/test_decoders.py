@@ -3,8 +3,6 @@
 The published example records are those of the formats' description: `origin: built`, `source: this document`.
 """
 
-import binascii
-import struct
 from collections import Counter
 from itertools import pairwise
 
@@ -22,31 +20,13 @@ from skincal.streams.decoders.delimited import TextDecoder
 from skincal.streams.decoders.skb import SkbDecoder, unstuffed
 from skincal.streams.decoders.skt import SktDecoder
 from tests.approved import approved
+from tests.skincal.poke_script import skt_line
+from tests.skincal.streams.maker_records import SKB_TAXELS, SKT_TAXELS, skb, skb_skin, skb_wrench
 
 ALL = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
-SKB_TAXELS = bytes.fromhex("020102110420300502C902C7040609C803F32E00")
 SKB_WRENCH = bytes.fromhex("020206D20450D412010103C03F010310C00103F0410101023E010102BF0103803D0101010366EC00")
-SKT_TAXELS = b"T,17,340000,201,199,2310,200*E4DB\n"
 SKT_WRENCH = b"F,1234,1234000,1.50,-2.25,30.00,0.1250,-0.5000,0.0625,0*512C\n"
 SKT_HEADER = b"H,skt1,board=left-forearm-A,n=84,rate=50,unit=raw,bits=12*C2AD\n"
-
-
-def skb(kind, seq, t_us, payload, source=0):
-    body = struct.pack("<BBHI", kind, source, seq & 0xFFFF, t_us & 0xFFFFFFFF) + payload
-    return reference_cobs.encode(body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")) + b"\x00"
-
-
-def skb_skin(seq, t_us, values, dtype="<u2"):
-    return skb({"<u2": 1, "u1": 3, "<f4": 4}[dtype], seq, t_us, np.array(values, dtype).tobytes())
-
-
-def skb_wrench(seq, t_us, wrench, status=0):
-    return skb(2, seq, t_us, struct.pack("<6fI", *wrench, status))
-
-
-def skt(text):
-    raw = text.encode()
-    return raw + f"*{binascii.crc_hqx(raw, 0xFFFF):04X}\n".encode()
 
 
 def readings(batches):
@@ -110,11 +90,11 @@ def streams(draw):
         if draw(st.booleans()):
             values = draw(st.lists(st.integers(0, 65535), min_size=5, max_size=5))
             text = f"T,{seq},{1000 + seq},{','.join(map(str, values))}"
-            records.append(skb_skin(seq, 1000 + seq, values) if cls is SkbDecoder else skt(text))
+            records.append(skb_skin(seq, 1000 + seq, values) if cls is SkbDecoder else skt_line(text))
         else:
             wrench = draw(st.lists(st.floats(-1e3, 1e3, width=32), min_size=6, max_size=6))
             text = f"F,{seq},{1000 + seq},{','.join(map(repr, wrench))},0"
-            records.append(skb_wrench(seq, 1000 + seq, wrench) if cls is SkbDecoder else skt(text))
+            records.append(skb_wrench(seq, 1000 + seq, wrench) if cls is SkbDecoder else skt_line(text))
     return cls, records
 
 
@@ -204,7 +184,7 @@ def test_record_over_the_size_limit_is_dropped_and_counted_once():
     ("decoder", "data", "streams"),
     [
         (SkbDecoder(4, ALL), skb(99, 0, 5, b"whatever") + SKB_TAXELS + skb(7, 1, 6, b""), [Stream.SKIN]),
-        (SktDecoder(4, ALL), skt("Q,1,2,3") + b"# a comment\r\n" + SKT_TAXELS, [Stream.SKIN]),
+        (SktDecoder(4, ALL), skt_line("Q,1,2,3") + b"# a comment\r\n" + SKT_TAXELS, [Stream.SKIN]),
         (SktDecoder(4, (Stream.WRENCH,)), SKT_TAXELS + SKT_WRENCH, [Stream.WRENCH]),
     ],
     ids=["types", "letters and comments", "streams that are not carried"],
@@ -224,7 +204,7 @@ def test_all_ways_to_send_skin_and_joints():
     )
     np.testing.assert_array_equal(skin.values, [[1, 2, 3], [300, 2, 3], [1.5, 2, np.nan]])
     np.testing.assert_allclose(joints.values, [[np.pi / 2, -np.pi / 4]], rtol=1e-15)
-    skin, joints = SktDecoder(3, ALL).feed(skt("T,0,10,1,2.5,nan") + skt("J,0,40,90,-45").replace(b"\n", b"\r\n"))
+    skin, joints = SktDecoder(3, ALL).feed(skt_line("T,0,10,1,2.5,nan") + skt_line("J,0,40,90,-45").replace(b"\n", b"\r\n"))
     np.testing.assert_array_equal(skin.values, [[1, 2.5, np.nan]])
     np.testing.assert_allclose(joints.values, [[np.pi / 2, -np.pi / 4]], rtol=1e-15)
 
@@ -234,8 +214,8 @@ def test_a_wrong_width_is_counted_with_a_sentence(channels):
     """Without a scene the first frame gives the width."""
     for cls, record in ((SkbDecoder, SKB_TAXELS), (SktDecoder, SKT_TAXELS)):
         decoder = cls(channels, ALL)
-        other = record if channels else skb_skin(18, 360000, [1] * 5) if cls is SkbDecoder else skt("T,18,360000,1,1,1,1,1")
-        assert len(decoder.feed(record + other)) == (0 if channels else 1)
+        longer = skb_skin(18, 360000, [1] * 5) if cls is SkbDecoder else skt_line("T,18,360000,1,1,1,1,1")
+        assert len(decoder.feed(record + (record if channels else longer))) == (0 if channels else 1)
         assert decoder.counts[Loss.BAD_WIDTH] == 1  # the first record after opening is not counted
         came, expected = (4, 5) if channels else (5, 4)
         assert f"{came} values" in decoder.device_message
@@ -244,7 +224,7 @@ def test_a_wrong_width_is_counted_with_a_sentence(channels):
 
 def test_an_error_of_the_board_is_a_sentence():
     decoder = SktDecoder(4, ALL)
-    decoder.feed(skt("E,3,mux stuck"))
+    decoder.feed(skt_line("E,3,mux stuck"))
     assert decoder.device_message == approved("links.board_error", code=3, words="mux stuck")
 
 
@@ -261,7 +241,7 @@ def test_status_bits_and_numbers_that_are_none_are_kept_marked_and_counted():
     assert batch.saturated.tolist() == [False, True, False, True, False, False]
     assert batch.invalid.tolist() == [False, False, True, True, False, False]
     assert decoder.counts == Counter({Loss.SATURATED: 2, Loss.INVALID: 2, Loss.NOT_A_NUMBER: 2})
-    (skin,) = SktDecoder(2, ALL).feed(skt("T,0,1,inf,5"))
+    (skin,) = SktDecoder(2, ALL).feed(skt_line("T,0,1,inf,5"))
     np.testing.assert_array_equal(skin.values, [[np.nan, 5]])
 
 
@@ -269,14 +249,14 @@ def test_good_checksum_around_nonsense_is_unreadable():
     decoder = SktDecoder(4, ALL)
     decoder.feed(b"\n")
     for text in ("T,1", "T,x,1,1,2,3,4", "T,1,2,3,four,5,6", "T,70000,1,1,2,3,4", "T,-1,1,1,2,3,4", "F,1,1,1,2,3,4,5,6,status"):
-        assert decoder.feed(skt(text)) == []
+        assert decoder.feed(skt_line(text)) == []
     assert decoder.counts == Counter({Loss.UNREADABLE: 6})
-    decoder.feed(skt("F,1,1,1,2,3"))
+    decoder.feed(skt_line("F,1,1,1,2,3"))
     assert decoder.counts[Loss.BAD_WIDTH] == 1
 
 
 def test_numbers_beyond_every_integer_are_no_fault():
-    (batch,) = SktDecoder(4, ALL).feed(skt("F,1,1,1e999,2,3,4,5,6," + "3" * 40))
+    (batch,) = SktDecoder(4, ALL).feed(skt_line("F,1,1,1e999,2,3,4,5,6," + "3" * 40))
     assert batch.saturated.tolist() == [True]
     (batch,) = TextDecoder(1, ALL).feed(b"seq,t,a\n1e300,1e300,5\n")
     assert batch.seq.tolist() == [-1]

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.auto_detect import ASSUME_TEXT_AFTER_BYTES, LinkDecoder
 from skincal.streams.decoders.delimited import TextDecoder
+from tests.skincal.streams.maker_records import SKB_TAXELS, SKT_TAXELS
 
 SKIN = (Stream.SKIN,)
 WRENCH = (Stream.WRENCH,)
 MS = 1_000_000
-SKB_TAXELS = bytes.fromhex("020102110420300502C902C7040609C803F32E00")
-SKT_TAXELS = b"T,17,340000,201,199,2310,200*E4DB\n"
 LOSSES = (Loss.BAD_WIDTH, Loss.UNREADABLE)
 
 

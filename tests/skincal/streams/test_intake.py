@@ -1,13 +1,10 @@
 """Pairing of wrench and skin, and the facade: truth from exact clocks, losses counted, the same items give the same samples."""
 
-import binascii
-import struct
 import tracemalloc
 from collections import Counter
 
 import numpy as np
 import pytest
-from cobs import cobs as reference_cobs
 
 from skincal.devices.decoding import pack
 from skincal.devices.netft import RECORDS
@@ -22,7 +19,7 @@ from skincal.streams.pairing import (
     Pairing,
     WrenchRing,
 )
-from tests.skincal.streams.maker_records import rdt_packets, rdt_record
+from tests.skincal.streams.maker_records import rdt_packets, rdt_record, skb_skin, skb_wrench
 
 LINKS = (LinkSpec("wrench", "a", (Stream.WRENCH,)), LinkSpec("skin", "b", (Stream.SKIN,)))
 SLOPE = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
@@ -213,27 +210,19 @@ def test_ring_keeps_the_newest_in_order_however_it_is_filled():
 # ------------------------------------------------------------------ the facade
 
 
-def frame(kind, seq, t_us, payload):
-    body = struct.pack("<BBHI", kind, 0, seq & 0xFFFF, t_us & 0xFFFFFFFF) + payload
-    return reference_cobs.encode(body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")) + b"\x00"
-
-
 def rig(seconds, channels=4, *, broken=False):
     """Items of a wrench sensor at 1 kHz and a skin at 50 Hz, each with its own clock; a press every second."""
     rng = np.random.default_rng(5)
     items = [LinkEvent(name, int(START * 1e9), LinkState.OPEN) for name in ("wrench", "skin")]
     for k in range(0, int(seconds * 1000), 10):
         t_s = (k + np.arange(10)) * 0.001
-        data = b"".join(
-            frame(2, k + i, 5_000_000 + round(t * 1e6), struct.pack("<6fI", *np.float32(ramp(t)), 0)) for i, t in enumerate(t_s)
-        )
+        data = b"".join(skb_wrench(k + i, 5_000_000 + round(t * 1e6), ramp(t)) for i, t in enumerate(t_s))
         if broken and k % 500 == 100:
             data = data[:50] + b"\x07" + data[51:]
         items.append(Chunk("wrench", int((START + t_s[-1] + 0.001 + rng.exponential(0.002)) * 1e9), data))
     for n in range(int(seconds * 50)):
         t = n * 0.02 + 0.0005
-        payload = np.full(channels, n % 200, "<u2").tobytes()
-        data = frame(1, n, 77_000 + round(t * 1e6), payload)
+        data = skb_skin(n, 77_000 + round(t * 1e6), [n % 200] * channels)
         if broken and n % 40 == 7:
             data = data[:-3] + data[-2:]
         items.append(Chunk("skin", int((START + t + 0.001 + rng.exponential(0.002)) * 1e9), data))
@@ -365,7 +354,7 @@ def test_numbered_wrench_is_paired_on_a_machine_that_is_late_for_a_while():
     for at in np.unique(arrived):
         due = np.flatnonzero((arrived == at) & ~lost)
         records = [rdt_record(k + 1, np.round(ramp(made[k]) * 1e6).astype(int)) for k in due]
-        frames = [frame(1, k // 20, 77_000 + k * 1000, np.zeros(4, "<u2").tobytes()) for k in due if k % 20 == 0]
+        frames = [skb_skin(k // 20, 77_000 + k * 1000, [0] * 4) for k in due if k % 20 == 0]
         items.append(Chunk("wrench", round(at * 1e9), b"".join(pack(RECORDS, record) for record in records)))
         items.append(Chunk("skin", round(at * 1e9), b"".join(frames)))
     intake = Intake(4, (LinkSpec("wrench", "netft://h", (Stream.WRENCH,)), LINKS[1]))

@@ -28,6 +28,7 @@ from skincal.streams.links import (
     parse_address,
 )
 from tests.approved import approved, approved_pattern
+from tests.skincal.poke_script import skt_line
 from tests.skincal.streams.link_support import PATIENCE_S, next_data, next_event, reading, spec
 
 LOST_WITHIN_S = 0.3
@@ -263,14 +264,8 @@ def read_on(link, data):
 
 def test_file_plays_at_the_pace_of_its_device_and_ends(tmp_path):
     """Half a second of device time in few bytes: the device's clock sets the pace, not the baud rate."""
-    import binascii
-
-    lines = []
-    for i in range(60):
-        text = f"T,{i},{1000 + i * 10_000},1,2,3,4".encode()
-        lines.append(text + b"*%04X\n" % binascii.crc_hqx(text, 0xFFFF))
     path = tmp_path / "skin.log"
-    path.write_bytes(b"".join(lines))
+    path.write_bytes(b"".join(skt_line(f"T,{i},{1000 + i * 10_000},1,2,3,4") for i in range(60)))
     for address in (path, f"file:{path}"):
         with reading(address, (Stream.SKIN,)) as items:
             begun = next_event(items, LinkState.OPEN)
