@@ -380,27 +380,20 @@ _VECTOR_BYTES = _MESSAGE_HEAD + bytes.fromhex(
 )
 """Sent by a port of YARP 3.12.3: a vector of six with an envelope."""
 
+_ROUTE = Route(
+    usage="yarp:/icub/right_arm/analog:o",
+    form=Form.PATH,
+    transport="tcp",
+    format="yarp-port",
+    handshake=lambda _: YarpHandshake(),
+    needs_every_byte=True,
+    prepare=find_port,
+)
+
 FAMILY = Family(
     routes=(
-        Route(
-            usage="yarp:/icub/right_arm/analog:o",
-            form=Form.PATH,
-            transport="tcp",
-            format="yarp-port",
-            handshake=lambda _: YarpHandshake(),
-            needs_every_byte=True,
-            prepare=find_port,
-        ),
-        Route(
-            usage="yarp://SERVER:10000/icub/right_arm/analog:o",
-            form=Form.HOST_PATH,
-            transport="tcp",
-            format="yarp-port",
-            port=10000,
-            handshake=lambda _: YarpHandshake(),
-            needs_every_byte=True,
-            prepare=find_port,
-        ),
+        _ROUTE,
+        replace(_ROUTE, usage="yarp://SERVER:10000/icub/right_arm/analog:o", form=Form.HOST_PATH, port=10000),
     ),
     decoders={"yarp-port": YarpPortDecoder},
     vectors=(
