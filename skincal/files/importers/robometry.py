@@ -41,6 +41,8 @@ ROWS_READ_AT_ONCE = 4096
 RADIANS_ROOT = "robot_logger_device"
 """Group of YarpRobotLoggerDevice, whose angles are radians; telemetryDeviceDumper logs degrees."""
 CHANNELS_LISTED_MAX = 8
+READ_ERRORS = (OSError, RuntimeError, MemoryError, OverflowError)
+"""What h5py raises where a file is damaged."""
 _SKIN_RE = re.compile(r"skin|tactile|taxel|touch", re.IGNORECASE)
 _WRENCH_RE = re.compile(r"(?:^|::)(?:FTs?|force_?torque)", re.IGNORECASE)
 _POSITIONS_RE = re.compile(r"(?:^|::)joints?_state::(?:joint_)?positions$")
@@ -182,7 +184,7 @@ def _read_stamps(path: Path, channel: _Channel) -> FloatArray:
     with _open(path) as file:
         try:
             stamps = np.asarray(file[channel.group]["timestamps"], np.float64).ravel()
-        except (OSError, RuntimeError, MemoryError, OverflowError) as error:
+        except READ_ERRORS as error:
             raise InputError(f"{path}: the times of channel {channel.name} cannot be read ({error}).") from None
     if not np.isfinite(stamps).all():
         raise InputError(f"{path}: channel {channel.name} has times that are no numbers; choose another channel.")
@@ -199,7 +201,7 @@ def _lines(
             end = min(begin + ROWS_READ_AT_ONCE, rows)
             try:
                 block = data[begin:end] if channel.has_rows_first else np.moveaxis(data[..., begin:end], -1, 0)
-            except (OSError, RuntimeError, MemoryError, OverflowError) as error:
+            except READ_ERRORS as error:
                 raise InputError(f"{path}: channel {channel.name} cannot be read ({error}); the file is damaged.") from None
             values = np.asarray(block, np.float64).reshape(end - begin, channel.width) * factor
             values = np.column_stack([values, np.zeros(end - begin)])[:, list(columns)]
@@ -241,16 +243,7 @@ def _read_channels(path: Path) -> tuple[dict[str, _Channel], str]:
             found = [_channel(file, name, group) for name, group in (_walk(file[root]) if root else ())]
             channels = {channel.name: channel for channel in found if channel is not None}
             description = _texts(file, file[root].get("description_list")) if root else ()
-        except (
-            OSError,
-            RuntimeError,
-            MemoryError,
-            ArithmeticError,
-            LookupError,
-            ValueError,
-            TypeError,
-            AttributeError,
-        ) as error:
+        except (*READ_ERRORS, ArithmeticError, LookupError, ValueError, TypeError, AttributeError) as error:
             raise InputError(f"{path}: its channels cannot be read ({error}); the file is damaged.") from None
     if not channels:
         raise InputError(f"{path}: has no channel with data and timestamps; expected a log of robometry.")
