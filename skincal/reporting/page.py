@@ -177,22 +177,16 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     if setup := setup_sentences(facts.results.setup):
         yield "Scene and pokes", " ".join(setup), AGAINST
     yield "Modules as planned", *_module_evidence(facts)
-    yield (
-        "Exported file",
-        "see the remarks below" if facts.lint else "no remarks",
-        (plural(len(facts.lint), "remark") if facts.lint else AGREES),
-    )
+    lint, findings = facts.lint, facts.results.part.findings
+    yield "Exported file", "see the remarks below" if lint else "no remarks", plural(len(lint), "remark") if lint else AGREES
     lead = next(each for each in facts.methods if each.method is facts.method)
     if lead.error is None:
         yield "Truth", "not known: only a simulated rig tells where its taxels are", OPEN
     else:
         error = f"{_mm_text(lead.error.mean)} mean error, {_mm_text(lead.error.max)} largest"
         yield "Truth", f"simulated: {error}", "known"
-    yield (
-        "Recording",
-        " ".join(facts.results.part.findings) or "read without damage",
-        (plural(len(facts.results.part.findings), "remark") if facts.results.part.findings else AGREES),
-    )
+    said = plural(len(findings), "remark") if findings else AGREES
+    yield "Recording", " ".join(findings) or "read without damage", said
 
 
 def _module_evidence(facts: SessionFacts) -> tuple[str, str]:
