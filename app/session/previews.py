@@ -16,8 +16,9 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
 from skincal.model.scene import Scene
 from skincal.streams.intake import LinkIntake
-from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
+from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, yarp_ports
 from skincal.streams.ros_topics import FoundTopic, list_ros_topics
+from skincal.streams.transports.serial_port import list_serial_ports
 
 PREVIEW_CURVE_POINTS = 80  # Points of a small curve: eight seconds at ten updates per second
 CHANGE_UNIT_OF_STREAM = {Stream.SKIN: 1.0, Stream.JOINTS: float(np.degrees(1.0)), Stream.TIP: 1000.0}
@@ -31,7 +32,7 @@ def list_ports() -> list[tuple[str, str]]:
         ports = [(f"yarp:{name}", f"YARP port at {host}:{number}") for name, (host, number) in yarp_ports()]
     except LinkError:
         ports = []
-    return [*serial_ports(), *ports]
+    return [*list_serial_ports(), *ports]
 
 
 def list_topics() -> tuple[list[FoundTopic], str]:

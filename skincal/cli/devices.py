@@ -207,9 +207,9 @@ def devices(as_json: Json = False) -> None:
 
 
 def _ports() -> list[tuple[str, str]]:
-    from skincal.streams.links import serial_ports
+    from skincal.streams.transports.serial_port import list_serial_ports
 
-    return serial_ports()
+    return list_serial_ports()
 
 
 def _on_port(name: str, description: str) -> dict[str, str]:

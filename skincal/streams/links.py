@@ -167,13 +167,6 @@ def open_link(spec: LinkSpec, is_cancelled: Callable[[], bool] = lambda: False) 
     return open_address(address, spec.carries, spec.format, is_cancelled)
 
 
-def serial_ports() -> list[tuple[str, str]]:
-    """List name and description of each serial port of this machine that has a device."""
-    from skincal.streams.transports.serial_port import list_serial_ports
-
-    return list_serial_ports()
-
-
 def yarp_ports() -> list[tuple[str, tuple[str, int]]]:
     """List name, host and number of the ports that the name server of this machine's YARP knows. Raises LinkError."""
     from skincal.devices.yarp import ask_names, name_server
