@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from skincal.devices.decoding import WRENCH_VALUES
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
@@ -21,7 +22,6 @@ LISTEN_TO_TOPICS_S = 2.0
 TOPIC_POLL_PERIOD_S = 0.05
 LISTED_TOPICS_MAX = 60
 """Topics that are read while they are listed."""
-WRENCH_VALUES = 6
 TEXT_TYPE = "std_msgs/msg/String"
 WAIT_FOR_ROBOT_DESCRIPTION_MAX_S = 5.0
 """s for a latched message to come."""
