@@ -380,7 +380,7 @@ _VECTOR_BYTES = _MESSAGE_HEAD + bytes.fromhex(
 )
 """Sent by a port of YARP 3.12.3: a vector of six with an envelope."""
 
-_ROUTE = Route(
+_PORT_ROUTE = Route(
     usage="yarp:/icub/right_arm/analog:o",
     form=Form.PATH,
     transport="tcp",
@@ -392,8 +392,8 @@ _ROUTE = Route(
 
 FAMILY = Family(
     routes=(
-        _ROUTE,
-        replace(_ROUTE, usage="yarp://SERVER:10000/icub/right_arm/analog:o", form=Form.HOST_PATH, port=10000),
+        _PORT_ROUTE,
+        replace(_PORT_ROUTE, usage="yarp://SERVER:10000/icub/right_arm/analog:o", form=Form.HOST_PATH, port=10000),
     ),
     decoders={"yarp-port": YarpPortDecoder},
     vectors=(
