@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from PySide6.QtCore import QByteArray, QEvent, QObject, QSettings, Qt, QTimer, Signal
 from PySide6.QtGui import QAction
-from PySide6.QtWidgets import QFileDialog, QFrame, QHBoxLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFileDialog, QFrame, QSplitter, QTabWidget, QWidget
 
 from app.commands import LAYERS, Commands
 from app.dialogs.apply_dialog import ApplyDialog, offered_port
@@ -27,6 +27,7 @@ from app.panels.compare_panel import ComparePanel
 from app.panels.devices import DevicesPanel, LinkChips
 from app.panels.errors_panel import ErrorsPanel
 from app.panels.inspect_panel import InspectPanel
+from app.panels.layouts import make_column, make_row
 from app.panels.now_panel import NowPanel
 from app.panels.panel import Panel, PanelContext
 from app.panels.pokes_panel import PokesPanel
@@ -96,18 +97,13 @@ class Workspace(QWidget):
         # All widgets have their parents from the start: Qt applies the style sheet again to all in a widget that moves.
         self.across = QSplitter(Qt.Orientation.Horizontal, self)
         left = QWidget(self.across)
-        self._left_row = QHBoxLayout(left)
-        self._left_row.setContentsMargins(0, 0, 0, 0)
-        self._left_row.setSpacing(WIDGET_GAP_PX)
-        self._left_row.addWidget(self.view, 1)
+        self._left_row = make_row((self.view, 1), within=left, margins=0, gap=WIDGET_GAP_PX)
         self.right = QSplitter(Qt.Orientation.Vertical, self.across)
         self.card = MapCard(self.right, self.map, self.methods)
         below = QFrame(self.right)
         below.setObjectName("card")
-        column = QVBoxLayout(below)
-        column.setContentsMargins(1, 1, 1, 1)
         self.tabs = QTabWidget(below)
-        column.addWidget(self.tabs)
+        make_column(self.tabs, within=below, margins=1)
         self._state: ViewState | None = None
         self.view.taxel_picked.connect(self.taxel_selected)
         self.map.taxel_clicked.connect(self.taxel_selected)
@@ -137,11 +133,7 @@ class Workspace(QWidget):
         for splitter in (self.right, self.across):
             splitter.setHandleWidth(WIDGET_GAP_PX)
             splitter.setChildrenCollapsible(False)
-        column = QVBoxLayout(self)
-        column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
-        column.setSpacing(WIDGET_GAP_PX)
-        column.addWidget(self.across, 1)
-        column.addWidget(self.now)
+        make_column((self.across, 1), self.now, within=self, margins=WIDGET_GAP_PX, gap=WIDGET_GAP_PX)
         self.tabs.currentChanged.connect(self._show_tab)
 
     def show_card(self, card: QWidget) -> None:

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
 from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, QUrl, Signal, Slot, qVersion
 from PySide6.QtGui import QCloseEvent, QColor, QDesktopServices, QPalette
-from PySide6.QtWidgets import QApplication, QDialog, QFileDialog, QMainWindow, QMessageBox, QStackedWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QApplication, QDialog, QFileDialog, QMainWindow, QMessageBox, QStackedWidget, QWidget
 
 from app.commands import Commands
 from app.dialogs.pedals import Pedals
 from app.panels.drop_target import DropTarget
 from app.panels.first_minute import FirstMinute
+from app.panels.layouts import make_column
 from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.start_page import StartPage
@@ -185,11 +186,7 @@ class Window(QMainWindow):
         self.stack.addWidget(self.opening)
         self._show_opening()
         centre = QWidget()
-        column = QVBoxLayout(centre)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self.messages)
-        column.addWidget(self.stack, 1)
+        make_column(self.messages, (self.stack, 1), within=centre, margins=0, gap=0)
         self.setCentralWidget(centre)
         bar = self.statusBar()
         bar.setSizeGripEnabled(False)

@@ -7,22 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import (
-    QCheckBox,
-    QFileDialog,
-    QFormLayout,
-    QLabel,
-    QLineEdit,
-    QListWidget,
-    QListWidgetItem,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QCheckBox, QFileDialog, QLabel, QLineEdit, QListWidget, QListWidgetItem, QWidget
 
 from app.builder.fields import VectorField, button, row_of
 from app.builder.step import Step
 from app.dialogs.form_widgets import path_row
 from app.dialogs.landmark_dialog import free_name, name_problem
+from app.panels.layouts import make_column, make_form
 from app.panels.widgets import set_bold
 from app.scene3d.draft_view import Mode
 from app.session.opening import is_shipped
@@ -69,32 +60,18 @@ class CheckStep(Step):
         self.add.clicked.connect(lambda: self.take_point(np.array(self.place.value()) * 1e-3, on_mesh=False))
         self.remove = button("&Remove")
         self.remove.clicked.connect(self._remove)
-        form = QFormLayout()
-        form.addRow(self.list)
-        form.addRow("&Name", self.mark_name)
-        form.addRow("&Position", self.place)
-        form.addRow("", row_of(self.add, self.remove))
-        self.column.addLayout(form)
-        head = QLabel("Summary")
+        rows = self.list, ("&Name", self.mark_name), ("&Position", self.place), ("", row_of(self.add, self.remove))
+        head, summary = QLabel("Summary"), QWidget()
         set_bold(head)
-        self.column.addWidget(head)
-        self._summary = QWidget()
-        self._summary.setAccessibleName("summary")
-        self._lines = QVBoxLayout(self._summary)
-        self._lines.setContentsMargins(0, 0, 0, 0)
-        self._lines.setSpacing(WIDGET_GAP_PX // 2)
-        self.column.addWidget(self._summary)
+        summary.setAccessibleName("summary")
+        self._lines = make_column(within=summary, margins=0, gap=WIDGET_GAP_PX // 2)
         self.folder = QLineEdit()
         self.folder.textEdited.connect(self._type_folder)
-        label, row = path_row("&Folder", self.folder, self._choose_folder)
-        where = QFormLayout()
-        where.addRow(label, row)
         self.copies = QCheckBox()
         self.copies.setToolTip("The folder can then be moved to another computer")
         self.copies.clicked.connect(lambda on: self.change(replace(self.draft, copies_robot=on)))
-        where.addRow("", self.copies)
-        self.column.addLayout(where)
-        self.column.addStretch(1)
+        where = make_form(path_row("&Folder", self.folder, self._choose_folder), ("", self.copies))
+        self._arrange(make_form(*rows), head, summary, where)
 
     def scene_path(self) -> Path:
         source = self.draft.source

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from PySide6.QtCore import QLocale, QSignalBlocker, Signal
-from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
+from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QPushButton, QSpinBox, QWidget
 
+from app.panels.layouts import make_row
 from app.panels.widgets import compact_combo, escape_tooltip
 from app.theme import WIDGET_GAP_PX
 from skincal.model.tables import MAX_LENGTH_M
@@ -56,14 +57,11 @@ class VectorField(QWidget):
         limit, suffix = (1.0, "") if is_direction else (1e3 * MAX_LENGTH_M, " mm")
         self.boxes = [number_field(f"{name}, {axis}", suffix, limit, 3 if is_direction else 2, f"{axis}  ") for axis in "xyz"]
         self.setAccessibleName(name)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(WIDGET_GAP_PX // 2)
+        make_row(*((box, 1) for box in self.boxes), within=self, margins=0, gap=WIDGET_GAP_PX // 2)
         for box in self.boxes:
             box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
             box.setMinimumWidth(1)
             box.valueChanged.connect(lambda _: self.edited.emit(self.value()))
-            row.addWidget(box, 1)
         self.setFocusProxy(self.boxes[0])
 
     def value(self) -> tuple[float, float, float]:
@@ -100,11 +98,6 @@ def button(text: str, name: str = "") -> QPushButton:
     return made
 
 
-def row_of(*widgets: QWidget | QLabel) -> QHBoxLayout:
+def row_of(*widgets: QWidget) -> QHBoxLayout:
     """Make a row of widgets, side by side."""
-    row = QHBoxLayout()
-    row.setSpacing(WIDGET_GAP_PX // 2)
-    for widget in widgets:
-        row.addWidget(widget)
-    row.addStretch(1)
-    return row
+    return make_row(*widgets, 1, gap=WIDGET_GAP_PX // 2)

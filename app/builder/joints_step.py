@@ -71,23 +71,16 @@ class JointsStep(Step):
         self.columns_label = QLabel("&Columns of the joint stream, by joint name, separated by commas")
         self.columns_label.setWordWrap(True)
         self.columns_label.setBuddy(self.columns)
-        self.column.addWidget(self.columns_label)
-        self.column.addWidget(self.columns)
         self.rows: dict[str, JointRow] = {}
-        self._holder = QWidget()
-        self._grid = QGridLayout(self._holder)
+        holder = QWidget()
+        self._grid = QGridLayout(holder)
         self._grid.setContentsMargins(0, 0, 0, 0)
         self._grid.setColumnStretch(0, 1)
-        self.column.addWidget(self._holder)
         self.live = LiveRow(Stream.JOINTS)
         self.live.read.connect(self._take_frames)
-        self.column.addWidget(
-            secondary_label("Optional: read the joints now, to see whether order and unit are right.", wrap=True)
-        )
-        self.column.addWidget(self.live)
+        about = secondary_label("Optional: read the joints now, to see whether order and unit are right.", wrap=True)
         self.warning = secondary_label(wrap=True)
-        self.column.addWidget(self.warning)
-        self.column.addStretch(1)
+        self._arrange(self.columns_label, self.columns, holder, about, self.live, self.warning)
 
     def applies(self, preview: PartPreview) -> bool:
         return bool(preview.joints or preview.draft.fixed)

@@ -33,8 +33,7 @@ class LiveRow(QWidget):
         self.destroyed.connect(lambda: previews.stop_readers())
         self._ports = ThreadService("ports", self)
         self._has_ports = False
-        self._timer = QTimer(self)
-        self._timer.setInterval(LINK_PREVIEW_UPDATE_PERIOD_MS)
+        self._timer = QTimer(self, interval=LINK_PREVIEW_UPDATE_PERIOD_MS)
         self._timer.timeout.connect(self._update)
         self.row.agreed.connect(self._choose)
 

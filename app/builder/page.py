@@ -13,17 +13,7 @@ from typing import TypeVar
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import (
-    QButtonGroup,
-    QFrame,
-    QHBoxLayout,
-    QLabel,
-    QSplitter,
-    QStackedWidget,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QButtonGroup, QFrame, QLabel, QSplitter, QStackedWidget, QToolButton, QWidget
 
 from app.builder.check_step import CheckStep
 from app.builder.fields import button
@@ -34,6 +24,7 @@ from app.builder.sensor_step import SensorStep
 from app.builder.skin_step import SkinStep
 from app.builder.step import Step
 from app.dialogs.form_widgets import scrolled
+from app.panels.layouts import make_column, make_row
 from app.panels.widgets import theme_colours
 from app.scene3d.draft_state import DraftPicture, DraftStatic
 from app.scene3d.draft_view import DraftView3D
@@ -79,10 +70,7 @@ class BuilderPage(QWidget):
     # Widgets
 
     def _arrange(self) -> None:
-        self.tabs = QButtonGroup(self)
-        bar = QHBoxLayout()
-        bar.setSpacing(2)
-        self.stack = QStackedWidget()
+        self.tabs, self.stack = QButtonGroup(self), QStackedWidget()
         for number, step in enumerate(self.steps, start=1):
             tab = QToolButton()
             tab.setCheckable(True)
@@ -91,13 +79,10 @@ class BuilderPage(QWidget):
             # Not the button's own shortcut, which each new text removes.
             QShortcut(QKeySequence(f"Alt+{number}"), self, partial(self._show_numbered, number))
             self.tabs.addButton(tab, number - 1)
-            bar.addWidget(tab)
             area = scrolled(step)
             area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
             self.stack.addWidget(area)
-        bar.addStretch(1)
-        self.findings = QLabel()
-        self.findings.setWordWrap(True)
+        self.findings = QLabel(wordWrap=True)
         self.findings.setAccessibleName("findings of this step")
         self.undo_button = button("\N{LEFTWARDS ARROW WITH HOOK}", "undo (Ctrl+Z)")
         self.redo_button = button("\N{RIGHTWARDS ARROW WITH HOOK}", "redo (Ctrl+Y)")
@@ -106,31 +91,18 @@ class BuilderPage(QWidget):
             each.setEnabled(False)
         self.leave_button, self.back, self.next = button("&Close"), button("\N{LEFTWARDS ARROW} &Back"), button("Ne&xt")
         self.start = button("&Save and start")
-        buttons = QHBoxLayout()
-        for widget in (self.undo_button, self.redo_button, self.leave_button):
-            buttons.addWidget(widget)
-        buttons.addStretch(1)
-        for widget in (self.back, self.next, self.start):
-            buttons.addWidget(widget)
+        buttons = self.undo_button, self.redo_button, self.leave_button, 1, self.back, self.next, self.start
         side = QFrame()
         side.setObjectName("card")
         side.setMinimumWidth(scaled(FIELDS_COLUMN_WIDTH_PX))
-        column = QVBoxLayout(side)
-        column.setSpacing(WIDGET_GAP_PX)
-        column.addLayout(bar)
-        column.addWidget(self.stack, 1)
-        column.addWidget(self.findings)
-        column.addLayout(buttons)
-        self.across = QSplitter(Qt.Orientation.Horizontal, self)
+        tabs = make_row(*self.tabs.buttons(), 1, gap=2)
+        make_column(tabs, (self.stack, 1), self.findings, make_row(*buttons), within=side, gap=WIDGET_GAP_PX)
+        self.across = QSplitter(Qt.Orientation.Horizontal, self, childrenCollapsible=False, handleWidth=WIDGET_GAP_PX)
         self.across.addWidget(self.view)
         self.across.addWidget(side)
         self.across.setStretchFactor(0, 1)
-        self.across.setChildrenCollapsible(False)
-        self.across.setHandleWidth(WIDGET_GAP_PX)
         self.across.setSizes([10_000, scaled(FIELDS_COLUMN_WIDTH_PX)])
-        whole = QVBoxLayout(self)
-        whole.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
-        whole.addWidget(self.across)
+        make_column(self.across, within=self, margins=WIDGET_GAP_PX)
 
     def _connect(self) -> None:
         self.tabs.idClicked.connect(lambda index: self.show_step(self.steps[index]))

@@ -6,11 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import QComboBox, QFileDialog, QFormLayout, QLabel, QLineEdit, QTreeWidget, QTreeWidgetItem
+from PySide6.QtWidgets import QComboBox, QFileDialog, QLabel, QLineEdit, QTreeWidget, QTreeWidgetItem
 
 from app.builder.fields import choice, show_choice
 from app.builder.step import Step
 from app.dialogs.form_widgets import path_row
+from app.panels.layouts import make_form
 from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_view import Mode
 from app.session.opening import PART_FILES
@@ -39,7 +40,6 @@ class PartStep(Step):
         super().__init__()
         self.file = QLineEdit()
         self.file.editingFinished.connect(self._take_typed)
-        label, row = path_row("Mesh or &URDF", self.file, self.choose_file)
         self.part_name = QLineEdit()
         self.part_name.setAccessibleName("name of the part")
         self.part_name.setMaxLength(80)
@@ -55,31 +55,23 @@ class PartStep(Step):
         self.tree.itemSelectionChanged.connect(self._choose_in_tree)
         self.frame: QComboBox = compact_combo("frame of all positions")
         self.frame.activated.connect(lambda _: self.take_link(self.frame.currentText()))
-        form = QFormLayout()
-        form.addRow(label, row)
-        form.addRow("Part's &name", self.part_name)
-        form.addRow("&Unit", self.unit)
-        form.addRow("Size", self.size_text)
         self.tree_note = secondary_label("Click the link that carries the skin, in the view or in this list.", wrap=True)
-        form.addRow(self.tree_note)
-        form.addRow(self.tree)
-        form.addRow("F&rame", self.frame)
         self.frame_note = secondary_label(
             "Positions are given in this frame. All listed frames are fixed to the link.", wrap=True
         )
-        form.addRow(self.frame_note)
         self.own_mesh = QLineEdit()
         self.own_mesh.setPlaceholderText("that of the URDF; choose a file if it cannot be read")
         self.own_mesh.editingFinished.connect(self._take_own_mesh)
-        self.mesh_label, self.mesh_row = path_row("&Mesh", self.own_mesh, self._choose_own_mesh)
-        form.addRow(self.mesh_label, self.mesh_row)
+        mesh_label, self.mesh_row = path_row("&Mesh", self.own_mesh, self._choose_own_mesh)
         self.package = QLineEdit()
         self.package.editingFinished.connect(self._take_package)
         self.package_label, self.package_row = path_row("Pac&kage", self.package, self._choose_package)
-        form.addRow(self.package_label, self.package_row)
-        self.form = form
-        self.column.addLayout(form)
-        self.column.addStretch(1)
+        self.form = make_form(
+            path_row("Mesh or &URDF", self.file, self.choose_file), ("Part's &name", self.part_name), ("&Unit", self.unit),
+            ("Size", self.size_text), self.tree_note, self.tree, ("F&rame", self.frame), self.frame_note,
+            (mesh_label, self.mesh_row), (self.package_label, self.package_row),
+        )  # fmt: skip
+        self._arrange(self.form)
         self._robot: Robot | None = None
         self._show_rows(has_robot=False, has_mesh=False)
 

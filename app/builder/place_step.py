@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker
-from PySide6.QtWidgets import QFormLayout, QGridLayout, QWidget
+from PySide6.QtWidgets import QGridLayout, QWidget
 
 from app.builder.fields import VectorField, button, number_field, row_of
 from app.builder.step import Step
+from app.panels.layouts import make_form
 from app.panels.widgets import compact_combo
 from app.scene3d.draft_state import TurnHandle
 from app.scene3d.draft_view import Mode
@@ -53,9 +54,9 @@ class PlaceStep(Step):
         self.turns = [button(f"{degrees:+g}\N{DEGREE SIGN}", f"turn by {degrees:g} degrees") for degrees in TURNS_DEG]
         for each, degrees in zip(self.turns, TURNS_DEG, strict=True):
             each.clicked.connect(lambda _=False, degrees=degrees: self.turn(degrees))
-        pad, grid = QWidget(), QGridLayout()
+        pad = QWidget()
+        grid = QGridLayout(pad)
         grid.setContentsMargins(0, 0, 0, 0)
-        pad.setLayout(grid)
         self.arrows = [
             button(sign, f"slide along the layout's {'x' if x else 'y'} axis, {x + y:+d}") for sign, x, y, _, _ in ARROW_BUTTONS
         ]
@@ -65,15 +66,9 @@ class PlaceStep(Step):
             grid.addWidget(each, row, column)
         self.back = button("Let this module &follow the layout again")
         self.back.clicked.connect(self._let_follow)
-        form = QFormLayout()
-        form.addRow("&Move", self.moved)
-        form.addRow("&Position", self.point)
-        form.addRow("Turn", row_of(*self.turns))
-        form.addRow("Slide", row_of(pad))
-        form.addRow("by", row_of(self.step))
-        form.addRow(self.back)
-        self.column.addLayout(form)
-        self.column.addStretch(1)
+        turns = ("Turn", row_of(*self.turns))
+        moves = ("&Move", self.moved), ("&Position", self.point), turns, ("Slide", row_of(pad)), ("by", row_of(self.step))
+        self._arrange(make_form(*moves, self.back))
         self._grip: FloatArray | None = None  # From the anchor's point to the point where a drag began, (3,) metres
         self._drag = 0
         self._newest: tuple[PartDraft, int | None, Anchor] | None = None

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import QFormLayout, QLabel, QListWidget, QListWidgetItem, QWidget
+from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QWidget
 
 from app.builder.fields import VectorField, button, choice, number_field, row_of, show_choice
 from app.builder.step import NO_POINTS, Step
+from app.panels.layouts import make_form
 from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
@@ -50,25 +51,16 @@ class SensorStep(Step):
         self.list.itemSelectionChanged.connect(self._choose_listed)
         self.other = compact_combo("joint or link at the sensor")
         self.other.activated.connect(lambda _: self._choose_sensor(self.other.currentText()))
-        self.robot_form = QWidget()
-        form = self.robot_rows = QFormLayout(self.robot_form)
-        form.setContentsMargins(0, 0, 0, 0)
-        form.addRow("Sensors of the URDF", self.list)
-        form.addRow("&Other joint", self.other)
-        self.column.addWidget(self.robot_form)
+        self.robot_form, self.free_form = QWidget(), QWidget()
+        rows = ("Sensors of the URDF", self.list), ("&Other joint", self.other)
+        self.robot_rows = make_form(*rows, within=self.robot_form, margins=0)
         self._make_free_form()
         self.sign = choice("meaning of the wrench", SIGN_CHOICES)
         self.sign.activated.connect(self._choose_sign)
-        last = QFormLayout()
-        last.addRow("Reports", self.sign)
-        self.column.addLayout(last)
-        self.column.addStretch(1)
+        self._arrange(self.robot_form, self.free_form, make_form(("Reports", self.sign)))
 
     def _make_free_form(self) -> None:
         """Make the fields for a part without a URDF."""
-        self.free_form = QWidget()
-        form = QFormLayout(self.free_form)
-        form.setContentsMargins(0, 0, 0, 0)
         self.under = button("The part &stands on the sensor")
         self.bottom_gap = number_field("distance from the part's bottom to the sensor's origin", " mm", SENSOR_DEPTH_MAX_MM)
         self.bottom_gap.setToolTip("From the bottom face down to the sensor's origin; see its drawing")
@@ -78,18 +70,15 @@ class SensorStep(Step):
         self.add_point = button(ADD_POINT)
         self.pick_note = secondary_label(wrap=True)
         self.origin, self.direction = VectorField("position of the sensor"), VectorField("direction of z", is_direction=True)
-        form.addRow(row_of(self.under, QLabel("origin"), self.bottom_gap, QLabel("below")))
-        form.addRow(row_of(self.same, self.pick))
-        form.addRow(self.pick_note)
-        form.addRow("&Position", self.origin)
-        form.addRow("", self.add_point)
-        form.addRow("&z points to", self.direction)
         self.turns = [button(f"\N{CLOCKWISE OPEN CIRCLE ARROW} 90\N{DEGREE SIGN} about {axis}") for axis in "xyz"]
         for axis, each in enumerate(self.turns):
             each.setAccessibleName(f"turn the sensor by 90 degrees about its {'xyz'[axis]} axis")
             each.clicked.connect(lambda _=False, axis=axis: self._turn(axis))
-        form.addRow("Turn", row_of(*self.turns))
-        self.column.addWidget(self.free_form)
+        below = row_of(self.under, QLabel("origin"), self.bottom_gap, QLabel("below"))
+        make_form(
+            below, row_of(self.same, self.pick), self.pick_note, ("&Position", self.origin), ("", self.add_point),
+            ("&z points to", self.direction), ("Turn", row_of(*self.turns)), within=self.free_form, margins=0,
+        )  # fmt: skip
         self.under.clicked.connect(self._stand)
         self.bottom_gap.valueChanged.connect(self._stand)
         self.same.clicked.connect(lambda: self._set_pose(np.eye(4)))

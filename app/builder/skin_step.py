@@ -6,11 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtWidgets import QFileDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QStackedWidget, QWidget
+from PySide6.QtWidgets import QFileDialog, QLabel, QLineEdit, QStackedWidget, QWidget
 
 from app.builder.fields import button, choice, count_field, number_field, row_of, set_silently, show_choice
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
+from app.panels.layouts import make_form, make_row
 from app.panels.widgets import secondary_label
 from skincal.files.layout_sources import (
     GRID_ROWS_OR_COLUMNS_MAX,
@@ -60,20 +61,13 @@ class SkinStep(Step):
         self.layout_kind = choice("layout", LAYOUT_CHOICES)
         self.layout_kind.activated.connect(lambda _: self._choose_kind())
         self._kind = "none"
-        form = QFormLayout()
-        form.addRow("&Values a frame", self.channels)
-        form.addRow("They", self.polarity)
-        form.addRow("&Layout", self.layout_kind)
         self.pages = QStackedWidget()
         pages = QWidget(), self._make_file_page(), self._make_grid_page(), self._make_modules_page()
         self.pages_by_kind = dict(zip(LAYOUT_CHOICES, pages, strict=True))
         for page in pages:
             self.pages.addWidget(page)
-        form.addRow(self.pages)
-        self.found = QLabel()
-        self.found.setWordWrap(True)
-        form.addRow(self.found)
-        self.column.addLayout(form)
+        self.found = QLabel(wordWrap=True)
+        choices = ("&Values a frame", self.channels), ("They", self.polarity), ("&Layout", self.layout_kind)
         self.live = LiveRow(Stream.SKIN)
         self.live.read.connect(self._take_frames)
         self.again = button("&Forget the touch")
@@ -83,10 +77,8 @@ class SkinStep(Step):
         self.use_polarity = button("Use this: they fall")
         self.use_polarity.clicked.connect(self._use_polarity)
         self.use_polarity.setVisible(False)
-        self.column.addWidget(self.live)
-        self.column.addWidget(self.touched)
-        self.column.addLayout(row_of(self.again, self.use_polarity))
-        self.column.addStretch(1)
+        touch = self.live, self.touched, row_of(self.again, self.use_polarity)
+        self._arrange(make_form(*choices, self.pages, self.found), *touch)
         self._watch: TouchWatch | None = None
         self._falls = False
 
@@ -97,11 +89,7 @@ class SkinStep(Step):
         self.file.setAccessibleName("layout file")
         choose = button("Choose\N{HORIZONTAL ELLIPSIS}", "choose: layout file")
         choose.clicked.connect(self.choose_file)
-        row = QHBoxLayout()
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(self.file, 1)
-        row.addWidget(choose)
-        page.setLayout(row)
+        make_row((self.file, 1), choose, within=page, margins=0)
         return page
 
     def _make_grid_page(self) -> QWidget:
@@ -121,16 +109,14 @@ class SkinStep(Step):
 
     def _make_modules_page(self) -> QWidget:
         page = QWidget()
-        form = QFormLayout(page)
-        form.setContentsMargins(0, 0, 0, 0)
         self.kind = choice("kind of module", {kind: KIND_NAMES.get(kind, kind) for kind in KINDS})
         self.kind.activated.connect(lambda _: self._use_modules())
         self.strips, self.in_strip = (count_field(name, 1, MAX_MODULES) for name in ("strips", "modules in a strip"))
         self.in_strip.setValue(4)
         for box in (self.strips, self.in_strip):
             box.valueChanged.connect(self._use_modules)
-        form.addRow("&Kind", self.kind)
-        form.addRow("Strips", row_of(self.strips, QLabel("of"), self.in_strip, QLabel("modules")))
+        strips = row_of(self.strips, QLabel("of"), self.in_strip, QLabel("modules"))
+        make_form(("&Kind", self.kind), ("Strips", strips), within=page, margins=0)
         return page
 
     def update_fields(self, preview: PartPreview) -> None:

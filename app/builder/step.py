@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLabel, QLayout, QWidget
 
+from app.panels.layouts import make_column
 from app.panels.widgets import secondary_label, set_bold
 from app.scene3d.draft_state import TurnHandle
 from app.scene3d.draft_view import Mode
@@ -46,14 +47,13 @@ class Step(QWidget):
         self.points = NO_POINTS  # (n, 3) float, metres: picked points to mark
         self.module: int | None = None
         self.answered: IntArray | None = None
-        self.column = QVBoxLayout(self)
-        self.column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
-        self.column.setSpacing(WIDGET_GAP_PX)
+        self.hint_label = secondary_label(self.hint, wrap=True)
+
+    def _arrange(self, *items: QWidget | QLayout) -> None:
+        """Put the fields of the step below its title and hint."""
         head = QLabel(self.title)
         set_bold(head, STEP_TITLE_FONT_SIZE_PT)
-        self.column.addWidget(head)
-        self.hint_label = secondary_label(self.hint, wrap=True)
-        self.column.addWidget(self.hint_label)
+        make_column(head, self.hint_label, *items, 1, within=self, margins=WIDGET_GAP_PX, gap=WIDGET_GAP_PX)
 
     def applies(self, preview: PartPreview) -> bool:  # noqa: ARG002
         """Whether the step has something to decide for this part."""

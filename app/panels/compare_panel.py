@@ -14,18 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QHideEvent, QShowEvent
-from PySide6.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QFileDialog,
-    QGridLayout,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QTreeWidget,
-    QVBoxLayout,
-)
+from PySide6.QtWidgets import QCheckBox, QComboBox, QFileDialog, QGridLayout, QLabel, QPushButton, QTreeWidget
 
+from app.panels.layouts import make_row
 from app.panels.panel import Panel, PanelContext
 from app.panels.widgets import (
     POSITION_FILES,
@@ -33,7 +24,6 @@ from app.panels.widgets import (
     compact_combo,
     escape_tooltip,
     fit_rows,
-    panel_scroll_area,
     put_rows,
     secondary_label,
     set_bold,
@@ -98,7 +88,7 @@ class ComparePanel(Panel):
         self._chosen: tuple[str, str] | None = None  # The operator's choice, if any
         self.boxes = (compact_combo("from"), compact_combo("to"))
         self.all, self.scale = QCheckBox("all"), QComboBox()
-        self.legend, self.summary, self.health = QLabel(), QLabel(), QLabel()
+        self.legend, self.summary, self.health = (QLabel(wordWrap=True) for _ in range(3))
         self.add_file, self.add_session = QPushButton("Add file…"), QPushButton("Add session…")
         self.save_button = QPushButton("Save the corrected layout…")
         self.motion, self.spacing, self.listed = secondary_label(wrap=True), secondary_label(wrap=True), secondary_label()
@@ -129,8 +119,6 @@ class ComparePanel(Panel):
         self.add_file.setToolTip("Compare with a calibration (JSON, CSV, iCub) or truth.json")
         self.add_session.setToolTip("Compare with another recorded session, by each of its methods")
         set_bold(self.summary)
-        for label in (self.legend, self.summary, self.health):
-            label.setWordWrap(True)
         self.legend.setTextFormat(Qt.TextFormat.RichText)
         self.legend.setProperty("rich", True)
         self.setWhatsThis(
@@ -146,21 +134,12 @@ class ComparePanel(Panel):
         for row, (text, box, other) in enumerate(zip(("From", "To"), self.boxes, (self.all, self.scale), strict=True)):
             for column, widget in enumerate((secondary_label(text), box, other)):
                 choices.addWidget(widget, row, column)
-        more = QHBoxLayout()
-        more.addWidget(self.add_file)
-        more.addWidget(self.add_session)
-        more.addStretch(1)
-        choices.addLayout(more, 2, 1, 1, 2)
-        inner = panel_scroll_area(self)
-        column = QVBoxLayout(inner)
-        column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
-        column.addLayout(choices)
-        for widget in (self.legend, self.summary, self.motion, self.health):
-            column.addWidget(widget)
-        column.addWidget(self.save_button, 0, Qt.AlignmentFlag.AlignLeft)
-        for widget in (self.listed, self.modules, self.spacing, secondary_label("Largest differences")):
-            column.addWidget(widget)
-        column.addWidget(self.worst, 1)
+        choices.addLayout(make_row(self.add_file, self.add_session, 1), 2, 1, 1, 2)
+        self.fill(
+            choices, self.legend, self.summary, self.motion, self.health, (self.save_button, 0, Qt.AlignmentFlag.AlignLeft),
+            self.listed, self.modules, self.spacing, secondary_label("Largest differences"), (self.worst, 1),
+            margins=WIDGET_GAP_PX,
+        )  # fmt: skip
         for empty in (self.health, self.save_button, self.listed, self.motion):
             empty.hide()
         for widget in (self.modules, self.spacing):

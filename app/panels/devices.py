@@ -5,18 +5,10 @@ from __future__ import annotations
 from html import escape
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QVBoxLayout
+from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton
 
 from app.panels.panel import Panel, PanelContext
-from app.panels.widgets import (
-    ElidedLabel,
-    digits_font,
-    escape_tooltip,
-    panel_scroll_area,
-    secondary_label,
-    set_bold,
-    theme_colours,
-)
+from app.panels.widgets import ElidedLabel, digits_font, escape_tooltip, secondary_label, set_bold, theme_colours
 from app.state.view_state import LinkStatus, ViewState
 from app.text.guidance_text import BETWEEN
 from app.text.outcomes import LinkWords, link_lines
@@ -44,6 +36,7 @@ _LINK_SIGNS = {
 """Shape and colour of the theme for each state."""
 STATUS_SYMBOL_SIZE_PX = 18
 RATE_FONT_SIZE_PT = 13
+CARD_MARGINS_PX = (WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
 
 
 def link_sign(look: LinkStatus) -> str:
@@ -63,24 +56,20 @@ class LinkCard(QFrame):
         self.sign.setProperty("rich", True)
         self.name = QLabel()
         set_bold(self.name)
-        self.rate = QLabel()
+        self.rate = QLabel(alignment=Qt.AlignmentFlag.AlignRight)
         set_font(self.rate, digits_font(RATE_FONT_SIZE_PT), RATE_FONT_SIZE_PT)
-        self.rate.setAlignment(Qt.AlignmentFlag.AlignRight)
         self.about = ElidedLabel("muted")
         self.detail = secondary_label(wrap=True)
-        self.losses = QLabel()
-        self.losses.setWordWrap(True)
+        self.losses = QLabel(wordWrap=True)
         grid = QGridLayout(self)
         # Three cards fit into a window of 720 pixels.
-        grid.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
+        grid.setContentsMargins(*CARD_MARGINS_PX)
         grid.setVerticalSpacing(0)
         grid.setColumnStretch(1, 1)
-        grid.addWidget(self.sign, 0, 0)
-        grid.addWidget(self.name, 0, 1)
-        grid.addWidget(self.rate, 0, 2)
-        grid.addWidget(self.about, 1, 1, 1, 2)
-        grid.addWidget(self.detail, 2, 1, 1, 2)
-        grid.addWidget(self.losses, 3, 1, 1, 2)
+        for column, widget in enumerate((self.sign, self.name, self.rate)):
+            grid.addWidget(widget, 0, column)
+        for row, widget in enumerate((self.about, self.detail, self.losses), start=1):
+            grid.addWidget(widget, row, 1, 1, 2)
 
     def show_link(self, words: LinkWords, health: LinkHealth, unpaired: int) -> None:
         """Show a link; `unpaired` skin frames had no wrench, which is shown at the link that carries the wrench."""
@@ -113,12 +102,9 @@ class DevicesPanel(Panel):
         self.cards: dict[str, LinkCard] = {}
         self.change = QPushButton("Change addresses…  (A)")
         self.change.clicked.connect(lambda: self.command_wanted.emit("addresses"))
-        inner = panel_scroll_area(self)
-        self._column = QVBoxLayout(inner)
-        self._column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
-        self._column.setSpacing(WIDGET_GAP_PX // 2)
-        self._column.addWidget(self.change, 0, Qt.AlignmentFlag.AlignLeft)
-        self._column.addStretch(1)
+        self._column = self.fill(
+            (self.change, 0, Qt.AlignmentFlag.AlignLeft), 1, margins=CARD_MARGINS_PX, gap=WIDGET_GAP_PX // 2
+        )
         self.setWhatsThis(
             "Each device with its rate, the check of its readings, the age of its last data, and every lost reading by reason. "
             "The program reconnects a lost device automatically; a device that was moved needs another address."

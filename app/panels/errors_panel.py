@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QSettings, Qt
-from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout
+from PySide6.QtWidgets import QButtonGroup, QComboBox, QLabel, QSizePolicy, QToolButton
 
+from app.panels.layouts import make_column, make_row
 from app.panels.panel import Panel, PanelContext
 from app.panels.plot import StillPlot
-from app.panels.widgets import compact_combo, escape_tooltip, panel_scroll_area, secondary_label, theme_colours
+from app.panels.widgets import compact_combo, escape_tooltip, secondary_label, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import STATISTICS, SYMBOLS, Axis, axis_words, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
@@ -195,32 +196,15 @@ class ErrorsPanel(Panel):
         )
 
     def _arrange(self) -> None:
-        choices = QHBoxLayout()
-        choices.addWidget(secondary_label("over"))
-        for button in self.axis_buttons.values():
-            choices.addWidget(button)
-        choices.addStretch(1)
-        choices.addWidget(self.module_box)
-        figures = QVBoxLayout()
-        figures.setSpacing(0)
+        choices = make_row(secondary_label("over"), *self.axis_buttons.values(), 1, self.module_box)
         for label in self.lines.values():
             label.setTextFormat(Qt.TextFormat.RichText)
             label.setProperty("rich", True)
             # A narrow panel cuts the end off and does not grow wider.
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-            figures.addWidget(label)
-        head = QVBoxLayout()
-        head.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, 0)
-        head.setSpacing(WIDGET_GAP_PX // 2)
-        head.addWidget(self.source_box)
-        head.addLayout(choices)
-        head.addLayout(figures)
-        inner = panel_scroll_area(self)
-        column = QVBoxLayout(inner)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addLayout(head)
-        self._column = column
+        figures, half_gap = make_column(*self.lines.values(), gap=0), WIDGET_GAP_PX // 2
+        margins = (WIDGET_GAP_PX, half_gap, WIDGET_GAP_PX, 0)
+        self._column = self.fill(make_column(self.source_box, choices, figures, margins=margins, gap=half_gap), gap=0)
 
     @cached_property
     def plot(self) -> ErrorPlot:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from PySide6.QtCore import QTimer
 from PySide6.QtGui import QMouseEvent
-from PySide6.QtWidgets import QFrame, QLabel, QVBoxLayout
+from PySide6.QtWidgets import QFrame, QLabel
 
+from app.panels.layouts import make_column
 from app.panels.widgets import secondary_label, set_bold
 from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_END, FIRST_MINUTE_ROBOT
 from app.text_size import scaled
@@ -24,20 +25,16 @@ class FirstMinute(QFrame):
         self.setObjectName("card")
         self.setAccessibleName("first minute")
         self.setFixedWidth(scaled(HELP_CARD_WIDTH_PX))
-        column = QVBoxLayout(self)
-        column.setContentsMargins(2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX)
-        column.setSpacing(WIDGET_GAP_PX // 2)
+        column = make_column(within=self, margins=2 * WIDGET_GAP_PX, gap=WIDGET_GAP_PX // 2)
         for number, (title, more) in enumerate(FIRST_MINUTE_ROBOT if robot else FIRST_MINUTE, 1):
-            head = QLabel(f"{number}  {title}")
-            head.setWordWrap(True)
+            head = QLabel(f"{number}  {title}", wordWrap=True)
             set_bold(head, TITLE_FONT_SIZE_PT)
             column.addWidget(head)
             column.addWidget(QLabel(more, wordWrap=True))
             column.addSpacing(WIDGET_GAP_PX)
         column.addWidget(secondary_label(FIRST_MINUTE_END, wrap=True))
         column.addStretch(1)
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
+        self._timer = QTimer(self, singleShot=True)
         self._timer.timeout.connect(self.leave)
         self._timer.start(HELP_CARD_SHOWN_MS)
 

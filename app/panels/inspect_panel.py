@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QImage, QPainter, QPen, QPolygonF
-from PySide6.QtWidgets import QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
 
+from app.panels.layouts import make_column, make_row
 from app.panels.panel import Panel, PanelContext
 from app.panels.top_view import AxisDiversityView, diversity_view
-from app.panels.widgets import Painted, TaxelList, panel_scroll_area, put_rows, secondary_label, set_bold, table
+from app.panels.widgets import Painted, TaxelList, put_rows, secondary_label, set_bold, table
 from app.state.memo import is_same
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
@@ -134,19 +135,10 @@ class AxisDiversityPanel(QWidget):
         self._names = names
         self._key: tuple[object, ...] = ()
         self.plot = AxisDiversityPlot()
-        self.whose, self.spread = QLabel(), QLabel()
+        self.whose, self.spread = QLabel(), QLabel(wordWrap=True)
         self.contacts, self.legend, self.follows = (secondary_label(wrap=True) for _ in range(3))
-        self.spread.setWordWrap(True)
-        words = QVBoxLayout()
-        words.setSpacing(4)
-        for label in (self.whose, self.spread, self.contacts, self.legend, self.follows):
-            words.addWidget(label)
-        words.addStretch(1)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(2 * WIDGET_GAP_PX)
-        row.addWidget(self.plot, 0, Qt.AlignmentFlag.AlignTop)
-        row.addLayout(words, 1)
+        words = make_column(self.whose, self.spread, self.contacts, self.legend, self.follows, 1, gap=4)
+        make_row((self.plot, 0, Qt.AlignmentFlag.AlignTop), (words, 1), within=self, margins=0, gap=2 * WIDGET_GAP_PX)
         self.setWhatsThis(
             "The contacts of the taxel from above, up as in the 3D view. For the free method: tool directions; the rim is "
             "45 degrees, the dashed circle the largest tilt of a target, the diamond the best direction of the next "
@@ -227,8 +219,7 @@ class InspectPanel(Panel):
         self.use = QPushButton("Do not use this taxel")
         self.use.setEnabled(False)
         self.diversity = AxisDiversityPanel(names)
-        self.rival = QLabel()
-        self.rival.setWordWrap(True)
+        self.rival = QLabel(wordWrap=True)
         self.pokes_title = secondary_label()
         self.pokes = table("pokes of the taxel", POKE_HEADINGS, _POKE_HINTS)
         self.pokes.setMinimumHeight(110)
@@ -252,21 +243,12 @@ class InspectPanel(Panel):
                 grid.addWidget(label, row, column, Qt.AlignmentFlag.AlignTop)
         for row, text in enumerate(ESTIMATE_ROWS, start=1):
             grid.addWidget(secondary_label(text), row, 0, Qt.AlignmentFlag.AlignTop)
-        inner = panel_scroll_area(self)
-        panel = QVBoxLayout(inner)
-        panel.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
-        panel.addWidget(self.heading)
-        panel.addWidget(self.diversity)
-        panel.addLayout(grid)
-        for widget in (self.rival, self.reason):
-            panel.addWidget(widget)
-        panel.addWidget(self.use, 0, Qt.AlignmentFlag.AlignLeft)
-        panel.addWidget(self.pokes_title)
-        panel.addWidget(self.pokes, 1)
+        self.fill(
+            self.heading, self.diversity, grid, self.rival, self.reason, (self.use, 0, Qt.AlignmentFlag.AlignLeft),
+            self.pokes_title, (self.pokes, 1), secondary_label("Need pokes most"), (self.worst, 1), margins=WIDGET_GAP_PX,
+        )  # fmt: skip
         for empty in (self.diversity, self.rival, self.pokes_title, self.pokes):
             empty.hide()
-        panel.addWidget(secondary_label("Need pokes most"))
-        panel.addWidget(self.worst, 1)
 
     def show_state(self, state: ViewState) -> None:
         self.diversity.show_state(state)

@@ -6,8 +6,9 @@ from collections import deque
 
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QPalette
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton
+from PySide6.QtWidgets import QFrame, QLabel, QPushButton
 
+from app.panels.layouts import make_row
 from app.panels.widgets import theme_colours
 from app.text.message import Message
 from app.theme import WIDGET_GAP_PX
@@ -22,19 +23,14 @@ class MessageBar(QFrame):
     def __init__(self) -> None:
         super().__init__()
         self._waiting: deque[Message] = deque(maxlen=MAX_QUEUED_MESSAGES)
-        self.text = QLabel()
-        self.text.setWordWrap(True)
+        self.text = QLabel(wordWrap=True)
         # Messages quote files and devices: Qt would interpret HTML in them.
         self.text.setTextFormat(Qt.TextFormat.PlainText)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.close_button = QPushButton("Dismiss  (Esc)")
-        self.close_button.setFlat(True)
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(2 * WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
-        row.addWidget(self.text, 1)
-        row.addWidget(self.close_button)
+        self.close_button = QPushButton("Dismiss  (Esc)", flat=True)
+        self._timer = QTimer(self, singleShot=True)
+        margins = (2 * WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
+        make_row((self.text, 1), self.close_button, within=self, margins=margins)
         self.setAutoFillBackground(True)
         self.close_button.clicked.connect(self.dismiss)
         self._timer.timeout.connect(self._expire)

@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout
+from PySide6.QtWidgets import QFrame, QLabel, QSizePolicy
 
+from app.panels.layouts import make_column, make_row
 from app.panels.top_view import DIAL_RADIUS_M, TopView, top_view
 from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, escape_tooltip, mix, set_bold
 from app.state.view_state import ViewState
@@ -272,23 +273,10 @@ class NowPanel(QFrame):
         )
 
     def _arrange(self) -> None:
-        words = QVBoxLayout()
-        words.setSpacing(2)
-        words.addStretch(1)
-        words.addWidget(self.result)
-        words.addWidget(self.headline)
-        words.addWidget(self.detail)
-        words.addStretch(1)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(2 * WIDGET_GAP_PX, WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, WIDGET_GAP_PX)
-        row.setSpacing(2 * WIDGET_GAP_PX)
-        row.addWidget(self.sign)
-        row.addWidget(self.dial)
-        row.addLayout(words, 1)
-        right = QVBoxLayout()
-        right.addWidget(self.simulated)
-        right.addWidget(self.gauge, 1, Qt.AlignmentFlag.AlignRight)
-        row.addLayout(right)
+        words = make_column(1, self.result, self.headline, self.detail, 1, gap=2)
+        right = make_column(self.simulated, (self.gauge, 1, Qt.AlignmentFlag.AlignRight))
+        margins = (2 * WIDGET_GAP_PX, WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, WIDGET_GAP_PX)
+        row = make_row(self.sign, self.dial, (words, 1), right, within=self, margins=margins, gap=2 * WIDGET_GAP_PX)
         # The same height with and without the dial, so that nothing moves when the guide is switched off.
         row.addStrut(TILT_DIAL_SIZE_PX + 2)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)

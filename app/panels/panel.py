@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from PySide6.QtCore import QSettings, Signal
-from PySide6.QtWidgets import QScrollArea
+from PySide6.QtWidgets import QScrollArea, QVBoxLayout
 
+from app.panels.layouts import Item, Margins, make_column
+from app.panels.widgets import panel_scroll_area
 from app.state.memo import is_same
 from app.state.view_state import ViewState
 
@@ -57,6 +59,10 @@ class Panel(QScrollArea):
         self.setAccessibleName(self.title)
         self._state: ViewState | None = None
         self._shown: tuple[object, ...] = ()
+
+    def fill(self, *items: Item, margins: Margins = 0, gap: int | None = None) -> QVBoxLayout:
+        """Put items below each other in the panel, as `make_column`."""
+        return make_column(*items, within=panel_scroll_area(self), margins=margins, gap=gap)
 
     def depends_on(self, state: ViewState) -> tuple[object, ...]:
         raise NotImplementedError

@@ -20,10 +20,10 @@ from PySide6.QtCore import (
     Signal,
 )
 from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout
+from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
 from app.panels.panel import Panel, PanelContext
-from app.panels.widgets import escape_tooltip, make_copyable, panel_scroll_area, secondary_label, theme_colours
+from app.panels.widgets import escape_tooltip, make_copyable, secondary_label, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, rejections, tilt_of
@@ -195,12 +195,7 @@ class PokesPanel(Panel):
         self.tally = secondary_label(wrap=True)
         self.tally.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
         self._prepare()
-        inner = panel_scroll_area(self)
-        column = QVBoxLayout(inner)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self.tally)
-        column.addWidget(self.table, 1)
+        self.fill(self.tally, (self.table, 1), gap=0)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setWhatsThis(
             "Every poke, newest first, with its outcome. An excluded poke stays in the recording, is not used for the "

@@ -10,11 +10,12 @@ import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QBoxLayout, QLabel, QWidget
 
+from app.panels.layouts import make_column
 from app.panels.panel import Panel, PanelContext
 from app.panels.plot import StillPlot
-from app.panels.widgets import panel_scroll_area, theme_colours
+from app.panels.widgets import theme_colours
 from app.state.policies import curve_range
 from app.state.view_state import ViewState
 from app.text_size import scaled
@@ -67,8 +68,7 @@ class Curves(QWidget):
         super().__init__()
         self._title, self._unit, self._floor, self._decimals = title, UNITS[unit], floor, decimals
         self._is_broken, self._numbers, self._half = False, np.full(3, np.nan), floor
-        self.header = QLabel()
-        self.header.setTextFormat(Qt.TextFormat.RichText)
+        self.header = QLabel(textFormat=Qt.TextFormat.RichText)
         self.header.setProperty("rich", True)
         self.header.setContentsMargins(WIDGET_GAP_PX, 2, WIDGET_GAP_PX, 0)
         self.plot = StillPlot(f"curves of the {title.lower()}", 44, 18, 60)
@@ -77,11 +77,7 @@ class Curves(QWidget):
         # Half a line, so that a number at the upper end is not cut.
         self.plot.item.layout.setContentsMargins(0, 7, 0, 0)
         self.curves = [self.plot.add_curve() for _ in range(3)]
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self.header)
-        column.addWidget(self.plot, 1)
+        make_column(self.header, (self.plot, 1), within=self, margins=0, gap=0)
         self.recolour()
 
     def recolour(self) -> None:
@@ -130,12 +126,7 @@ class ReadingsPanel(Panel):
         super().__init__()
         self.force, self.moment = Curves("Force", "N", 1.0, 2), Curves("Moment", "N m", 50.0, 0)
         self._newest_s = self._numbers_s = -np.inf
-        inner = panel_scroll_area(self)
-        self._both = QBoxLayout(QBoxLayout.Direction.TopToBottom, inner)
-        self._both.setContentsMargins(0, WIDGET_GAP_PX // 2, 0, 0)
-        self._both.setSpacing(0)
-        self._both.addWidget(self.force, 1)
-        self._both.addWidget(self.moment, 1)
+        self._both = self.fill((self.force, 1), (self.moment, 1), margins=(0, WIDGET_GAP_PX // 2, 0, 0), gap=0)
         self.setWhatsThis(
             "The last ten seconds of the force/torque sensor, in its own frame and as it sends them. Offset and drift are "
             "removed around each poke, not here."

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import (
-    QAbstractItemView,
-    QHBoxLayout,
-    QHeaderView,
-    QLabel,
-    QPushButton,
-    QTreeWidgetItem,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QPushButton, QTreeWidgetItem, QWidget
 
+from app.panels.layouts import make_column, make_row
 from app.panels.panel import Panel, PanelContext
-from app.panels.widgets import fit_rows, panel_scroll_area, put_rows, secondary_label, set_bold, table
+from app.panels.widgets import fit_rows, put_rows, secondary_label, set_bold, table
 from app.state.memo import is_same
 from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
@@ -50,9 +42,8 @@ class ArmPanel(QWidget):
         super().__init__()
         self._shown: tuple[object, ...] = ()
         self._streamed = False
-        self.current = QLabel("Arm pose unknown")
+        self.current = QLabel("Arm pose unknown", wordWrap=True)
         set_bold(self.current)
-        self.current.setWordWrap(True)
         self.how = secondary_label(wrap=True)
         self.poses = table("arm poses", ("Pose", "Joints, \N{DEGREE SIGN}", "Contacts"))
         # Seven joints are wider than their column.
@@ -64,11 +55,7 @@ class ArmPanel(QWidget):
             # The text of the row has a mark before the name.
             row.setData(0, Qt.ItemDataRole.UserRole, name)
             row.setText(1, "   ".join(cell(float(angle), "rad") for angle in np.atleast_1d(arm.poses[name])))
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, WIDGET_GAP_PX, 0, 0)
-        column.addWidget(self.current)
-        column.addWidget(self.how)
-        column.addWidget(self.poses)
+        make_column(self.current, self.how, self.poses, within=self, margins=(0, WIDGET_GAP_PX, 0, 0))
         self.poses.itemActivated.connect(self._chosen)
         self.poses.itemClicked.connect(self._chosen)
         self.setWhatsThis(
@@ -111,13 +98,13 @@ class RigPanel(Panel):
         self.points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-        self.asked = secondary_label(wrap=True)
-        self.tip = secondary_label(wrap=True)
-        self.said = secondary_label(wrap=True)
+        self.asked, self.tip, self.said = (secondary_label(wrap=True) for _ in range(3))
         self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.offer = QPushButton()
-        self.drop = QPushButton()
-        self._arrange()
+        self.offer, self.drop = QPushButton(), QPushButton()
+        offers, arm = make_row(self.offer, self.drop, 1), () if self.arm is None else (self.arm,)
+        self.fill(self.asked, self.said, self.tip, offers, self.points, *arm, 1, margins=WIDGET_GAP_PX)
+        self.offer.hide()
+        self.drop.hide()
         self.offer.clicked.connect(lambda: self.command_wanted.emit("correct"))
         self.drop.clicked.connect(self._drop_correction)
         if self.arm is not None:
@@ -127,25 +114,6 @@ class RigPanel(Panel):
             "arm's poses. A correction is applied only if you choose it, and can be undone. One landmark in four is held out "
             "of the fit; a correction is offered only if it lowers the error there."
         )
-
-    def _arrange(self) -> None:
-        inner = panel_scroll_area(self)
-        column = QVBoxLayout(inner)
-        column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
-        column.addWidget(self.asked)
-        column.addWidget(self.said)
-        column.addWidget(self.tip)
-        row = QHBoxLayout()
-        row.addWidget(self.offer)
-        row.addWidget(self.drop)
-        row.addStretch(1)
-        column.addLayout(row)
-        column.addWidget(self.points)
-        if self.arm is not None:
-            column.addWidget(self.arm)
-        column.addStretch(1)
-        self.offer.hide()
-        self.drop.hide()
 
     def show_state(self, state: ViewState) -> None:
         if self.arm is not None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QPushButton, QWidget
 
+from app.panels.layouts import make_column
 from app.panels.widgets import secondary_label
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
@@ -27,23 +28,15 @@ class StartPage(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.words = secondary_label()
-        self.words.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.hint = secondary_label(PART_HINT)
-        self.hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.buttons: dict[str, QPushButton] = {}
-        self._column = QVBoxLayout(self)
-        self._column.setSpacing(WIDGET_GAP_PX)
-        self._column.addStretch(1)
-        self._column.addWidget(self.words)
-        for name, text in BUTTON_TEXTS.items():
-            button = QPushButton(text)
+        self.words, self.hint = secondary_label(), secondary_label(PART_HINT)
+        for label in (self.words, self.hint):
+            label.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.buttons = {name: QPushButton(text) for name, text in BUTTON_TEXTS.items()}
+        for name, button in self.buttons.items():
             button.setFixedWidth(scaled(START_BUTTON_WIDTH_PX))
             button.clicked.connect(lambda _=False, name=name: self.command_wanted.emit(name))
-            self._column.addWidget(button, 0, Qt.AlignmentFlag.AlignHCenter)
-            self.buttons[name] = button
-        self._column.addWidget(self.hint)
-        self._column.addStretch(1)
+        buttons = ((button, 0, Qt.AlignmentFlag.AlignHCenter) for button in self.buttons.values())
+        self._column = make_column(1, self.words, *buttons, self.hint, 1, within=self, gap=WIDGET_GAP_PX)
 
     def show_words(self, words: str, *, offers: bool, part_first: bool) -> None:
         """Show a line; with `offers` the buttons, too, and the new part above the others if `part_first`."""
