@@ -46,8 +46,8 @@ class ApplyDialog(TaskDialog):
         restore = "The robot's present positions are first saved in a file, so that you can restore them."
         self.form.addRow("", secondary_label(restore, wrap=True))
         # A robot is changed on purpose: Space and Enter close.
-        self.close_button.setDefault(True)
-        self.close_button.setFocus()
+        self.button().setDefault(True)
+        self.button().setFocus()
         self.method.currentIndexChanged.connect(self._show_verdict)
         self.start.clicked.connect(self._apply)
         self._show_verdict()

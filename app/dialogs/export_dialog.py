@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
+from PySide6.QtWidgets import QComboBox, QFileDialog, QLabel, QLineEdit, QPushButton, QWidget
 
 from app.dialogs.task_dialog import TaskDialog
+from app.panels.layouts import make_row
 from app.panels.widgets import secondary_label
 from skincal.files.formats import ExportFormat
 from skincal.taxels.result import Method
@@ -31,15 +32,12 @@ class ExportDialog(TaskDialog):
         self.path.setAccessibleName("file")
         self.browse = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
         self.remarks.setAccessibleName("remarks")
-        row = QHBoxLayout()
-        row.addWidget(self.path, 1)
-        row.addWidget(self.browse)
         label = QLabel("F&ile")
         label.setBuddy(self.path)
         self.form.addRow("&Format", self.format)
         self.form.addRow("", self.about)
         self.form.addRow("&Method", self.method)
-        self.form.addRow(label, row)
+        self.form.addRow(label, make_row((self.path, 1), self.browse))
         # Space and Enter write the proposed file, then close.
         self.start.setDefault(True)
         self.start.setFocus()

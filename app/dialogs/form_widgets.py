@@ -11,6 +11,7 @@ from PySide6.QtCore import QPointF, Qt, Signal
 from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QPushButton, QScrollArea, QWidget
 
+from app.panels.layouts import make_row
 from app.panels.widgets import Painted
 from app.theme import Colours
 from app.workers.threads import ThreadService
@@ -72,10 +73,7 @@ def path_row(title: str, field: QWidget, choose: Callable[[], object]) -> tuple[
     field.setAccessibleName(name)
     button.setAccessibleName(f"choose: {name}")
     button.clicked.connect(lambda: choose())
-    row = QHBoxLayout()
-    row.addWidget(field, 1)
-    row.addWidget(button)
-    return label, row
+    return label, make_row((field, 1), button)
 
 
 def scrolled(inner: QWidget) -> QScrollArea:

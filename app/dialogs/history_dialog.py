@@ -6,9 +6,10 @@ import time
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QShowEvent
-from PySide6.QtWidgets import QDialog, QDialogButtonBox, QHeaderView, QTreeWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHeaderView, QTreeWidgetItem, QWidget
 
-from app.panels.widgets import plain_buttons, put_rows, secondary_label, table
+from app.dialogs.dialog import Dialog
+from app.panels.widgets import put_rows, secondary_label, table
 from app.state.view_state import ViewState
 from app.text.history_text import HistoryLine, history_lines
 
@@ -16,29 +17,22 @@ HEADINGS = ("When", "What")
 SIZE_PX = (420, 480)
 
 
-class HistoryDialog(QDialog):
+class HistoryDialog(Dialog):
     """List of past actions in a window that stays open; Enter or a double click undoes or redoes up to a line."""
 
     undo_wanted = Signal(int)  # Number of undo steps
     redo_wanted = Signal(int)  # Number of redo steps
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("History")
+        super().__init__("History", parent, is_kept=True)
         self.list = table("history", HEADINGS)
         self.list.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         about = "Enter undoes the line and all lines above it, or redoes an undone line."
-        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
-        plain_buttons(self.buttons)
-        column = QVBoxLayout(self)
-        column.addWidget(self.list, 1)
-        column.addWidget(secondary_label(about, wrap=True))
-        column.addWidget(self.buttons)
+        self.fill((self.list, 1), secondary_label(about, wrap=True))
         self.resize(*SIZE_PX)
         self._state: ViewState | None = None
         self._shown: tuple[object, ...] = ()
         self._lines: list[HistoryLine] = []
-        self.buttons.rejected.connect(self.reject)
         self.list.itemActivated.connect(self._activated)
 
     def show_state(self, state: ViewState) -> None:

@@ -11,32 +11,21 @@ from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QCompleter,
-    QDialog,
-    QDialogButtonBox,
     QFileDialog,
-    QFormLayout,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QLineEdit,
     QListWidget,
     QProgressBar,
     QPushButton,
-    QVBoxLayout,
     QWidget,
 )
 
+from app.dialogs.dialog import Dialog, StandardButton
 from app.dialogs.form_widgets import ELLIPSIS, ScenePicker, Sparkline, path_row, scrolled
 from app.panels.drop_target import DropTarget
-from app.panels.widgets import (
-    choose_session_folder,
-    fit_rows,
-    fit_to_screen,
-    plain_buttons,
-    put_rows,
-    secondary_label,
-    table,
-)
+from app.panels.layouts import make_column, make_form, make_row
+from app.panels.widgets import choose_session_folder, fit_rows, fit_to_screen, put_rows, secondary_label, table
 from app.text.import_text import (
     HEADINGS,
     HOLDS_SESSION,
@@ -76,7 +65,7 @@ STREAM_HINTS = {
 }
 
 
-class ImportDialog(QDialog):
+class ImportDialog(Dialog):
     """Dialog that previews a recording and imports it as a session.
 
     Parameters
@@ -89,8 +78,7 @@ class ImportDialog(QDialog):
     imported = Signal(object, str)  # `Imported`, and the file of the chosen scene
 
     def __init__(self, paths: Sequence[Path], scene: Path, folder: Path, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Import a recording")
+        super().__init__("Import a recording", parent, StandardButton.Ok | StandardButton.Cancel)
         self._jobs = JobQueue(self)
         self._finds, self._places = (ThreadService(name, self) for name in ("recordings", "places"))
         self._scene: Scene | None = None
@@ -111,12 +99,12 @@ class ImportDialog(QDialog):
         self.streams = table("streams of the recording", HEADINGS)
         self.curve, self.curve_words = Sparkline("force of the recording"), secondary_label(wrap=True)
         self.findings = QListWidget()
-        self.objection = QLabel()
-        self.progress = QProgressBar()
-        standard = QDialogButtonBox.StandardButton
-        self.buttons = QDialogButtonBox(standard.Ok | standard.Cancel)
-        self.start, self.stop = self.buttons.button(standard.Ok), self.buttons.button(standard.Cancel)
-        self._typing, self._progressing, self._patience = QTimer(self), QTimer(self), QTimer(self)
+        self.objection = QLabel(wordWrap=True)
+        self.progress = QProgressBar(minimum=0, maximum=1000)
+        self.start, self.stop = self.button(StandardButton.Ok), self.button(StandardButton.Cancel)
+        self._typing = QTimer(self, interval=TYPING_PAUSE_BEFORE_PREVIEW_MS, singleShot=True)
+        self._progressing = QTimer(self, interval=PROGRESS_BAR_UPDATE_PERIOD_MS)
+        self._patience = QTimer(self, interval=KILL_STOPPED_IMPORT_AFTER_MS, singleShot=True)
         self._arrange()
         self._connect()
         self._scene_changed()
@@ -126,20 +114,21 @@ class ImportDialog(QDialog):
             self.take(paths)
 
     def _arrange(self) -> None:
-        form = QFormLayout(self.form)
-        form.setContentsMargins(0, 0, 0, 0)
-        row = QHBoxLayout()
-        for widget in (self.take_folder, self.take_files, secondary_label("or drop it here")):
-            row.addWidget(widget)
-        row.addStretch(1)
-        form.addRow("Recording", row)
+        make_form(
+            ("Recording", make_row(self.take_folder, self.take_files, secondary_label("or drop it here"), 1)),
+            *(
+                path_row(STREAM_TITLES[stream], field, lambda field=field: self._choose_file(field))
+                for stream, field in self.fields.items()
+            ),
+            path_row("&Scene", self.scene, self.scene.choose),
+            ("Arm &pose", self.pose),
+            path_row("Session &in", self.folder, lambda: choose_session_folder(self.folder, self)),
+            within=self.form,
+            margins=0,
+        )
         for stream, field in self.fields.items():
             field.setPlaceholderText(STREAM_HINTS[stream])
-            form.addRow(*path_row(STREAM_TITLES[stream], field, lambda field=field: self._choose_file(field)))
-        form.addRow(*path_row("&Scene", self.scene, self.scene.choose))
         self.pose.setAccessibleName("arm pose")
-        form.addRow("Arm &pose", self.pose)
-        form.addRow(*path_row("Session &in", self.folder, lambda: choose_session_folder(self.folder, self)))
         self.findings.setWordWrap(True)
         self.findings.setAccessibleName("remarks")
         self.findings.setMinimumHeight(scaled(60))
@@ -147,33 +136,18 @@ class ImportDialog(QDialog):
         self.streams.header().setStretchLastSection(True)
         self.curve.setMinimumHeight(max(60, scaled(60)))
         inner = QWidget()
-        column = QVBoxLayout(inner)
-        column.setContentsMargins(0, 0, WIDGET_GAP_PX, 0)
-        for widget in (self.form, self.kind, self.streams, self.curve_words, self.curve, self.findings):
-            column.addWidget(widget)
-        column.addStretch(1)
-        self.objection.setWordWrap(True)
+        shown = self.form, self.kind, self.streams, self.curve_words, self.curve, self.findings
+        make_column(*shown, 1, within=inner, margins=(0, 0, WIDGET_GAP_PX, 0))
         self.progress.setAccessibleName("import")
-        self.progress.setRange(0, 1000)
         self.progress.hide()
         self.start.setText("Import")
-        plain_buttons(self.buttons)
-        outer = QVBoxLayout(self)
-        outer.addWidget(scrolled(inner), 1)
-        for widget in (self.objection, self.progress, self.buttons):
-            outer.addWidget(widget)
+        self.fill((scrolled(inner), 1), self.objection, self.progress)
         self._show_preview(None)
 
     def _connect(self) -> None:
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        for timer, interval_ms, is_single, act in (
-            (self._typing, TYPING_PAUSE_BEFORE_PREVIEW_MS, True, self._request_preview),
-            (self._progressing, PROGRESS_BAR_UPDATE_PERIOD_MS, False, self._show_share),
-            (self._patience, KILL_STOPPED_IMPORT_AFTER_MS, True, self._kill_import),
-        ):
-            timer.setInterval(interval_ms)
-            timer.setSingleShot(is_single)
-            timer.timeout.connect(act)
+        self._typing.timeout.connect(self._request_preview)
+        self._progressing.timeout.connect(self._show_share)
+        self._patience.timeout.connect(self._kill_import)
         for field in self.fields.values():
             field.textChanged.connect(self._files_changed)
         self.take_folder.clicked.connect(self._choose_recording_folder)
@@ -187,7 +161,6 @@ class ImportDialog(QDialog):
         dropped.refused.connect(self._show_problem)
         dropped.request_made.connect(lambda _: self._show_problem(NO_RECORDING))
         self.buttons.accepted.connect(self._start_import)
-        self.buttons.rejected.connect(self.reject)
 
     def showEvent(self, event: QShowEvent) -> None:
         super().showEvent(event)

@@ -5,20 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 
 import numpy as np
-from PySide6.QtCore import QLocale, QObject, Qt, Signal
-from PySide6.QtWidgets import (
-    QDialog,
-    QDialogButtonBox,
-    QDoubleSpinBox,
-    QFormLayout,
-    QHBoxLayout,
-    QLabel,
-    QLineEdit,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtCore import QLocale, QObject, Signal
+from PySide6.QtWidgets import QDoubleSpinBox, QLabel, QLineEdit, QWidget
 
-from app.panels.widgets import plain_buttons, secondary_label
+from app.dialogs.dialog import Dialog, StandardButton
+from app.panels.layouts import make_form, make_row
+from app.panels.widgets import secondary_label
 from app.scene3d.view import View3D
 from app.text.message import Message
 from app.theme import WIDGET_GAP_PX
@@ -33,7 +25,7 @@ TYPED_NOTE = "From a drawing, in the frame {link}."
 CLICK_REQUEST = Message("Click the point on the part. K: type its position. Esc: cancel.", asks=True)
 
 
-class LandmarkDialog(QDialog):
+class LandmarkDialog(Dialog):
     """Dialog for position and name of a new landmark; its name must be unique.
 
     Parameters
@@ -46,41 +38,24 @@ class LandmarkDialog(QDialog):
     given = Signal(str, object)  # Name, and position (3,) float, metres, link frame
 
     def __init__(self, position: FloatArray | None, taken: Collection[str], link: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Add landmark")
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        super().__init__("Add landmark", parent, StandardButton.Ok | StandardButton.Cancel)
         self.setMinimumWidth(480)
         self._taken = taken
         self.name = QLineEdit(free_name(taken))
         self.coordinates = [_millimetre_field(axis) for axis in "xyz"]
         for box, value in zip(self.coordinates, np.zeros(3) if position is None else 1e3 * position, strict=True):
             box.setValue(float(value))
-        self.objection = QLabel()
-        self.objection.setWordWrap(True)
-        standard = QDialogButtonBox.StandardButton
-        self.buttons = QDialogButtonBox(standard.Ok | standard.Cancel)
-        add = self.buttons.button(standard.Ok)
-        add.setText("Add")
-        add.setDefault(True)
-        plain_buttons(self.buttons)
-        row = QHBoxLayout()
-        row.setSpacing(WIDGET_GAP_PX)
-        for box in self.coordinates:
-            row.addWidget(box, 1)
+        self.objection = QLabel(wordWrap=True)
+        self.button(StandardButton.Ok).setText("Add")
+        self.button(StandardButton.Ok).setDefault(True)
         label = QLabel("&Position")
         label.setBuddy(self.coordinates[0])
-        form = QFormLayout()
-        form.addRow("&Name", self.name)
-        form.addRow(label, row)
-        form.addRow("", secondary_label((TYPED_NOTE if position is None else PICKED_NOTE).format(link=link), wrap=True))
-        column = QVBoxLayout(self)
-        column.addLayout(form)
-        column.addWidget(self.objection)
-        column.addWidget(self.buttons)
+        row = make_row(*((box, 1) for box in self.coordinates), gap=WIDGET_GAP_PX)
+        note = secondary_label((TYPED_NOTE if position is None else PICKED_NOTE).format(link=link), wrap=True)
+        self.fill(make_form(("&Name", self.name), (label, row), ("", note)), self.objection)
         self.name.selectAll()
         self.name.setFocus()
         self.buttons.accepted.connect(self._try)
-        self.buttons.rejected.connect(self.reject)
 
     def position(self) -> FloatArray:
         """Give the position, (3,) float, metres, link frame."""

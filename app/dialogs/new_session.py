@@ -14,21 +14,20 @@ from PySide6.QtGui import QKeyEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QComboBox,
     QCompleter,
-    QDialog,
-    QDialogButtonBox,
     QGridLayout,
     QHBoxLayout,
     QLabel,
     QLineEdit,
     QPushButton,
     QSizePolicy,
-    QVBoxLayout,
     QWidget,
 )
 
+from app.dialogs.dialog import Dialog, StandardButton
 from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row, scrolled
 from app.panels.devices import link_sign
-from app.panels.widgets import choose_session_folder, compact_combo, digits_font, plain_buttons, secondary_label
+from app.panels.layouts import make_row
+from app.panels.widgets import choose_session_folder, compact_combo, digits_font, secondary_label
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
@@ -93,10 +92,8 @@ class StreamRow(QWidget):
         self.label.setBuddy(self.box)
         self.sign = QLabel()
         self.sign.setProperty("rich", True)
-        self.verdict = QLabel()
-        self.verdict.setWordWrap(True)
+        self.verdict = QLabel(wordWrap=True, alignment=Qt.AlignmentFlag.AlignTop)
         self.verdict.setMinimumHeight(scaled(STATE_TEXT_MIN_HEIGHT_PX))
-        self.verdict.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.verdict.setAccessibleName(f"state of the {name}")
         self.rate = QLabel()
         set_font(self.rate, digits_font(11), 11)
@@ -116,10 +113,7 @@ class StreamRow(QWidget):
         form.addWidget(self.box, at, 1, 1, 3)
         form.addWidget(self.sign, at + 1, 1, Qt.AlignmentFlag.AlignTop)
         form.addWidget(self.verdict, at + 1, 2)
-        side = QHBoxLayout()
-        side.addWidget(self.rate)
-        side.addWidget(self.curve)
-        form.addLayout(side, at + 1, 3, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
+        form.addLayout(make_row(self.rate, self.curve), at + 1, 3, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
 
     @property
     def address(self) -> str:
@@ -184,7 +178,7 @@ def scroll_points(values: Sequence[float]) -> FloatArray:
     return np.column_stack([1.0 + np.arange(1 - len(y), 1) / (PREVIEW_CURVE_POINTS - 1), (y - y.min()) / span])
 
 
-class NewSessionDialog(QDialog):
+class NewSessionDialog(Dialog):
     """Dialog for scene and devices of a new session, or for the device addresses of an open one.
 
     Parameters
@@ -209,9 +203,8 @@ class NewSessionDialog(QDialog):
         paused: bool = False,
         proposed: Addresses | None = None,
     ) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("New session" if present is None else "Device addresses")
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        title = "New session" if present is None else "Device addresses"
+        super().__init__(title, parent, StandardButton.Ok | StandardButton.Cancel)
         self._known, self._present, self._paused = tuple(known), present, paused
         self._scene: Scene | None = None
         self._note = secondary_label(wrap=True)
@@ -223,15 +216,11 @@ class NewSessionDialog(QDialog):
         self.folder = QLineEdit(str(folder))
         self.proposal = QPushButton()  # Uses the topics of ROS 2 that look like the rig; hidden without them
         self.proposal.setVisible(False)
-        self.topics_note = QLabel()  # Reason for missing topics of ROS 2; hidden without one
-        self.topics_note.setWordWrap(True)
-        self.topics_note.setTextFormat(Qt.TextFormat.PlainText)
+        # Reason for missing topics of ROS 2; hidden without one
+        self.topics_note = QLabel(wordWrap=True, textFormat=Qt.TextFormat.PlainText)
         self.topics_note.setVisible(False)
         self.swap = QPushButton(f"E&xchange force/torque sensor and skin  ({SWAP_KEY})")
-        self.objection = QLabel()
-        self.objection.setWordWrap(True)
-        standard = QDialogButtonBox.StandardButton
-        self.buttons = QDialogButtonBox(standard.Ok | standard.Cancel)
+        self.objection = QLabel(wordWrap=True)
         previews = self._previews = Previews()
         # Also if the window closes with the dialog open.
         self.destroyed.connect(lambda: previews.stop_readers())
@@ -285,21 +274,15 @@ class NewSessionDialog(QDialog):
         form.setRowStretch(form.rowCount(), 1)
         self.area = scrolled(inner)
         self.area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        start = self.buttons.button(QDialogButtonBox.StandardButton.Ok)
+        start = self.button(StandardButton.Ok)
         start.setText("St&art" if is_new else "&Use these")
-        plain_buttons(self.buttons)
-        for button in self.findChildren(QPushButton):
-            button.setAutoDefault(False)
-        column = QVBoxLayout(self)
-        column.addWidget(self.area, 1)
-        column.addWidget(self.buttons)
+        self.fill((self.area, 1))
         height = inner.sizeHint().height() + self.buttons.sizeHint().height() + 8 * WIDGET_GAP_PX
         self.resize(min(scaled(DIALOG_WIDTH_PX), MAX_SIZE_PX[0]), min(height, MAX_SIZE_PX[1]))
         start.setFocus()
 
     def _connect(self) -> None:
         self.buttons.accepted.connect(self._try)
-        self.buttons.rejected.connect(self.reject)
         self.swap.clicked.connect(self.swap_addresses)
         self.proposal.clicked.connect(self._use_proposal)
         QShortcut(QKeySequence(SWAP_KEY), self, self.swap_addresses)
@@ -308,8 +291,7 @@ class NewSessionDialog(QDialog):
             row.field.textChanged.connect(self._show_pose)
             row.field.textChanged.connect(self._show_note)
         self.scene.scene_read.connect(self._take_scene)
-        self._timer = QTimer(self)
-        self._timer.setInterval(LINK_PREVIEW_UPDATE_PERIOD_MS)
+        self._timer = QTimer(self, interval=LINK_PREVIEW_UPDATE_PERIOD_MS)
         self._timer.timeout.connect(self._show_previews)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
@@ -465,7 +447,7 @@ class NewSessionDialog(QDialog):
         if not readers:
             then()
             return
-        self.buttons.button(QDialogButtonBox.StandardButton.Ok).setEnabled(False)
+        self.button(StandardButton.Ok).setEnabled(False)
         self._closing.submit(lambda: stop_all(readers), lambda _: then())
 
     def done(self, result: int) -> None:

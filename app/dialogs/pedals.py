@@ -11,19 +11,10 @@ from dataclasses import dataclass
 
 from PySide6.QtCore import QCoreApplication, QEvent, QKeyCombination, QObject, QSettings, Qt
 from PySide6.QtGui import QAction, QKeyEvent, QKeySequence
-from PySide6.QtWidgets import (
-    QApplication,
-    QDialog,
-    QDialogButtonBox,
-    QGridLayout,
-    QKeySequenceEdit,
-    QLabel,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QApplication, QGridLayout, QKeySequenceEdit, QLabel, QPushButton, QWidget
 
-from app.panels.widgets import plain_buttons, secondary_label, set_bold
+from app.dialogs.dialog import Dialog
+from app.panels.widgets import secondary_label, set_bold
 
 Key = Qt.Key
 PORTABLE_FORMAT = QKeySequence.SequenceFormat.PortableText
@@ -182,20 +173,16 @@ class PedalField(QKeySequenceEdit):
             super().keyPressEvent(event)
 
 
-class PedalsDialog(QDialog):
+class PedalsDialog(Dialog):
     """Sets and removes the keys of pedals; each change takes effect at once."""
 
     def __init__(self, pedals: Pedals, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Pedals")
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        super().__init__("Pedals", parent)
         self.setMinimumWidth(640)
         self._pedals = pedals
         self.fields = {pedal.name: PedalField(pedal) for pedal in PEDALS}
         self.forget = {pedal.name: QPushButton("Forget") for pedal in PEDALS}
         self.outcome = secondary_label(wrap=True)
-        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
-        plain_buttons(self.buttons)
         grid = QGridLayout()
         grid.setColumnStretch(1, 1)
         for row, pedal in enumerate(PEDALS):
@@ -207,12 +194,8 @@ class PedalsDialog(QDialog):
                 grid.addWidget(widget, row, column)
             self.fields[pedal.name].editingFinished.connect(lambda pedal=pedal: self._set_key(pedal))
             forget.clicked.connect(lambda _=False, pedal=pedal: self._forget_key(pedal))
-        column = QVBoxLayout(self)
-        column.addWidget(secondary_label("Click a field, then press the pedal. Its key must have no other use.", wrap=True))
-        column.addLayout(grid)
-        column.addWidget(self.outcome)
-        column.addWidget(self.buttons)
-        self.buttons.rejected.connect(self.reject)
+        about = secondary_label("Click a field, then press the pedal. Its key must have no other use.", wrap=True)
+        self.fill(about, grid, self.outcome)
         self._show_keys()
         self.fields["space"].setFocus()
 
@@ -226,7 +209,7 @@ class PedalsDialog(QDialog):
             self.outcome.setText(f"\N{BALLOT X} {refusal}")
             return
         self.outcome.setText(f"\N{CHECK MARK} {key} is the pedal for {pedal.title}.")
-        self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
+        self.button().setFocus()
 
     def _forget_key(self, pedal: Pedal) -> None:
         self._pedals.forget_key(pedal.name)

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QDialogButtonBox, QFormLayout, QListWidget, QWidget
 
-from app.panels.widgets import plain_buttons, secondary_label
+from app.dialogs.dialog import Dialog
+from app.panels.widgets import secondary_label
 from app.text.outcomes import METHOD_NAMES
 from skincal.taxels.result import Method
 
 DIALOG_MIN_WIDTH_PX = 560
 
 
-class TaskDialog(QDialog):
+class TaskDialog(Dialog):
     """Dialog of a task: method, start button, outcome and remarks; it stays open while the task runs."""
 
     def __init__(self, title: str, start: str, methods: Sequence[Method], shown: Method, parent: QWidget | None) -> None:
-        super().__init__(parent)
-        self.setWindowTitle(title)
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        super().__init__(title, parent)
         self.setMinimumWidth(DIALOG_MIN_WIDTH_PX)
         self.method = QComboBox()
         for method in methods:
@@ -30,25 +28,14 @@ class TaskDialog(QDialog):
         self.outcome = secondary_label(wrap=True)
         self.remarks = QListWidget()
         self.remarks.setWordWrap(True)
-        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
         self.start = self.buttons.addButton(start, QDialogButtonBox.ButtonRole.ActionRole)
-        column = QVBoxLayout(self)
-        column.addLayout(self.form)
-        column.addWidget(self.outcome)
-        column.addWidget(self.remarks, 1)
-        column.addWidget(self.buttons)
+        self.fill(self.form, self.outcome, (self.remarks, 1))
         self.remarks.hide()
-        plain_buttons(self.buttons)
-        self.buttons.rejected.connect(self.reject)
-
-    @property
-    def close_button(self) -> QPushButton:
-        return self.buttons.button(QDialogButtonBox.StandardButton.Close)
 
     def begin_task(self, words: str) -> None:
         """Show that the task runs; the next Space or Enter closes the dialog once it has ended."""
         # A button that is disabled while it has the focus would pass the focus to any other widget.
-        self.close_button.setFocus()
+        self.button().setFocus()
         self.start.setEnabled(False)
         self.remarks.hide()
         self.outcome.setText(words)

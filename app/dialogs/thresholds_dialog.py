@@ -6,9 +6,10 @@ from dataclasses import asdict
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import QDialog, QDialogButtonBox, QGridLayout, QLabel, QLineEdit, QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QDialogButtonBox, QGridLayout, QLabel, QLineEdit, QScrollArea, QWidget
 
-from app.panels.widgets import fit_to_screen, panel_scroll_area, plain_buttons, secondary_label, set_bold
+from app.dialogs.dialog import Dialog
+from app.panels.widgets import fit_to_screen, panel_scroll_area, secondary_label, set_bold
 from app.state.view_state import ViewState
 from app.theme import WIDGET_GAP_PX
 from skincal.contacts.outcome import Outcome
@@ -36,8 +37,7 @@ class ThresholdRow:
         self.field = QLineEdit()
         self.field.setAccessibleName(", ".join(filter(None, (words.title, words.unit.text))))
         self.field.setAccessibleDescription(words.reason)
-        self.objection = QLabel()
-        self.objection.setWordWrap(True)
+        self.objection = QLabel(wordWrap=True)
         self.objection.hide()
         self.used = secondary_label(wrap=True)
         title = QLabel(words.title)
@@ -54,7 +54,7 @@ class ThresholdRow:
         self.objection.setVisible(bool(sentence))
 
 
-class ThresholdsDialog(QDialog):
+class ThresholdsDialog(Dialog):
     """Dialog for the poke thresholds; it stays open next to the window and follows the session.
 
     Parameters
@@ -65,8 +65,7 @@ class ThresholdsDialog(QDialog):
     thresholds_wanted = Signal(object)  # `SetThresholds`
 
     def __init__(self, scene: ContactSettings, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Thresholds of a poke")
+        super().__init__("Thresholds of a poke", parent, is_kept=True)
         self._scene: dict[str, float] = asdict(scene)
         self._now = dict(self._scene)
         self._state: ViewState | None = None
@@ -79,19 +78,13 @@ class ThresholdsDialog(QDialog):
         self._grid.setColumnStretch(3, 1)
         self.rows: dict[str, ThresholdRow] = {}
         self._fill()
-        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
         self.use = self.buttons.addButton("Use", QDialogButtonBox.ButtonRole.ApplyRole)
         self.back = self.buttons.addButton("Use those of the scene", QDialogButtonBox.ButtonRole.ResetRole)
-        plain_buttons(self.buttons)
-        column = QVBoxLayout(self)
-        column.addWidget(secondary_label(THRESHOLDS_INTRODUCTION, wrap=True))
-        column.addWidget(self.area, 1)
-        column.addWidget(self.buttons)
+        self.fill(secondary_label(THRESHOLDS_INTRODUCTION, wrap=True), (self.area, 1))
         self.use.setDefault(True)
         self._show_fields()
         self.use.clicked.connect(self._use)
         self.back.clicked.connect(lambda: self.thresholds_wanted.emit(SetThresholds()))
-        self.buttons.rejected.connect(self.reject)
 
     def _fill(self) -> None:
         for title, group in THRESHOLD_GROUPS.items():

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QShowEvent
-from PySide6.QtWidgets import (
-    QDialog,
-    QDialogButtonBox,
-    QFormLayout,
-    QHBoxLayout,
-    QHeaderView,
-    QLabel,
-    QSizePolicy,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QDialogButtonBox, QHeaderView, QLabel, QSizePolicy, QWidget
 
+from app.dialogs.dialog import Dialog, StandardButton
 from app.dialogs.form_widgets import ELLIPSIS, scrolled
-from app.panels.widgets import fit_to_screen, plain_buttons, put_rows, secondary_label, set_bold, table
+from app.panels.layouts import make_column, make_form, make_row
+from app.panels.widgets import fit_to_screen, put_rows, secondary_label, set_bold, table
 from app.text_size import scaled
 from app.theme import HEADLINE_FONT_SIZE_PT, WIDGET_GAP_PX
 from skincal.guide.verdict import Verdict
@@ -31,7 +23,7 @@ LIST_MIN_HEIGHT_PX = 100
 DIALOG_MAX_HEIGHT_PX = 660  # A higher dialog scrolls; a screen of 720 pixels shows all of it
 
 
-class VerdictDialog(QDialog):
+class VerdictDialog(Dialog):
     """Dialog with the verdict; the space bar continues to the file after a good verdict, else to the session.
 
     Parameters
@@ -54,18 +46,15 @@ class VerdictDialog(QDialog):
         can_export: bool = True,
         settled: bool = True,
     ) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Verdict")
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        super().__init__("Verdict", parent, StandardButton.NoButton)
         self.setMinimumWidth(DIALOG_MIN_WIDTH_PX)
         self._channels = [left.channel for left in verdict.left]
-        self.sentence = QLabel(verdict_sentence(verdict))
+        self.sentence = QLabel(verdict_sentence(verdict), wordWrap=True)
         shown = (*figures(verdict), *((("Sensor and arm", rig),) if rig else ()))
-        self.figures = [(name, QLabel(value)) for name, value in shown]
+        self.figures = [(name, QLabel(value, wordWrap=True)) for name, value in shown]
         self.heading = secondary_label(f"{count(len(verdict.left), 'taxel')} not finished. Enter selects one in the views.")
         self.left = table("unfinished taxels", HEADINGS)
         put_rows(self.left, [(names.short(left.channel), left_words(left)) for left in verdict.left])
-        self.buttons = QDialogButtonBox()
         self.go_on = self.buttons.addButton("Continue poking", QDialogButtonBox.ButtonRole.RejectRole)
         self.report = self.buttons.addButton(f"Report{ELLIPSIS}", QDialogButtonBox.ButtonRole.ActionRole)
         self.export = self.buttons.addButton(f"Export{ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
@@ -76,7 +65,6 @@ class VerdictDialog(QDialog):
         first.setDefault(True)
         first.setFocus()
         self.buttons.accepted.connect(self._export)
-        self.buttons.rejected.connect(self.reject)
         self.report.clicked.connect(self.report_wanted)
         self.left.itemActivated.connect(
             lambda item: self.taxel_wanted.emit(self._channels[self.left.indexOfTopLevelItem(item)])
@@ -88,30 +76,16 @@ class VerdictDialog(QDialog):
         self.left.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         set_bold(self.sentence, HEADLINE_FONT_SIZE_PT)
         self.sentence.setAccessibleName("verdict")
-        self.sentence.setWordWrap(True)
-        form = QFormLayout()
-        for name, value in self.figures:
-            value.setWordWrap(True)
-            form.addRow(secondary_label(name), value)
-        self.words = QWidget()
-        words = QVBoxLayout(self.words)
-        words.setSpacing(2 * WIDGET_GAP_PX)
-        words.addWidget(self.sentence)
-        words.addLayout(form)
-        words.addWidget(self.heading)
-        row = QHBoxLayout()
-        row.addWidget(self.left)
+        form = make_form(*((secondary_label(name), value) for name, value in self.figures))
+        row, self.words = make_row(self.left), QWidget()
         row.addStrut(scaled(LIST_MIN_HEIGHT_PX) if self._channels else 0)
-        words.addLayout(row, 1)
+        make_column(self.sentence, form, self.heading, (row, 1), within=self.words, gap=2 * WIDGET_GAP_PX)
         for widget in (self.heading, self.left):
             widget.setVisible(bool(self._channels))
         self.area = scrolled(self.words)
         self.area.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.area.setAccessibleName("verdict and figures")
-        plain_buttons(self.buttons)
-        column = QVBoxLayout(self)
-        column.addWidget(self.area, 1)
-        column.addWidget(self.buttons)
+        self.fill((self.area, 1))
 
     def showEvent(self, event: QShowEvent) -> None:
         """Resize the dialog to its wrapped text, at most to the size of the screen."""
