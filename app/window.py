@@ -383,12 +383,7 @@ class Window(QMainWindow):
             self.tell_failure(unopened_words(DOCUMENTS_FOLDER))
 
     def ask_new(self) -> None:
-        from app.dialogs.new_session import NewSessionDialog
-
-        paused = self._lend_devices()
-        dialog = NewSessionDialog(self._scene_path(), self._new_folder(), self, self._known_addresses(), paused=paused)
-        dialog.request_chosen.connect(self.open)
-        self._open_page(dialog, paused=paused)
+        self._ask_devices(self._scene_path(), paused=self._lend_devices())
 
     def _scene_path(self) -> Path | None:
         return None if self.session_view is None else self.session_view.workspace.part.scene.path
@@ -511,13 +506,14 @@ class Window(QMainWindow):
             page.deleteLater()
             self.setWindowTitle("skincal")
 
-    def _ask_devices(self, scene: Path, addresses: Addresses) -> None:
-        """Ask for the devices of a described part, and start."""
+    def _ask_devices(self, scene: Path | None, addresses: Addresses | None = None, *, paused: bool = False) -> None:
+        """Ask for scene and devices, and start; `paused` if devices are lent to the dialog."""
         from app.dialogs.new_session import NewSessionDialog
 
-        dialog = NewSessionDialog(scene, self._new_folder(), self, self._known_addresses(), proposed=addresses)
+        known = self._known_addresses()
+        dialog = NewSessionDialog(scene, self._new_folder(), self, known, paused=paused, proposed=addresses)
         dialog.request_chosen.connect(self.open)
-        dialog.open()
+        self._open_page(dialog, paused=paused)
 
     def reset_camera(self) -> None:
         if self.builder is not None:

@@ -17,7 +17,7 @@ from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, PART, Dots, Label, Layer, Segments
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
 from app.scene3d.scene_renderer import SceneRenderer
-from app.scene3d.scene_state import DARK, SceneColours, StaticScene
+from app.scene3d.scene_state import StaticScene, rgb
 from app.scene3d.turn_handle import TurnHandleLayer
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import PlacedLayout
@@ -143,7 +143,7 @@ class SensorsLayer(Layer):
             self.labels = ()
             return
         preview = picture.preview
-        hues = _axis_colours(self.colours)
+        hues = np.array([rgb(axis) for axis in self.colours.window.axes], dtype=np.uint8)
         chosen = [] if preview.sensor_pose is None else [(preview.draft.sensor or "sensor", preview.sensor_pose)]
         others = [("part", np.eye(4))]
         if picture.step == "sensor":
@@ -158,11 +158,6 @@ class SensorsLayer(Layer):
             pose = chosen[0][1]
             tips = pose[:3, 3] + 1.12 * self.size * pose[:3, :3].T
             self.labels += [Label(letter, tip, 0.0, 3.0) for letter, tip in zip("xyz", tips, strict=True)]
-
-
-def _axis_colours(colours: SceneColours) -> Any:
-    names = (theme.DARK if colours is DARK else theme.LIGHT).axes
-    return np.array([list(bytes.fromhex(name[1:])) for name in names], dtype=np.uint8)
 
 
 class MarksLayer(Layer):
@@ -185,7 +180,7 @@ class MarksLayer(Layer):
         self._normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
         if preview.surface is not None and len(places):
             self._normals = preview.surface.normals[nearest_points(preview.surface, places)[1]]
-        colours = theme.DARK if self.colours is DARK else theme.LIGHT
+        colours = self.colours.window
         off = None if preview.laid_findings is None else preview.laid_findings.off_channels
         self._show_channels(self.wrong, laid, off, colours.bad)
         self._show_channels(self.answered, laid, picture.answered, colours.accent)
@@ -198,8 +193,7 @@ class MarksLayer(Layer):
 
     def _show_channels(self, dots: Dots, laid: PlacedLayout | None, channels: Any, colour: str) -> None:
         places = NO_PLACES if laid is None or channels is None else laid.places[channels[channels < len(laid.places)]]
-        red, green, blue = bytes.fromhex(colour[1:])
-        dots.show(places[np.isfinite(places[:, 0])], (red, green, blue))
+        dots.show(places[np.isfinite(places[:, 0])], rgb(colour))
 
     def draw(self) -> None:
         picture = self._picture

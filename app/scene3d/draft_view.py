@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QWidget
 
 from app.scene3d.canvas import Canvas
 from app.scene3d.draft_state import DraftPicture
-from app.scene3d.view import PointerTool, View3D
+from app.scene3d.view import View3D
 from skincal.geometry import FloatArray
 
 if TYPE_CHECKING:
@@ -30,43 +30,6 @@ class Mode(Enum):
     """A click places the layout; a drag that begins on it slides it, one of the ring turns it, as does the wheel over it."""
 
 
-class _LayoutTool(PointerTool):
-    """Drags and turns of the layout."""
-
-    def __init__(self, view: DraftView3D) -> None:
-        self._view = view
-        self._angle: float | None = None
-        """Degrees, of the pointer on the ring that is dragged; `None` if the layout is dragged."""
-
-    def press(self, x: float, y: float) -> bool:
-        view = self._view
-        if view.mode is not Mode.LAYOUT:
-            return False
-        self._angle = view.ring_angle(x, y) if view.is_on_ring(x, y) else None
-        if self._angle is None:
-            return view.start_drag(x, y)
-        view.turn_started.emit()
-        return True
-
-    def drag(self, x: float, y: float) -> None:
-        if self._angle is not None:
-            angle = self._view.ring_angle(x, y)
-            if angle is not None:
-                self._view.layout_turned.emit((angle - self._angle + 180.0) % 360.0 - 180.0)
-                self._angle = angle
-            return
-        point = self._view.point_at(x, y)
-        if point is not None:
-            self._view.layout_dragged.emit(point)
-
-    def turn_wheel(self, notches: float, x: float, y: float) -> bool:
-        view = self._view
-        if view.mode is not Mode.LAYOUT or view.module_at(x, y) is None:
-            return False
-        view.layout_turned.emit(LAYOUT_TURN_PER_WHEEL_NOTCH_DEG * notches)
-        return True
-
-
 class DraftView3D(View3D):
     """The 3D view of the page where a part is described."""
 
@@ -80,7 +43,12 @@ class DraftView3D(View3D):
     def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
         super().__init__(parent, canvas)
         self.mode = Mode.NONE
-        self.tool = _LayoutTool(self)
+        self._angle: float | None = None
+        """Degrees, of the pointer on the ring that is dragged; `None` if the layout is dragged."""
+
+    @property
+    def _draft_renderer(self) -> DraftRenderer | None:
+        return self._renderer  # pyright: ignore[reportReturnType]
 
     def show_picture(self, picture: DraftPicture) -> None:
         self._state = picture
@@ -94,50 +62,65 @@ class DraftView3D(View3D):
             is_point = mode in (Mode.POINT, Mode.LAYOUT)
             self._canvas.setCursor(Qt.CursorShape.CrossCursor if is_point else Qt.CursorShape.ArrowCursor)
 
-    def point_at(self, x: float, y: float) -> FloatArray | None:
-        """Return the point of the part at a pixel, (3,) float, metres; `None` next to the part."""
-        return None if self._renderer is None else self._renderer.pick_surface(x + 0.5, y - 0.5)
-
-    def module_at(self, x: float, y: float) -> int | None:
-        """Return the index of the module at a pixel; `None` if there is none."""
-        point = self.point_at(x, y)
-        picture: DraftPicture | None = self._state
-        if point is None or picture is None or picture.preview.laid is None:
-            return None
-        return nearest_module(picture, point)
-
-    def start_drag(self, x: float, y: float) -> bool:
-        """Begin a drag if a module is at a pixel."""
-        module, point = self.module_at(x, y), self.point_at(x, y)
+    def grip(self, x: float, y: float) -> bool:
+        if self.mode is not Mode.LAYOUT:
+            return False
+        self._angle = self._ring_angle(x, y) if self._is_on_ring(x, y) else None
+        if self._angle is not None:
+            self.turn_started.emit()
+            return True
+        module, point = self._module_at(x, y), self._point_at(x, y)
         if module is None or point is None:
             return False
         self.drag_started.emit(module, point)
         return True
 
-    def is_on_ring(self, x: float, y: float) -> bool:
-        """Whether the ring that turns the layout is at a pixel."""
-        renderer: DraftRenderer | None = self._renderer  # pyright: ignore[reportAssignmentType]
-        return renderer is not None and renderer.handle.is_at(x, y)
+    def drag_grip(self, x: float, y: float) -> None:
+        if self._angle is None:
+            point = self._point_at(x, y)
+            if point is not None:
+                self.layout_dragged.emit(point)
+            return
+        angle = self._ring_angle(x, y)
+        if angle is not None:
+            self.layout_turned.emit((angle - self._angle + 180.0) % 360.0 - 180.0)
+            self._angle = angle
 
-    def ring_angle(self, x: float, y: float) -> float | None:
+    def turn_wheel(self, notches: float, x: float, y: float) -> bool:
+        if self.mode is not Mode.LAYOUT or self._module_at(x, y) is None:
+            return False
+        self.layout_turned.emit(LAYOUT_TURN_PER_WHEEL_NOTCH_DEG * notches)
+        return True
+
+    def _point_at(self, x: float, y: float) -> FloatArray | None:
+        """Return the point of the part at a pixel, (3,) float, metres; `None` next to the part."""
+        return None if self._renderer is None else self._renderer.pick_surface(x + 0.5, y - 0.5)
+
+    def _module_at(self, x: float, y: float) -> int | None:
+        """Return the index of the module at a pixel; `None` if there is none."""
+        point = self._point_at(x, y)
+        picture: DraftPicture | None = self._state
+        return None if point is None or picture is None else nearest_module(picture, point)
+
+    def _is_on_ring(self, x: float, y: float) -> bool:
+        """Whether the ring that turns the layout is at a pixel."""
+        return self._draft_renderer is not None and self._draft_renderer.handle.is_at(x, y)
+
+    def _ring_angle(self, x: float, y: float) -> float | None:
         """Return the angle of a pixel about the middle of that ring, degrees; `None` without a ring."""
-        renderer: DraftRenderer | None = self._renderer  # pyright: ignore[reportAssignmentType]
-        return None if renderer is None else renderer.handle.angle_at(x, y)
+        return None if self._draft_renderer is None else self._draft_renderer.handle.angle_at(x, y)
 
     def _mount(self, loaded: object) -> None:
         super()._mount(loaded)  # pyright: ignore[reportArgumentType]
         self.set_mode(self.mode)
 
-    def _pick(self, x: float, y: float) -> None:
-        if self._renderer is None:
-            return
+    def pick(self, x: float, y: float) -> None:
         if self.mode is Mode.LINK:
-            renderer: DraftRenderer = self._renderer  # pyright: ignore[reportAssignmentType]
-            link = renderer.links.pick(x, y)
+            link = None if self._draft_renderer is None else self._draft_renderer.links.pick(x, y)
             if link is not None:
                 self.link_picked.emit(link)
-        elif self.mode is Mode.POINT or (self.mode is Mode.LAYOUT and not self.is_on_ring(x, y)):
-            point = self.point_at(x, y)
+        elif self.mode is Mode.POINT or (self.mode is Mode.LAYOUT and not self._is_on_ring(x, y)):
+            point = self._point_at(x, y)
             if point is not None:
                 self.point_picked.emit(point)
 

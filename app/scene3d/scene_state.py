@@ -30,8 +30,6 @@ from skincal.taxels.result import Estimate, Method
 Colour: TypeAlias = tuple[int, int, int]
 ColourArray: TypeAlias = NDArray[np.uint8]
 
-HUES = np.array([list(bytes.fromhex(hue[1:])) for hue in theme.HUES], dtype=np.uint8)
-"""(7, 3) the modules' hues: seven that colour-blind people tell apart."""
 ESTIMATE_BALL_DIAMETER_M = 3.2e-3
 """m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""
 DEFAULT_VIEW_HALF_HEIGHT_M = 0.06
@@ -40,10 +38,22 @@ ONE_SIDED_SKIN_MIN_MEAN_NORMAL = 0.3
 """Length of the mean normal from which skin has one side to look at: evenly around a tube it is 0, around half of it 0.64."""
 
 
+def rgb(colour: str) -> Colour:
+    """Convert a colour from `#rrggbb`."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
+
+
+HUES = np.array([rgb(hue) for hue in theme.HUES], dtype=np.uint8)
+"""(7, 3) the modules' hues: seven that colour-blind people tell apart."""
+
+
 @dataclass(frozen=True, slots=True)
 class SceneColours:
     """Colours of a theme, except the modules' hues."""
 
+    window: theme.Colours
+    """Those of the window."""
     background: Colour
     front: Colour
     """Outer side of the part."""
@@ -57,14 +67,9 @@ class SceneColours:
     """Colours of compared sets: `from`, `to`, `layout`, and the names of methods, which have the hue of the Errors tab."""
 
 
-def _rgb(colour: str) -> Colour:
-    red, green, blue = bytes.fromhex(colour[1:])
-    return red, green, blue
-
-
 def _make_colours(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> SceneColours:
-    tints = {"from": ink, "to": to, "layout": ink, **{name: _rgb(hue) for name, hue in of.methods.items()}}
-    return SceneColours(_rgb(of.window), front, back, ink, faint, tints)
+    tints = {"from": ink, "to": to, "layout": ink, **{name: rgb(hue) for name, hue in of.methods.items()}}
+    return SceneColours(of, rgb(of.window), front, back, ink, faint, tints)
 
 
 DARK = _make_colours(

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pyvista as pv
 
-from app import theme
 from app.scene3d.camera import VIEW_SLOPE, facing
 from app.scene3d.draft_state import NO_PLACES, DraftPicture, TurnHandle
 from app.scene3d.lines import circles, closed, tangents
 from app.scene3d.mesh_actors import FRONT, Dots, Layer, Segments
-from app.scene3d.scene_state import DARK, StaticScene
+from app.scene3d.scene_state import StaticScene, rgb
 
 TURN_RING_CORNERS = 120
 RING_PX, KNOB_PX, GRIP_PX = 3.0, 18.0, 11.0  # Line, knob, and distance from the ring within which a press is on it
@@ -39,9 +38,9 @@ class TurnHandleLayer(Layer):
             if facing(normal, at, self.viewpoint.pose.position)[0] >= MIN_RING_FACING_COSINE:
                 self._corners = circles(at, normal, handle.radius, TURN_RING_CORNERS)[0]
                 knob = at + handle.radius * handle.anchor.x
-        red, green, blue = bytes.fromhex((theme.DARK if self.colours is DARK else theme.LIGHT).accent[1:])
-        self.ring.show(closed(self._corners).reshape(-1, 3), (red, green, blue))
-        self.knob.show(knob, (red, green, blue))
+        colour = rgb(self.colours.window.accent)
+        self.ring.show(closed(self._corners).reshape(-1, 3), colour)
+        self.knob.show(knob, colour)
 
     def is_at(self, x: float, y: float) -> bool:
         """Whether the ring is seen at a pixel."""

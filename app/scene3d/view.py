@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,8 +26,6 @@ from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from vtkmodules.vtkRenderingCore import vtkCamera
-
     from app.scene3d.canvas import AnyCanvas
     from app.scene3d.scene_renderer import SceneRenderer
 
@@ -42,38 +39,19 @@ QT_WHEEL_UNITS_PER_NOTCH = 120.0  # Qt's units of a notch
 KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease, QEvent.Type.ShortcutOverride)
 
 
-class PointerTool:
-    """Gets mouse events before the camera does; positions are device pixels from the lower left."""
-
-    def press(self, x: float, y: float) -> bool:  # noqa: ARG002
-        """Handle a press of the left button and the drag after it; return whether it was handled."""
-        return False
-
-    def drag(self, x: float, y: float) -> None:
-        """Follow the pointer after a press that was handled."""
-
-    def turn_wheel(self, notches: float, x: float, y: float) -> bool:  # noqa: ARG002
-        """Handle a turn of the wheel; return whether it was handled."""
-        return False
-
-
 class Pointer(QObject):
     """Turns mouse events of a canvas into camera moves and clicks.
 
     Left drag rotates, middle or shift-left drag pans, right drag and the wheel zoom, a left click picks. The canvas
-    itself sees neither mouse nor keys, so no key binding of VTK can fire. `clicked` gets pixels from the lower left.
+    itself sees neither mouse nor keys, so no key binding of VTK can fire.
     """
 
-    def __init__(
-        self, canvas: QWidget, renderer: SceneRenderer, moved: Callable[[], None], clicked: Callable[[float, float], None]
-    ) -> None:
+    def __init__(self, view: View3D, canvas: QWidget, renderer: SceneRenderer) -> None:
         super().__init__(canvas)
-        self._canvas, self._renderer = canvas, renderer
-        self._moved, self._clicked = moved, clicked
+        self._view, self._canvas, self._renderer = view, canvas, renderer
         self._start = self._last = QPointF()
         self._dragged = False
-        self.tool = PointerTool()
-        self._is_tools = False  # The drag belongs to the tool
+        self._has_grip = False  # The drag moves what `View3D.grip` has gripped
         canvas.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         canvas.installEventFilter(self)
 
@@ -82,14 +60,14 @@ class Pointer(QObject):
         kind = event.type()
         if isinstance(event, QWheelEvent):
             notches = event.angleDelta().y() / QT_WHEEL_UNITS_PER_NOTCH
-            if not self.tool.turn_wheel(notches, *self._pixels(event.position())):
-                camera.zoom(self._camera(), ZOOM_FACTOR_PER_WHEEL_NOTCH**notches)
+            if not self._view.turn_wheel(notches, *self._pixels(event.position())):
+                camera.zoom(self._renderer.camera, ZOOM_FACTOR_PER_WHEEL_NOTCH**notches)
                 self._note_move()
         elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
             self._start = self._last = event.position()
             self._dragged = False
             is_left = event.button() == Qt.MouseButton.LeftButton
-            self._is_tools = is_left and self.tool.press(*self._pixels(event.position()))
+            self._has_grip = is_left and self._view.grip(*self._pixels(event.position()))
             self._renderer.auto_camera.held = True
         elif kind == QEvent.Type.MouseMove and isinstance(event, QMouseEvent):
             self._drag(event)
@@ -108,40 +86,36 @@ class Pointer(QObject):
         if not self._dragged and (event.position() - self._start).manhattanLength() < MAX_CLICK_MOVE_PX:
             return
         self._dragged = True
-        if self._is_tools:
-            self.tool.drag(*self._pixels(event.position()))
+        if self._has_grip:
+            self._view.drag_grip(*self._pixels(event.position()))
             return
         step, self._last = event.position() - self._last, event.position()
         size = max(1, min(self._canvas.width(), self._canvas.height()))
         if buttons & Qt.MouseButton.MiddleButton or event.modifiers() & Qt.KeyboardModifier.ShiftModifier:
             height = max(1, self._canvas.height())
-            camera.pan(self._camera(), step.x() / height, -step.y() / height)
+            camera.pan(self._renderer.camera, step.x() / height, -step.y() / height)
         elif buttons & Qt.MouseButton.LeftButton:
-            camera.rotate(
-                self._camera(), step.x() * ROTATION_PER_FULL_DRAG_DEG / size, -step.y() * ROTATION_PER_FULL_DRAG_DEG / size
-            )
+            degrees_per_pixel = ROTATION_PER_FULL_DRAG_DEG / size
+            camera.rotate(self._renderer.camera, step.x() * degrees_per_pixel, -step.y() * degrees_per_pixel)
         else:
-            camera.zoom(self._camera(), ZOOM_FACTOR_PER_WHEEL_NOTCH ** (-step.y() / 20))
+            camera.zoom(self._renderer.camera, ZOOM_FACTOR_PER_WHEEL_NOTCH ** (-step.y() / 20))
         self._note_move()
 
     def _release(self, event: QMouseEvent) -> None:
         self._renderer.auto_camera.held = event.buttons() != Qt.MouseButton.NoButton
-        if self._is_tools and event.button() == Qt.MouseButton.LeftButton:
-            self._is_tools = False
-        if not self._dragged and event.button() == Qt.MouseButton.LeftButton:
-            self._clicked(*self._pixels(event.position()))
+        if event.button() == Qt.MouseButton.LeftButton:
+            self._has_grip = False
+            if not self._dragged:
+                self._view.pick(*self._pixels(event.position()))
 
     def _pixels(self, position: QPointF) -> tuple[float, float]:
         """Convert a position in the widget to device pixels from the lower left."""
         density = self._canvas.devicePixelRatioF()
         return position.x() * density, (self._canvas.height() - position.y()) * density
 
-    def _camera(self) -> vtkCamera:
-        return self._renderer.camera
-
     def _note_move(self) -> None:
         self._renderer.note_manual_move(time.monotonic())
-        self._moved()
+        self._view.request_picture()
 
 
 class View3D(QWidget):
@@ -165,7 +139,6 @@ class View3D(QWidget):
         self._turning = True
         self._hidden: frozenset[str] = frozenset()
         self._picking = False
-        self.tool = PointerTool()
         self._renderer: SceneRenderer | None = None
         self._canvas: AnyCanvas | None = None
         self._threads: ThreadService | None = None  # Loads the picture; one for each `begin`
@@ -248,7 +221,7 @@ class View3D(QWidget):
         self._hidden = names
         if self._renderer is not None:
             self._renderer.hide(names)
-            self._request()
+            self.request_picture()
 
     @property
     def canvas(self) -> QWidget | None:
@@ -279,14 +252,14 @@ class View3D(QWidget):
         if self._renderer is not None:
             self._renderer.set_colours(self._colours)
             self._show_state()
-            self._request()
+            self.request_picture()
 
     def reset_camera(self) -> None:
         """Bring the whole part into the picture, seen from the skin's side."""
         if self._renderer is not None:
             self._renderer.note_manual_move(time.monotonic())
             self._renderer.fit()
-            self._request()
+            self.request_picture()
 
     def eye(self) -> camera.CameraPose:
         """Return the pose of the camera; `PLAIN_POSE` before the first picture."""
@@ -334,10 +307,10 @@ class View3D(QWidget):
         turned = not self._picking and self._renderer.turn(self._state, time.monotonic())
         if not turned and not changed:
             return False
-        self._request()
+        self.request_picture()
         return True
 
-    def _request(self) -> None:
+    def request_picture(self) -> None:
         if self._canvas is not None:
             self._canvas.update()
 
@@ -345,7 +318,7 @@ class View3D(QWidget):
         if self._choice is None or self._static is None:
             return
         self._canvas, self._renderer = mount(self._choice, loaded, self._static, self._colours, self)
-        Pointer(self._canvas, self._renderer, self._request, self._pick).tool = self.tool
+        Pointer(self, self._canvas, self._renderer)
         self._stack.addWidget(self._canvas)
         self._stack.setCurrentWidget(self._canvas)
         # Theme, size and what is shown may have changed since the loading began.
@@ -357,10 +330,22 @@ class View3D(QWidget):
         self.set_turning(self._turning)
         self.set_picking(self._picking)
         self._show_state()
-        self._request()
+        self.request_picture()
         self.ready.emit()
 
-    def _pick(self, x: float, y: float) -> None:
+    def grip(self, x: float, y: float) -> bool:  # noqa: ARG002
+        """Grip what a drag moves instead of the camera; return whether there is something. Pixels as in `pick`."""
+        return False
+
+    def drag_grip(self, x: float, y: float) -> None:
+        """Move what was gripped to a pixel."""
+
+    def turn_wheel(self, notches: float, x: float, y: float) -> bool:  # noqa: ARG002
+        """Turn what is at a pixel instead of zooming; return whether there is something."""
+        return False
+
+    def pick(self, x: float, y: float) -> None:
+        """Report what is at a pixel of the device, counted from the lower left."""
         if self._renderer is None:
             return
         if not self._picking:
