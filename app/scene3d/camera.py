@@ -19,7 +19,7 @@ from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.mesh.surface import Surface, point_on_skin
 
 if TYPE_CHECKING:
-    from vtkmodules.vtkRenderingCore import vtkCamera, vtkRenderer
+    from vtkmodules.vtkRenderingCore import vtkCamera
 
 CAMERA_VIEW_ANGLE_DEG = 24.0  # Narrow, so that sizes compare across the part, but wide enough to show depth
 VIEW_SLOPE = float(np.tan(np.radians(CAMERA_VIEW_ANGLE_DEG / 2)))
@@ -99,21 +99,6 @@ def facing(normals: FloatArray, places: FloatArray, position: FloatArray) -> Flo
     """Return (n,) the cosine of the angle between each normal and the way from its place, both (n, 3), to a position."""
     ways = position - places
     return np.einsum("ix,ix->i", normals, ways) / np.linalg.norm(ways, axis=1)
-
-
-def project(renderer: vtkRenderer, points: FloatArray) -> FloatArray:
-    """Return the positions of (n, 3) points, metres, in the picture, (n, 3) float.
-
-    x and y are device pixels from the lower left; depth is from -1 (near) to 1 in the picture.
-    """
-    camera = renderer.GetActiveCamera()
-    matrix = camera.GetCompositeProjectionTransformMatrix(renderer.GetTiledAspectRatio(), -1, 1)
-    transform = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
-    clip = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ transform.T
-    # Behind the camera the division would bring a point into the picture, upside down.
-    normal = clip[:, :3] / np.where(clip[:, 3:] > 0, clip[:, 3:], np.nan)
-    width, height = renderer.GetSize()
-    return np.stack([(normal[:, 0] + 1) * width / 2, (normal[:, 1] + 1) * height / 2, normal[:, 2]], axis=1)
 
 
 def pose_of(camera: vtkCamera) -> CameraPose:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-from vtkmodules.vtkCommonMath import vtkMatrix4x4
 from vtkmodules.vtkRenderingCore import vtkCellPicker
 
 from app import theme
@@ -64,7 +63,7 @@ class LinksLayer(Layer):
         for link, actor in self.actors.items():
             pose = preview.link_poses.get(link)
             if pose is not None:
-                actor.SetUserMatrix(_matrix(pose))
+                actor.user_matrix = pose
         self.draw()
 
     def _replace(self, shape: RobotShape | None) -> None:
@@ -112,12 +111,6 @@ class LinksLayer(Layer):
                 low, high = link.vertices.min(axis=0), link.vertices.max(axis=0)
                 corners.append((low + BOX_CORNERS * (high - low)) @ pose[:3, :3].T + pose[:3, 3])
         return np.concatenate(corners)
-
-
-def _matrix(pose: FloatArray) -> vtkMatrix4x4:
-    matrix = vtkMatrix4x4()
-    matrix.DeepCopy(pose.ravel().tolist())
-    return matrix
 
 
 class SensorsLayer(Layer):

@@ -142,9 +142,7 @@ class View3D(QWidget):
         self._renderer: SceneRenderer | None = None
         self._canvas: AnyCanvas | None = None
         self._threads: ThreadService | None = None  # Loads the picture; one for each `begin`
-        self._message = QLabel("The 3D view is loading …", self)
-        self._message.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self._message.setWordWrap(True)
+        self._message = QLabel("The 3D view is loading …", self, alignment=Qt.AlignmentFlag.AlignCenter, wordWrap=True)
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._message)
 

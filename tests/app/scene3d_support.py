@@ -27,6 +27,21 @@ def box() -> Surface:
     return make_surface(vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
 
 
+def project(renderer: Any, points: np.ndarray) -> np.ndarray:
+    """The positions of (n, 3) points, metres, in the picture, (n, 3) float.
+
+    x and y are device pixels from the lower left; depth is from -1 (near) to 1 in the picture.
+    """
+    camera = renderer.GetActiveCamera()
+    matrix = camera.GetCompositeProjectionTransformMatrix(renderer.GetTiledAspectRatio(), -1, 1)
+    transform = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+    clip = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ transform.T
+    # Behind the camera the division would bring a point into the picture, upside down.
+    normal = clip[:, :3] / np.where(clip[:, 3:] > 0, clip[:, 3:], np.nan)
+    width, height = renderer.GetSize()
+    return np.stack([(normal[:, 0] + 1) * width / 2, (normal[:, 1] + 1) * height / 2, normal[:, 2]], axis=1)
+
+
 def layout(modules: int = 2) -> Layout:
     """Triangles of 12 taxels in a row; module i starts at channel 12 i."""
     kind = KINDS["triangle_12"]

@@ -15,7 +15,7 @@ from app.scene3d.mesh_actors import MeshActor
 from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
-from tests.app.scene3d_support import box, laid, layout, scene
+from tests.app.scene3d_support import box, laid, layout, project, scene
 
 KEPT: list[QMainWindow] = []  # Windows of this test: Python would delete them with their views
 
@@ -96,7 +96,7 @@ def screen_place(view: View3D, channel: int) -> tuple[float, float] | None:
     shown = renderer_of(view).estimates
     if channel not in shown.shown:
         return None
-    at = camera.project(renderer_of(view).renderer, shown.places)[list(shown.shown).index(channel), :2]
+    at = project(renderer_of(view).renderer, shown.places)[list(shown.shown).index(channel), :2]
     x, y = at / view.devicePixelRatioF()
     return float(x), float(view.height() - y)
 

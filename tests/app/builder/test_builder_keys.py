@@ -23,13 +23,13 @@ from PySide6.QtWidgets import (
 )
 
 from app.dialogs.new_session import NewSessionDialog
-from app.scene3d.camera import project
 from app.text.message import PART_NOT_SAVED
 from app.window import OWN_SCENE_SETTING
 from skincal.model.scene import resource
 from skincal.session.part_draft import open_draft
 from skincal.simulate.outlets import TcpOutlet
 from tests.app.builder.test_builder_window import Builder, choose, tube  # noqa: F401
+from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS
 
 FIELDS = (QLineEdit, QComboBox, QAbstractSpinBox, QSlider, QListWidget, QAbstractButton)

@@ -13,9 +13,9 @@ from PySide6.QtWidgets import QApplication
 from app.builder.part_step import PartStep
 from app.builder.skin_step import SkinStep
 from app.dialogs.new_session import NewSessionDialog
-from app.scene3d.camera import project
 from skincal.model.scene import load_scene
 from skincal.session.part_draft import open_draft
+from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS
 
 

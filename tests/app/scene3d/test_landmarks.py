@@ -11,7 +11,6 @@ from PySide6.QtGui import QMouseEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.scene3d.camera import project
 from app.scene3d.canvas import Canvas
 from app.scene3d.landmarks import MAX_LANDMARKS_WITH_NAMES, normals_of, poked_here
 from app.scene3d.scene_state import View3DState
@@ -19,7 +18,7 @@ from skincal.guide.guidance import Target
 from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
-from tests.app.scene3d_support import box, contact, decided, live, snapshot
+from tests.app.scene3d_support import box, contact, decided, live, project, snapshot
 from tests.app.view3d_on_screen import Drawn, around, canvas_of, make_view, pixels, renderer_of, settle, turn
 from tests.app.window_support import luminance
 

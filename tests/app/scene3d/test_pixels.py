@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from scipy import ndimage
 
-from app.scene3d.camera import VIEW_SLOPE, facing, pose_of, project, rotate, zoom
+from app.scene3d.camera import VIEW_SLOPE, facing, pose_of, rotate, zoom
 from app.scene3d.canvas import Canvas
 from app.scene3d.offscreen import draw
 from app.scene3d.scene_renderer import SceneRenderer
@@ -24,7 +24,7 @@ from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Landmark
 from skincal.taxels.result import Method
-from tests.app.scene3d_support import box, decided, estimate, laid, layout, scene, snapshot
+from tests.app.scene3d_support import box, decided, estimate, laid, layout, project, scene, snapshot
 from tests.app.view3d_on_screen import KEPT, make_plotter, pixels, renderer_of, turn, view_of
 from tests.app.window_support import contrast
 

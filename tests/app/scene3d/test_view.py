@@ -17,7 +17,6 @@ from PySide6.QtWidgets import QApplication, QLabel, QMainWindow
 from app.commands import LAYERS
 from app.scene3d import offscreen
 from app.scene3d.axes import MAX_DRAWN_FORCE_AXES
-from app.scene3d.camera import project
 from app.scene3d.canvas import Canvas
 from app.scene3d.estimates import UNKNOWN_DEPTH_HALF_LENGTH_M
 from app.scene3d.scene_state import DARK, HUES, LIGHT, StaticScene, View3DState
@@ -26,7 +25,7 @@ from skincal.guide.guidance import Target
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark
 from skincal.taxels.result import Estimate, Method, Rival, State
-from tests.app.scene3d_support import box, contact, decided, estimate, laid, layout, live, scene, snapshot
+from tests.app.scene3d_support import box, contact, decided, estimate, laid, layout, live, project, scene, snapshot
 from tests.app.view3d_on_screen import (
     KEPT,
     Drawn,
