@@ -121,7 +121,7 @@ def _settle(page: BuilderPage, until: Until) -> None:
 
 
 def _open(page: BuilderPage, kind: type[AnyStep], until: Until) -> AnyStep:
-    step = page.find_step(kind)
+    step = next(step for step in page.steps if isinstance(step, kind))
     page.show_step(step)
     _settle(page, until)
     return step

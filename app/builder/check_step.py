@@ -56,10 +56,7 @@ class CheckStep(Step):
         self.mark_name.editingFinished.connect(self._rename)
         self.place = VectorField("position of the landmark")
         self.place.edited.connect(self._move)
-        self.add = button("&Add at the position")
-        self.add.clicked.connect(lambda: self.take_point(np.array(self.place.value()) * 1e-3, on_mesh=False))
-        self.remove = button("&Remove")
-        self.remove.clicked.connect(self._remove)
+        self.add, self.remove = button("&Add at the position", run=self._add), button("&Remove", run=self._remove)
         rows = self.list, ("&Name", self.mark_name), ("&Position", self.place), ("", row_of(self.add, self.remove))
         head, summary = QLabel("Summary"), QWidget()
         set_bold(head)
@@ -71,7 +68,7 @@ class CheckStep(Step):
         self.copies.setToolTip("The folder can then be moved to another computer")
         self.copies.clicked.connect(lambda on: self.change(replace(self.draft, copies_robot=on)))
         where = make_form(path_row("&Folder", self.folder, self._choose_folder), ("", self.copies))
-        self._arrange(make_form(*rows), head, summary, where)
+        self.fill(make_form(*rows), head, summary, where)
 
     def scene_path(self) -> Path:
         source = self.draft.source
@@ -117,9 +114,7 @@ class CheckStep(Step):
             label.deleteLater()
         self._summary_labels = []
         for text in texts:
-            label = QLabel(text)
-            label.setWordWrap(True)
-            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+            label = QLabel(text, wordWrap=True, textInteractionFlags=Qt.TextInteractionFlag.TextSelectableByMouse)
             self._lines.addWidget(label)
             self._summary_labels.append(label)
 
@@ -153,6 +148,9 @@ class CheckStep(Step):
         self.mark_name.setText(name)
         self.mark_name.setFocus()
         self.mark_name.selectAll()
+
+    def _add(self) -> None:
+        self.take_point(np.array(self.place.value()) * 1e-3, on_mesh=False)
 
     def _rename(self) -> None:
         row, name = self.list.currentRow(), self.mark_name.text().strip()

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from PySide6.QtCore import QLocale, QSignalBlocker, Signal
+from PySide6.QtCore import QSignalBlocker, Signal
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QPushButton, QSpinBox, QWidget
 
+from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_row
 from app.panels.widgets import compact_combo, escape_tooltip
 from app.theme import WIDGET_GAP_PX
 from skincal.model.tables import MAX_LENGTH_M
-
-
-def number_field(name: str, suffix: str, limit: float, decimals: int = 1, prefix: str = "") -> QDoubleSpinBox:
-    """Make a field for a number from -limit to limit."""
-    box = QDoubleSpinBox()
-    box.setLocale(QLocale.c())  # a decimal point, as in all numbers of the window
-    box.setRange(-limit, limit)
-    box.setDecimals(decimals)
-    box.setPrefix(prefix)
-    box.setSuffix(suffix)
-    box.setKeyboardTracking(False)
-    box.setAccessibleName(name)
-    return box
 
 
 def count_field(name: str, least: int, most: int) -> QSpinBox:
@@ -88,10 +76,11 @@ def show_choice(box: QComboBox, value: object) -> None:
         box.setCurrentIndex(box.findData(value))
 
 
-def button(text: str, name: str = "") -> QPushButton:
-    """Make a button; `name` is read by screen readers where the text is a sign."""
-    made = QPushButton(text)
-    made.setAutoDefault(False)
+def button(text: str, name: str = "", run: Callable[[], object] | None = None) -> QPushButton:
+    """Make a button that calls `run`; `name` is read by screen readers where the text is a sign."""
+    made = QPushButton(text, autoDefault=False)
+    if run is not None:
+        made.clicked.connect(lambda: run())
     if name:
         made.setAccessibleName(name)
         made.setToolTip(escape_tooltip(name))

@@ -8,9 +8,10 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QCheckBox, QGridLayout, QLabel, QLineEdit, QSlider, QWidget
 
-from app.builder.fields import number_field, set_silently
+from app.builder.fields import set_silently
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
+from app.dialogs.form_widgets import number_field
 from app.panels.widgets import secondary_label
 from skincal.model.readings import Stream
 from skincal.session.draft_preview import JointState, PartPreview
@@ -27,8 +28,7 @@ class JointRow:
         at = grid.rowCount()
         free = (-SLIDER_RANGE_WITHOUT_LIMITS_DEG, SLIDER_RANGE_WITHOUT_LIMITS_DEG)
         low, high = free if limits is None else np.degrees(limits).tolist()
-        self.label = QLabel(name)
-        self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.label = QLabel(name, textInteractionFlags=Qt.TextInteractionFlag.TextSelectableByMouse)
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setAccessibleName(f"angle of {name}")
         self.slider.setRange(round(low * SLIDER_STEPS_PER_DEGREE), round(high * SLIDER_STEPS_PER_DEGREE))
@@ -68,8 +68,7 @@ class JointsStep(Step):
         self.columns = QLineEdit()
         self.columns.setAccessibleName("columns of the joint stream")
         self.columns.editingFinished.connect(self._name_columns)
-        self.columns_label = QLabel("&Columns of the joint stream, by joint name, separated by commas")
-        self.columns_label.setWordWrap(True)
+        self.columns_label = QLabel("&Columns of the joint stream, by joint name, separated by commas", wordWrap=True)
         self.columns_label.setBuddy(self.columns)
         self.rows: dict[str, JointRow] = {}
         holder = QWidget()
@@ -80,7 +79,7 @@ class JointsStep(Step):
         self.live.read.connect(self._take_frames)
         about = secondary_label("Optional: read the joints now, to see whether order and unit are right.", wrap=True)
         self.warning = secondary_label(wrap=True)
-        self._arrange(self.columns_label, self.columns, holder, about, self.live, self.warning)
+        self.fill(self.columns_label, self.columns, holder, about, self.live, self.warning)
 
     def applies(self, preview: PartPreview) -> bool:
         return bool(preview.joints or preview.draft.fixed)
@@ -165,12 +164,3 @@ class JointsStep(Step):
         verb = "is" if len(outside) == 1 else "are"
         words = f"{', '.join(outside)} {verb} outside the joint limits: check the order and the unit of the columns."
         self.warning.setText(words if outside else "")
-
-    def enter(self) -> None:
-        self.live.resume()
-
-    def leave(self) -> None:
-        self.live.pause()
-
-    def end(self) -> None:
-        self.live.stop()

@@ -17,7 +17,6 @@ class LiveRow(QWidget):
     """Reads a device while its step is open."""
 
     read = Signal(object)  # List of readings, (n,) float each, since the last signal
-    address_agreed = Signal(str)
 
     def __init__(self, stream: Stream) -> None:
         super().__init__()
@@ -36,11 +35,6 @@ class LiveRow(QWidget):
         self._timer = QTimer(self, interval=LINK_PREVIEW_UPDATE_PERIOD_MS)
         self._timer.timeout.connect(self._update)
         self.row.agreed.connect(self._choose)
-
-    @property
-    def address(self) -> str:
-        """The address that the operator agreed to; empty without one."""
-        return self.row.named
 
     def set_widths(self, channels: int, joints: int, names: tuple[str, ...] = ()) -> None:
         """Expect this many values of a skin frame, and at least this many joints, with these names of their columns."""
@@ -76,7 +70,6 @@ class LiveRow(QWidget):
         self._previews.choose_widths({self._stream: address} if address else {}, *self._widths)
         if address:
             self._timer.start()
-            self.address_agreed.emit(address)
         else:
             self._timer.stop()
 

@@ -6,10 +6,9 @@ and the newest result is shown. Widgets decide nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
@@ -41,7 +40,6 @@ from skincal.session.part_draft import DraftHistory, PartDraft, open_draft, save
 FIELDS_COLUMN_WIDTH_PX = 500  # Width of the side with the fields at 100 %
 UNDO_BUTTON_WIDTH_PX = 36
 FINDINGS_SHOWN_MAX = 3
-AnyStep = TypeVar("AnyStep", bound=Step)
 
 
 class BuilderPage(QWidget):
@@ -52,14 +50,14 @@ class BuilderPage(QWidget):
     failed = Signal(str)  # Sentence on what cannot be done
     left = Signal()
 
-    def __init__(self, scenes: Path, parent: QWidget | None = None, make_view: Callable[[], DraftView3D] = DraftView3D) -> None:
+    def __init__(self, scenes: Path, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.history = DraftHistory()
         self.angles: dict[str, float] = {}
         self.preview: PartPreview | None = None
-        self.view = make_view()
-        self.check = CheckStep(scenes)
-        self.steps: tuple[Step, ...] = (PartStep(), SensorStep(), JointsStep(), SkinStep(), PlaceStep(), self.check)
+        self.view = DraftView3D()
+        self.joints, self.skin, self.place, self.check = JointsStep(), SkinStep(), PlaceStep(), CheckStep(scenes)
+        self.steps: tuple[Step, ...] = (PartStep(), SensorStep(), self.joints, self.skin, self.place, self.check)
         self._saved = self.history.now
         self._previewer, self._threads = PartPreviewer(), ThreadService("draft", self)
         self._is_busy = self._must_repeat = self._is_start_due = False
@@ -84,13 +82,14 @@ class BuilderPage(QWidget):
             self.stack.addWidget(area)
         self.findings = QLabel(wordWrap=True)
         self.findings.setAccessibleName("findings of this step")
-        self.undo_button = button("\N{LEFTWARDS ARROW WITH HOOK}", "undo (Ctrl+Z)")
-        self.redo_button = button("\N{RIGHTWARDS ARROW WITH HOOK}", "redo (Ctrl+Y)")
+        self.undo_button = button("\N{LEFTWARDS ARROW WITH HOOK}", "undo (Ctrl+Z)", self.undo)
+        self.redo_button = button("\N{RIGHTWARDS ARROW WITH HOOK}", "redo (Ctrl+Y)", self.redo)
         for each in (self.undo_button, self.redo_button):
             each.setFixedWidth(scaled(UNDO_BUTTON_WIDTH_PX))
             each.setEnabled(False)
-        self.leave_button, self.back, self.next = button("&Close"), button("\N{LEFTWARDS ARROW} &Back"), button("Ne&xt")
-        self.start = button("&Save and start")
+        self.leave_button, self.start = button("&Close", run=self.left.emit), button("&Save and start", run=self.save_and_start)
+        self.back = button("\N{LEFTWARDS ARROW} &Back", run=partial(self._go, -1))
+        self.next = button("Ne&xt", run=partial(self._go, 1))
         buttons = self.undo_button, self.redo_button, self.leave_button, 1, self.back, self.next, self.start
         side = QFrame()
         side.setObjectName("card")
@@ -111,24 +110,15 @@ class BuilderPage(QWidget):
             step.angles_changed.connect(self.turn_joints)
             step.picture_changed.connect(self.show_picture)
             step.failed.connect(self.failed)
-        view, place = self.view, self.find_step(PlaceStep)
+        view, place = self.view, self.place
         view.point_picked.connect(lambda point: self.open_step.take_point(point))
         view.link_picked.connect(lambda link: self.open_step.take_link(link))
         view.drag_started.connect(place.start_drag)
         view.layout_dragged.connect(place.drag_to)
         view.turn_started.connect(place.start_turn)
         view.layout_turned.connect(place.turn)
-        self.undo_button.clicked.connect(self.undo)
-        self.redo_button.clicked.connect(self.redo)
         for keys, run in (("Ctrl+Z", self.undo), ("Ctrl+Y", self.redo), ("Ctrl+Shift+Z", self.redo)):
             QShortcut(QKeySequence(keys), self, run)
-        self.back.clicked.connect(partial(self._go, -1))
-        self.next.clicked.connect(partial(self._go, 1))
-        self.start.clicked.connect(self.save_and_start)
-        self.leave_button.clicked.connect(self.left)
-
-    def find_step(self, kind: type[AnyStep]) -> AnyStep:
-        return next(step for step in self.steps if isinstance(step, kind))
 
     # The draft
 
@@ -305,8 +295,8 @@ class BuilderPage(QWidget):
             return
         path = self.save()
         if path is not None:
-            skin, joints = self.find_step(SkinStep).live, self.find_step(JointsStep).live
-            self.start_wanted.emit(path, Addresses(skin=skin.address, joints=joints.address))
+            addresses = Addresses(skin=self.skin.live.row.named, joints=self.joints.live.row.named)
+            self.start_wanted.emit(path, addresses)
 
     def recolour(self) -> None:
         self.view.set_dark(theme_colours().dark)

@@ -40,14 +40,12 @@ class PartStep(Step):
         super().__init__()
         self.file = QLineEdit()
         self.file.editingFinished.connect(self._take_typed)
-        self.part_name = QLineEdit()
+        self.part_name = QLineEdit(maxLength=80)
         self.part_name.setAccessibleName("name of the part")
-        self.part_name.setMaxLength(80)
         self.part_name.editingFinished.connect(self._rename)
         self.unit = choice("unit of the mesh", UNIT_NAMES)
         self.unit.activated.connect(lambda _: self.change(with_unit(self.draft, self.unit.currentData())))
-        self.size_text = QLabel()
-        self.size_text.setWordWrap(True)
+        self.size_text = QLabel(wordWrap=True)
         self.tree = QTreeWidget()
         self.tree.setHeaderHidden(True)
         self.tree.setAccessibleName("links with a mesh")
@@ -59,8 +57,7 @@ class PartStep(Step):
         self.frame_note = secondary_label(
             "Positions are given in this frame. All listed frames are fixed to the link.", wrap=True
         )
-        self.own_mesh = QLineEdit()
-        self.own_mesh.setPlaceholderText("that of the URDF; choose a file if it cannot be read")
+        self.own_mesh = QLineEdit(placeholderText="that of the URDF; choose a file if it cannot be read")
         self.own_mesh.editingFinished.connect(self._take_own_mesh)
         mesh_label, self.mesh_row = path_row("&Mesh", self.own_mesh, self._choose_own_mesh)
         self.package = QLineEdit()
@@ -71,7 +68,7 @@ class PartStep(Step):
             ("Size", self.size_text), self.tree_note, self.tree, ("F&rame", self.frame), self.frame_note,
             (mesh_label, self.mesh_row), (self.package_label, self.package_row),
         )  # fmt: skip
-        self._arrange(self.form)
+        self.fill(self.form)
         self._robot: Robot | None = None
         self._show_rows(has_robot=False, has_mesh=False)
 

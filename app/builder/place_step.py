@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker
 from PySide6.QtWidgets import QGridLayout, QWidget
 
-from app.builder.fields import VectorField, button, number_field, row_of
+from app.builder.fields import VectorField, button, row_of
 from app.builder.step import Step
+from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_form
 from app.panels.widgets import compact_combo
 from app.scene3d.draft_state import TurnHandle
@@ -51,9 +53,9 @@ class PlaceStep(Step):
         self.step = number_field("step of the arrows", " mm", 1000.0)
         self.step.setMinimum(0.1)
         self.step.setValue(ARROW_BUTTON_STEP_MM)
-        self.turns = [button(f"{degrees:+g}\N{DEGREE SIGN}", f"turn by {degrees:g} degrees") for degrees in TURNS_DEG]
-        for each, degrees in zip(self.turns, TURNS_DEG, strict=True):
-            each.clicked.connect(lambda _=False, degrees=degrees: self.turn(degrees))
+        self.turns = [
+            button(f"{angle:+g}\N{DEGREE SIGN}", f"turn by {angle:g} degrees", partial(self.turn, angle)) for angle in TURNS_DEG
+        ]
         pad = QWidget()
         grid = QGridLayout(pad)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -64,11 +66,10 @@ class PlaceStep(Step):
             each.setAutoRepeat(True)
             each.clicked.connect(lambda _=False, x=x, y=y: self.nudge(x * self.step.value(), y * self.step.value()))
             grid.addWidget(each, row, column)
-        self.back = button("Let this module &follow the layout again")
-        self.back.clicked.connect(self._let_follow)
+        self.back = button("Let this module &follow the layout again", run=self._let_follow)
         turns = ("Turn", row_of(*self.turns))
         moves = ("&Move", self.moved), ("&Position", self.point), turns, ("Slide", row_of(pad)), ("by", row_of(self.step))
-        self._arrange(make_form(*moves, self.back))
+        self.fill(make_form(*moves, self.back))
         self._grip: FloatArray | None = None  # From the anchor's point to the point where a drag began, (3,) metres
         self._drag = 0
         self._newest: tuple[PartDraft, int | None, Anchor] | None = None

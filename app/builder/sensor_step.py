@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QWidget
 
-from app.builder.fields import VectorField, button, choice, number_field, row_of, show_choice
+from app.builder.fields import VectorField, button, choice, row_of, show_choice
 from app.builder.step import NO_POINTS, Step
+from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_form
 from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_view import Mode
@@ -57,33 +59,32 @@ class SensorStep(Step):
         self._make_free_form()
         self.sign = choice("meaning of the wrench", SIGN_CHOICES)
         self.sign.activated.connect(self._choose_sign)
-        self._arrange(self.robot_form, self.free_form, make_form(("Reports", self.sign)))
+        self.fill(self.robot_form, self.free_form, make_form(("Reports", self.sign)))
 
     def _make_free_form(self) -> None:
         """Make the fields for a part without a URDF."""
-        self.under = button("The part &stands on the sensor")
+        self.under = button("The part &stands on the sensor", run=self._stand)
         self.bottom_gap = number_field("distance from the part's bottom to the sensor's origin", " mm", SENSOR_DEPTH_MAX_MM)
         self.bottom_gap.setToolTip("From the bottom face down to the sensor's origin; see its drawing")
-        self.same = button("Same &frame as the part")
+        self.same = button("Same &frame as the part", run=lambda: self._set_pose(np.eye(4)))
         self.pick = button("&Pick three points of the flange")
         self.pick.setCheckable(True)
-        self.add_point = button(ADD_POINT)
+        self.add_point = button(ADD_POINT, run=lambda: self._add_flange_point(np.array(self.origin.value()) * 1e-3))
         self.pick_note = secondary_label(wrap=True)
         self.origin, self.direction = VectorField("position of the sensor"), VectorField("direction of z", is_direction=True)
-        self.turns = [button(f"\N{CLOCKWISE OPEN CIRCLE ARROW} 90\N{DEGREE SIGN} about {axis}") for axis in "xyz"]
-        for axis, each in enumerate(self.turns):
-            each.setAccessibleName(f"turn the sensor by 90 degrees about its {'xyz'[axis]} axis")
-            each.clicked.connect(lambda _=False, axis=axis: self._turn(axis))
+        self.turns = [
+            button(f"\N{CLOCKWISE OPEN CIRCLE ARROW} 90\N{DEGREE SIGN} about {name}", run=partial(self._turn, axis))
+            for axis, name in enumerate("xyz")
+        ]
+        for each, name in zip(self.turns, "xyz", strict=True):
+            each.setAccessibleName(f"turn the sensor by 90 degrees about its {name} axis")
         below = row_of(self.under, QLabel("origin"), self.bottom_gap, QLabel("below"))
         make_form(
             below, row_of(self.same, self.pick), self.pick_note, ("&Position", self.origin), ("", self.add_point),
             ("&z points to", self.direction), ("Turn", row_of(*self.turns)), within=self.free_form, margins=0,
         )  # fmt: skip
-        self.under.clicked.connect(self._stand)
         self.bottom_gap.valueChanged.connect(self._stand)
-        self.same.clicked.connect(lambda: self._set_pose(np.eye(4)))
         self.pick.toggled.connect(self._switch_picking)
-        self.add_point.clicked.connect(lambda: self._add_flange_point(np.array(self.origin.value()) * 1e-3))
         self.origin.edited.connect(self._move)
         self.direction.edited.connect(self._aim)
 
@@ -179,7 +180,8 @@ class SensorStep(Step):
     def _switch_picking(self, wanted: bool) -> None:
         self.points = NO_POINTS
         self._show_picking()
-        self.set_mode(Mode.POINT if wanted else Mode.NONE)
+        self.mode = Mode.POINT if wanted else Mode.NONE
+        self.picture_changed.emit()
 
     def _show_picking(self) -> None:
         is_picking = self.pick.isChecked()

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtWidgets import QFileDialog, QLabel, QLineEdit, QStackedWidget, QWidget
 
-from app.builder.fields import button, choice, count_field, number_field, row_of, set_silently, show_choice
+from app.builder.fields import button, choice, count_field, row_of, set_silently, show_choice
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
+from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_form, make_row
 from app.panels.widgets import secondary_label
 from skincal.files.layout_sources import (
@@ -55,7 +56,7 @@ class SkinStep(Step):
         super().__init__()
         self.channels = count_field("values of a skin frame", 0, MAX_LAYOUT_CHANNELS)
         self.channels.setSpecialValueText("as the layout")
-        self.channels.valueChanged.connect(self._set_channels)
+        self.channels.valueChanged.connect(lambda n: self.change(replace(self.draft, channels=n or None), "channels"))
         self.polarity = choice("values under pressure", POLARITY_CHOICES)
         self.polarity.activated.connect(lambda _: self.change(replace(self.draft, polarity=self.polarity.currentData())))
         self.layout_kind = choice("layout", LAYOUT_CHOICES)
@@ -70,15 +71,13 @@ class SkinStep(Step):
         choices = ("&Values a frame", self.channels), ("They", self.polarity), ("&Layout", self.layout_kind)
         self.live = LiveRow(Stream.SKIN)
         self.live.read.connect(self._take_frames)
-        self.again = button("&Forget the touch")
-        self.again.clicked.connect(self._forget_touch)
+        self.again = button("&Forget the touch", run=self._forget_touch)
         self.again.setVisible(False)
         self.touched = secondary_label(TOUCH_HINT, wrap=True)
-        self.use_polarity = button("Use this: they fall")
-        self.use_polarity.clicked.connect(self._use_polarity)
+        self.use_polarity = button("Use this: they fall", run=self._use_polarity)
         self.use_polarity.setVisible(False)
         touch = self.live, self.touched, row_of(self.again, self.use_polarity)
-        self._arrange(make_form(*choices, self.pages, self.found), *touch)
+        self.fill(make_form(*choices, self.pages, self.found), *touch)
         self._watch: TouchWatch | None = None
         self._falls = False
 
@@ -87,8 +86,7 @@ class SkinStep(Step):
         self.file = QLineEdit()
         self.file.editingFinished.connect(self._take_typed)
         self.file.setAccessibleName("layout file")
-        choose = button("Choose\N{HORIZONTAL ELLIPSIS}", "choose: layout file")
-        choose.clicked.connect(self.choose_file)
+        choose = button("Choose\N{HORIZONTAL ELLIPSIS}", "choose: layout file", self.choose_file)
         make_row((self.file, 1), choose, within=page, margins=0)
         return page
 
@@ -139,19 +137,16 @@ class SkinStep(Step):
         self.live.setEnabled(width > 0)
         self.live.set_widths(max(1, width), 0)
 
-    def _set_channels(self, count: int) -> None:
-        self.change(replace(self.draft, channels=count or None), "channels")
-
     def _choose_kind(self) -> None:
         self._kind = str(self.layout_kind.currentData())
         self.pages.setCurrentWidget(self.pages_by_kind[self._kind])
         # Its button asks for a file: the arrow keys pass through this entry.
-        use = {"none": self._use_none, "grid": self._use_grid, "modules": self._use_modules}.get(self._kind)
-        if use is not None:
-            use()
-
-    def _use_none(self) -> None:
-        self.change(replace(self.draft, layout_text="", layout_name="", anchor=None))
+        if self._kind == "none":
+            self.change(replace(self.draft, layout_text="", layout_name="", anchor=None))
+        elif self._kind == "grid":
+            self._use_grid()
+        elif self._kind == "modules":
+            self._use_modules()
 
     def choose_file(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Layout", "", LAYOUT_FILES)
@@ -225,12 +220,6 @@ class SkinStep(Step):
         self.use_polarity.setVisible(False)
         self.picture_changed.emit()
 
-    def enter(self) -> None:
-        self.live.resume()
-
     def leave(self) -> None:
-        self.live.pause()
+        super().leave()
         self._forget_touch()
-
-    def end(self) -> None:
-        self.live.stop()

@@ -10,6 +10,7 @@ import numpy as np
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QLabel, QLayout, QWidget
 
+from app.builder.live_row import LiveRow
 from app.panels.layouts import make_column
 from app.panels.widgets import secondary_label, set_bold
 from app.scene3d.draft_state import TurnHandle
@@ -43,13 +44,13 @@ class Step(QWidget):
         super().__init__()
         self.draft = PartDraft()  # The newest draft; `preview` may be of an earlier one
         self.preview: PartPreview | None = None
-        self.mode = Mode.NONE
+        self.mode = Mode.NONE  # Meaning of clicks in the 3D view
         self.points = NO_POINTS  # (n, 3) float, metres: picked points to mark
         self.module: int | None = None
         self.answered: IntArray | None = None
         self.hint_label = secondary_label(self.hint, wrap=True)
 
-    def _arrange(self, *items: QWidget | QLayout) -> None:
+    def fill(self, *items: QWidget | QLayout) -> None:
         """Put the fields of the step below its title and hint."""
         head = QLabel(self.title)
         set_bold(head, STEP_TITLE_FONT_SIZE_PT)
@@ -72,10 +73,14 @@ class Step(QWidget):
         return None
 
     def enter(self) -> None:
-        """Begin: the step is on the screen."""
+        """Begin: the step is on the screen, and reads its device."""
+        for row in self.findChildren(LiveRow):
+            row.resume()
 
     def leave(self) -> None:
         """End: another step is on the screen."""
+        for row in self.findChildren(LiveRow):
+            row.pause()
 
     def take_point(self, point: FloatArray) -> None:
         """Handle a click on the part, (3,) float, metres, link frame."""
@@ -95,10 +100,7 @@ class Step(QWidget):
         except InputError as error:
             self.failed.emit(str(error))
 
-    def set_mode(self, mode: Mode) -> None:
-        """Choose the meaning of clicks in the 3D view."""
-        self.mode = mode
-        self.picture_changed.emit()
-
     def end(self) -> None:
-        """Stop what the step reads in the background."""
+        """Release the device that the step reads."""
+        for row in self.findChildren(LiveRow):
+            row.stop()

@@ -7,9 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QPointF, Qt, Signal
+from PySide6.QtCore import QLocale, QPointF, Qt, Signal
 from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
-from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QPushButton, QScrollArea, QWidget
+from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFileDialog, QHBoxLayout, QLabel, QPushButton, QScrollArea, QWidget
 
 from app.panels.layouts import make_row
 from app.panels.widgets import Painted
@@ -63,6 +63,16 @@ class ScenePicker(QComboBox):
 
     def close_threads(self) -> None:
         self._threads.close(0.0)
+
+
+def number_field(name: str, suffix: str, limit: float, decimals: int = 1, prefix: str = "") -> QDoubleSpinBox:
+    """Make a field for a number from -limit to limit."""
+    box = QDoubleSpinBox(decimals=decimals, prefix=prefix, suffix=suffix)
+    box.setKeyboardTracking(False)
+    box.setLocale(QLocale.c())  # a decimal point, as in all numbers of the window
+    box.setRange(-limit, limit)
+    box.setAccessibleName(name)
+    return box
 
 
 def path_row(title: str, field: QWidget, choose: Callable[[], object]) -> tuple[QLabel, QHBoxLayout]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 
 import numpy as np
-from PySide6.QtCore import QLocale, QObject, Signal
-from PySide6.QtWidgets import QDoubleSpinBox, QLabel, QLineEdit, QWidget
+from PySide6.QtCore import QObject, Signal
+from PySide6.QtWidgets import QLabel, QLineEdit, QWidget
 
 from app.dialogs.dialog import Dialog, StandardButton
+from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_form, make_row
 from app.panels.widgets import secondary_label
 from app.scene3d.view import View3D
@@ -42,8 +43,13 @@ class LandmarkDialog(Dialog):
         self.setMinimumWidth(480)
         self._taken = taken
         self.name = QLineEdit(free_name(taken))
-        self.coordinates = [_millimetre_field(axis) for axis in "xyz"]
+        unit, limit = UNITS["m"].text, 1e3 * MAX_LENGTH_M
+        self.coordinates = [
+            number_field(f"{axis} in {unit}", f" {unit}", limit, MILLIMETRE_INPUT_DECIMALS, f"{axis}  ") for axis in "xyz"
+        ]
         for box, value in zip(self.coordinates, np.zeros(3) if position is None else 1e3 * position, strict=True):
+            # The button may be clicked while a number is being typed.
+            box.setKeyboardTracking(True)
             box.setValue(float(value))
         self.objection = QLabel(wordWrap=True)
         self.button(StandardButton.Ok).setText("Add")
@@ -82,19 +88,6 @@ def name_problem(name: str, taken: Collection[str]) -> str:
     if not name:
         return "The landmark has no name. Enter one that tells where it is on the part, for example: screw at the wrist."
     return f"There is a landmark {name!r} already. Enter another name." if name in taken else ""
-
-
-def _millimetre_field(axis: str) -> QDoubleSpinBox:
-    box = QDoubleSpinBox()
-    # A decimal point, as in all numbers of the window.
-    box.setLocale(QLocale.c())
-    limit = 1e3 * MAX_LENGTH_M
-    box.setRange(-limit, limit)
-    box.setDecimals(MILLIMETRE_INPUT_DECIMALS)
-    box.setPrefix(f"{axis}  ")
-    box.setSuffix(f" {UNITS['m'].text}")
-    box.setAccessibleName(f"{axis} in {UNITS['m'].text}")
-    return box
 
 
 class LandmarkPicking(QObject):
