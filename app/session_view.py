@@ -7,7 +7,6 @@ change nothing. The module is imported after the window is on the screen, since 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -85,24 +84,24 @@ class Workspace(QWidget):
     taxel_selected = Signal(int)
     method_chosen = Signal(object)
 
-    def __init__(self, context: PanelContext, make_view: Callable[[], View3D]) -> None:
+    def __init__(self, context: PanelContext) -> None:
         super().__init__()
         part, scene = context.part, context.part.scene
         self.part, self.names, self.methods = part, context.names, context.methods
-        self.view = make_view()
+        self.view = View3D()
         self.now = NowPanel()
         self._static = StaticScene(scene, part.surface, part.laid, part.channels)
         self.map = TaxelMap(scene, part.channels, context.names, quarter_turns(self._static))
         self.panels = {kind.title: kind(context) for kind in PANELS}
         # All widgets have their parents from the start: Qt applies the style sheet again to all in a widget that moves.
-        self.across = QSplitter(Qt.Orientation.Horizontal, self)
+        self.across = QSplitter(Qt.Orientation.Horizontal, self, handleWidth=WIDGET_GAP_PX, childrenCollapsible=False)
         left = QWidget(self.across)
         self._left_row = make_row((self.view, 1), within=left, margins=0, gap=WIDGET_GAP_PX)
-        self.right = QSplitter(Qt.Orientation.Vertical, self.across)
+        self.right = QSplitter(Qt.Orientation.Vertical, self.across, handleWidth=WIDGET_GAP_PX, childrenCollapsible=False)
         self.card = MapCard(self.right, self.map, self.methods)
         below = QFrame(self.right)
         below.setObjectName("card")
-        self.tabs = QTabWidget(below)
+        self.tabs = QTabWidget(below, documentMode=True)
         make_column(self.tabs, within=below, margins=1)
         self._state: ViewState | None = None
         self.view.taxel_picked.connect(self.taxel_selected)
@@ -121,7 +120,6 @@ class Workspace(QWidget):
         for title, panel in self.panels.items():
             self.tabs.addTab(panel, title)
         self.tabs.setAccessibleName("tabs")
-        self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setExpanding(True)
         self.tabs.tabBar().setDrawBase(False)
         self.view.setMinimumWidth(420)
@@ -130,9 +128,6 @@ class Workspace(QWidget):
         self._fit_right()
         self.across.setStretchFactor(0, 1)
         self.across.setSizes([10_000, RIGHT_PX])
-        for splitter in (self.right, self.across):
-            splitter.setHandleWidth(WIDGET_GAP_PX)
-            splitter.setChildrenCollapsible(False)
         make_column((self.across, 1), self.now, within=self, margins=WIDGET_GAP_PX, gap=WIDGET_GAP_PX)
         self.tabs.currentChanged.connect(self._show_tab)
 
@@ -194,14 +189,7 @@ class SessionView(QObject):
     sound_due = Signal(object)  # `DueCue`
 
     def __init__(
-        self,
-        part: Part,
-        controller: Controller,
-        commands: Commands,
-        documents: Path,
-        settings: QSettings,
-        parent: QObject | None = None,
-        make_view: Callable[[], View3D] = View3D,
+        self, part: Part, controller: Controller, commands: Commands, documents: Path, settings: QSettings, parent: QObject
     ) -> None:
         super().__init__(parent)
         self._controller, self._commands, self._documents, self._settings = controller, commands, documents, settings
@@ -220,17 +208,24 @@ class SessionView(QObject):
         assert controller.guided is not None
         self.guided = controller.guided
         context = PanelContext(part, methods, names, self.guided, controller.compute, controller.read_positions, self._folder)
-        self.workspace = Workspace(context, make_view)
+        self.workspace = Workspace(context)
         self.chips = LinkChips()
         self._modules_enough = ModulesEnough(self.guided.guide.plan, part.scene.noise.skin)
         self._enough_message: Message | None = None
         self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.tabs.setCurrentIndex)
         self._pokes = self.workspace.panel(PokesPanel)
+        self._followed = (
+            (controller.session_opened, self._begin_session), (controller.ticked, self._take_tick),
+            (controller.reviewed, self._take_review), (controller.truth_found, self.offer),
+        )  # fmt: skip
+        """Signals of the controller, followed until `close`."""
         self._connect()
 
     def _connect(self) -> None:
         workspace = self.workspace
+        for signal, slot in self._followed:
+            signal.connect(slot)
         workspace.wait("opening", workspace.part.scene.name)
         workspace.taxel_selected.connect(self.select_taxel)
         workspace.method_chosen.connect(self.show_method)
@@ -240,13 +235,12 @@ class SessionView(QObject):
             panel.command_wanted.connect(lambda name: self._commands.actions[name].trigger())
             panel.follow_wanted.connect(self.follow_again)
             panel.message_ready.connect(lambda sentence: self.said.emit(Message(sentence)))
-            panel.failure_ready.connect(self._tell_failure)
         # A panel follows the session only while it is visible: at once, not from the next tick on.
         workspace.tabs.currentChanged.connect(lambda _: self.follow_again())
         self._pokes.selection_changed.connect(self.refresh_allowed)
         self.picking.said.connect(self.said)
 
-    def session_opened(self, snapshot: Snapshot) -> None:
+    def _begin_session(self, snapshot: Snapshot) -> None:
         """Show a newly opened session, which may already have pokes."""
         self._cues = CueMemory.of(snapshot)
         self.workspace.now.begin_session(snapshot)
@@ -258,7 +252,7 @@ class SessionView(QObject):
         """The method that is shown and that the guide serves."""
         return self.guided.method
 
-    def take_tick(self, tick: Tick) -> None:
+    def _take_tick(self, tick: Tick) -> None:
         self._tick = tick
         self.show()
 
@@ -293,13 +287,9 @@ class SessionView(QObject):
             self._commands.update_actions()
 
     def _allowed(self, tick: Tick) -> Allowed:
-        snapshot, live, running, offers = tick.snapshot, tick.live, self._controller.running, self._rig.offers(tick.snapshot)
-        pokes, taxel, guidance = self._pokes.selected(), self.selected, self.guided.guidance
-        carried = tuple(link.carries for link in live.links)
-        return self._may.get(
-            (snapshot.generation, running, pokes, taxel, carried, guidance, offers),
-            lambda: allowed(snapshot, self.workspace.part.scene, live.links, running, pokes, taxel, guidance, offers),
-        )
+        snapshot, running, offers = tick.snapshot, self._controller.running, self._rig.offers(tick.snapshot)
+        chosen = running, self._pokes.selected(), self.selected, self.guided.guidance, offers
+        return self._may.get((snapshot.generation, *chosen), lambda: allowed(snapshot, *chosen))
 
     def view_state(self, tick: Tick) -> ViewState:
         """Collect everything that the panels and the 3D view show at one tick."""
@@ -333,7 +323,7 @@ class SessionView(QObject):
             may=self._allowed(tick),
         )
 
-    def take_review(self, review: Review | None) -> None:
+    def _take_review(self, review: Review | None) -> None:
         """Show the results of landmark pokes; announce an available correction once."""
         self._rig.review = review
         self.show()
@@ -524,11 +514,9 @@ class SessionView(QObject):
         path = self._ask_file("Write the report", f"{self.workspace.part.scene.name}-report.html", "Report (*.html)")
         if path is not None:
             self.said.emit(Message(REPORTING, found=True))
-
-            def tell_where(verdict: str) -> None:
-                self.said.emit(Message(report_words(path, verdict)))
-
-            self._controller.report(path, self.method, tell_where, self._tell_failure)
+            self._controller.report(
+                path, self.method, lambda verdict: self.said.emit(Message(report_words(path, verdict))), self._tell_failure
+            )
 
     def ask_picture(self) -> None:
         path = self._ask_file("Save 3D picture", "skincal.png", "Picture (*.png)")
@@ -562,7 +550,7 @@ class SessionView(QObject):
             self.offer(reference)
             self.workspace.show_tab(ErrorsPanel.title)
 
-        self._controller.compute(lambda: load_reference(path, part.scene.link, channels), show, self._tell_failure)
+        self._controller.compute(lambda: load_reference(path, part.scene.link, channels), show)
 
     def offer(self, reference: TaxelPositions) -> None:
         """Let panels compare the estimates with known positions."""
@@ -606,6 +594,9 @@ class SessionView(QObject):
 
     def close(self) -> None:
         """Release the 3D view, and remove this session's widgets from the window."""
+        for signal, slot in self._followed:
+            signal.disconnect(slot)
+        self._followed = ()
         self.picking.stop()
         for dialog in (self._history, self._thresholds):
             if dialog is not None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Concatenate, ParamSpec
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, QUrl, Signal, Slot, qVersion
 from PySide6.QtGui import QCloseEvent, QColor, QDesktopServices, QPalette
@@ -43,10 +43,8 @@ if TYPE_CHECKING:
     from app.state.policies import Allowed
     from skincal.session.importing import Imported
     from skincal.session.part import Part
-    from skincal.session.snapshot import Snapshot
 
 LOG = logging.getLogger(__name__)
-Args = ParamSpec("Args")
 MAX_REMEMBERED_ADDRESSES = 50  # Addresses that the operator named or agreed to; no laboratory has more devices
 DOCUMENTS_FOLDER = Path(__file__).resolve().parents[1] / "docs"
 """Next to the program in a checkout; a package comes without."""
@@ -201,19 +199,16 @@ class Window(QMainWindow):
             self.restoreGeometry(geometry)
 
     def _connect(self) -> None:
-        controller, with_view = self.controller, self._with_view
+        controller = self.controller
         controller.prepare = _import_session_view
         controller.confirmation_due.connect(
             lambda addresses: self._confirm_addresses(addresses, lambda: controller.resume(confirmed=True))
         )
         controller.recorded_elsewhere.connect(self._offer_to_look)
         controller.part_loaded.connect(self._make_session_view)
-        controller.session_opened.connect(self._begin_session)
-        controller.ticked.connect(with_view(lambda view, tick: view.take_tick(tick)))
+        controller.session_opened.connect(lambda _: self.player.get_ready())
         controller.running_changed.connect(self._follow_running)
         controller.said.connect(self.tell)
-        controller.truth_found.connect(with_view(lambda view, truth: view.offer(truth)))
-        controller.reviewed.connect(with_view(lambda view, review: view.take_review(review)))
         controller.stored.connect(self._show_storage)
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self.commands.update_actions)
@@ -226,15 +221,6 @@ class Window(QMainWindow):
         self._sound_found.connect(self._follow_sound)
         self.player.found = self._sound_found.emit
         self.commands.update_actions()
-
-    def _with_view(self, run: Callable[Concatenate[SessionView, Args], object]) -> Callable[Args, None]:
-        """Make a Qt slot that calls `run` with the session view, if there is one."""
-
-        def slot(*args: Args.args, **named: Args.kwargs) -> None:
-            if self.session_view is not None:
-                run(self.session_view, *args, **named)
-
-        return slot
 
     @property
     def may(self) -> Allowed | None:
@@ -278,11 +264,6 @@ class Window(QMainWindow):
                 view.workspace.show_card(self._first_minute)
                 # Now: a window that is closed within the minute has shown it, too.
                 self._settings.setValue("window/told", True)
-
-    def _begin_session(self, snapshot: Snapshot) -> None:
-        if self.session_view is not None:
-            self.session_view.session_opened(snapshot)
-            self.player.get_ready()
 
     def _follow_running(self, running: Running) -> None:
         self._show_opening()

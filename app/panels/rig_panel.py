@@ -147,8 +147,7 @@ class RigPanel(Panel):
         self.points.setVisible(bool(rows))
         asked = "" if state.target is None else state.target.landmark
         sign = "\N{BLACK RIGHT-POINTING TRIANGLE} "
-        cells = [(sign * (row.name == asked) + row.name, str(row.here), str(row.every), row.off) for row in rows]
-        put_rows(self.points, cells)
+        put_rows(self.points, [(sign * (name == asked) + name, *others) for name, *others in rows])
         fit_rows(self.points)
 
     def _drop_correction(self) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.session.opening import Addresses, OpenRequest, begin_session, find_scene, find_truth_of, link_specs, open_recorded
+from app.session.opening import Addresses, OpenRequest, begin_session, find_scene, link_specs, open_recorded
 from app.session.recording import Recording, SessionFolder, stop_all
 from app.state.running import Running
 from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, kept_words, refused_words
@@ -131,8 +131,7 @@ class Controller(QObject):
         self.pace = 1  # Of the simulated operator, one of `PACES`; 0 if a simulated robot pokes
         self.demo = False
         self._reset()
-        self._timer = QTimer(self)
-        self._timer.setInterval(TICK_PERIOD_MS)
+        self._timer = QTimer(self, interval=TICK_PERIOD_MS)
         self._timer.timeout.connect(self.tick)
 
     def _reset(self) -> None:
@@ -365,7 +364,10 @@ class Controller(QObject):
         self._publish(recording, recording.pipeline.snapshot(), time.monotonic_ns())
         part = self._part
         if part is not None:
-            self.compute(lambda: find_truth_of(recording.storage.folder, part), self._publish_truth)
+            from skincal.files.reference import find_truth
+
+            folder, link, channels = recording.storage.folder, part.scene.link, part.channels.tolist()
+            self.compute(lambda: find_truth(folder, link, channels), self._publish_truth)
 
     def _publish_truth(self, truth: TaxelPositions | None) -> None:
         if truth is not None:
@@ -659,8 +661,7 @@ class Controller(QObject):
         work: Callable[[], Any],
         done: Callable[[Any], None] | None = None,
         failed: Callable[[str], None] | None = None,
-        dropped: Callable[[Any], None] | None = None,
-        ended: Callable[[], None] | None = None,
+        **others: Callable[..., None] | None,
     ) -> None:
         """Do `work` in the background, as `ThreadService.submit`; by default the window shows a failure."""
 
@@ -669,7 +670,7 @@ class Controller(QObject):
             if done is not None:
                 done(result)
 
-        self._threads.submit(work, take, failed or self._fail, dropped, ended)
+        self._threads.submit(work, take, failed or self._fail, **others)
 
     # In the background
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from skincal.files.reference import TaxelPositions
     from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import LinkSpec
@@ -171,10 +170,3 @@ def open_recorded(folder: Path, links: Sequence[LinkSpec] | None) -> tuple[Part,
     part = lay_part(pipeline.scene, pipeline.session.surface, pipeline.findings)
     pipeline.laid = part.laid
     return part, pipeline
-
-
-def find_truth_of(folder: Path, part: Part) -> TaxelPositions | None:
-    """Read the true positions next to a recording; `None` if there are none."""
-    from skincal.files.reference import find_truth
-
-    return find_truth(folder, part.scene.link, part.channels.tolist())

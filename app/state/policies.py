@@ -17,8 +17,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
 from skincal.model.actions import Action, AtLandmark, Correct, Exclude, MarkDead, Restore, Revive
-from skincal.model.readings import LinkHealth, Stream
-from skincal.model.scene import ContactSettings, Scene
+from skincal.model.scene import ContactSettings
 from skincal.rig.correction import FRAME, RIG
 from skincal.rig.frame_check import FrameDiagnosis
 from skincal.session.corrections import offered
@@ -115,7 +114,6 @@ class Allowed:
     taxel_text: str
     export: bool
     switch_method: bool
-    choose_pose: bool
     space: str
     """Action of the space bar."""
     pause: str
@@ -132,8 +130,6 @@ class Allowed:
 
 def allowed(
     snapshot: Snapshot,
-    scene: Scene,
-    links: Sequence[LinkHealth],
     running: Running,
     pokes: Sequence[int],
     taxel: int | None,
@@ -143,7 +139,6 @@ def allowed(
     """Determine which actions are possible for the selected `pokes` (numbers) and `taxel` (channel)."""
     pause = {Running.STREAMING: "Pause", Running.PAUSED: "Continue", Running.OFFLINE: "Connect"}.get(running, "")
     ends = running is Running.STREAMING and guidance is not None and guidance.phase is GuidePhase.ENOUGH
-    streamed = any(Stream.JOINTS in link.carries for link in links)
     exclude = _exclude_actions(snapshot, pokes)
     is_restored = bool(exclude) and isinstance(exclude[0], Restore)
     is_dead = taxel in snapshot.dead
@@ -156,7 +151,6 @@ def allowed(
         taxel_text="" if taxel is None else "Use selected taxel again" if is_dead else "Do not use selected taxel",
         export=any(e.state is State.ESTIMATED for es in snapshot.estimates.values() for e in es),
         switch_method=len(snapshot.estimates) > 1,
-        choose_pose=scene.arm is not None and bool(scene.arm.poses) and not streamed,
         space="Verdict" if ends else pause,
         pause=pause,
         another=guidance is not None and guidance.target is not None,

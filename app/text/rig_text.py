@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -87,29 +86,20 @@ def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: R
     return "not checked, since no landmark was pressed: an error of sensor or arm shifts all taxels together"
 
 
-@dataclass(frozen=True, slots=True)
-class LandmarkRow:
-    """Row of the list of landmarks."""
+def landmark_rows(snapshot: Snapshot, review: Review | None, pose: str) -> list[tuple[str, ...]]:
+    """Make the cells for each landmark: name, pokes in the current arm `pose`, all pokes, and their distance.
 
-    name: str
-    here: int
-    """Pokes in the present arm pose."""
-    every: int
-    off: str
-    """Distance of its pokes, mm rms: as reported, and with the correction that was found."""
-
-
-def landmark_rows(snapshot: Snapshot, review: Review | None, pose: str) -> list[LandmarkRow]:
-    """Make one row for each landmark; `pose` is the current arm pose."""
+    The distance is in mm rms: as reported, and with the correction that was found.
+    """
     outcomes = {record.outcome.poke: record for record in snapshot.pokes if record.outcome.poke in snapshot.at_landmarks}
     counting = {poke: record.outcome for poke, record in outcomes.items() if not record.excluded}
     of: dict[str, list[int]] = defaultdict(list)
     for poke in counting:
         of[snapshot.at_landmarks[poke]].append(poke)
-    rows: list[LandmarkRow] = []
+    rows: list[tuple[str, ...]] = []
     for name in (point.name for point in snapshot.decisions.landmarks):
         here = sum(counting[poke].pose == pose for poke in of[name])
-        rows.append(LandmarkRow(name, here, len(of[name]), DASH if review is None else _off(of[name], review)))
+        rows.append((name, str(here), str(len(of[name])), DASH if review is None else _off(of[name], review)))
     return rows
 
 

@@ -104,7 +104,7 @@ def frame(
         selected=selected,
         running=running,
         now_ns=round(now_s * SECOND),
-        may=allowed(found, where, (), running, (), selected),
+        may=allowed(found, running, (), selected),
     )
 
 

@@ -17,7 +17,7 @@ from app.session.opening import OpenRequest
 from app.text.errors_text import Axis, axis_words, newest_words, quantity_words, source_words
 from app.theme import DARK, LIGHT
 from app.workers.device_process import DeviceProcess
-from skincal.files.reference import TRUTH_NAME, Origin, TaxelPositions, error_summary, read_reference
+from skincal.files.reference import TRUTH_NAME, Origin, TaxelPositions, error_summary, find_truth, read_reference
 from skincal.model.actions import Exclude
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
@@ -351,6 +351,6 @@ def test_a_simulated_rig_sends_its_truth_and_the_session_keeps_it(qtbot, tmp_pat
     with pytest.raises(InputError, match="is a link"):
         opening.begin_session(made, served.args[0], linked, truths[0])
     assert letter.read_text(encoding="utf-8") == "dear"
-    found = opening.find_truth_of(folder, made)
+    found = find_truth(folder, made.scene.link, made.channels.tolist())
     assert found.origin is Origin.TRUTH
     assert found.places[channel].tolist() == [0.0, 0.1, 0.2]

@@ -11,7 +11,7 @@ import pytest
 from app.panels.rig_panel import NO_LANDMARK_POKES, NO_LANDMARKS, REVIEW_RUNNING, RigPanel
 from app.state.policies import RigReview, allowed, offers_of
 from app.state.running import Running
-from app.text.rig_text import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
+from app.text.rig_text import landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
 from skincal.contacts.outcome import Reason
 from skincal.geometry import FloatArray
 from skincal.model.actions import Uncorrect
@@ -135,7 +135,7 @@ def test_what_is_in_use_is_offered_again_only_from_more_pokes():
 
 def test_the_key_does_what_is_offered_first():
     def may(offers):
-        return allowed(at(), arm_scene(), (), Running.STREAMING, (), None, None, offers).correct
+        return allowed(at(), Running.STREAMING, (), None, None, offers).correct
 
     assert offer_text(may(offers(review(), at()))) == "Correct sensor and arm"
     assert offer_text(may(offers(review(diagnosis=WRONG), at()))) == approved("rig.offer_frame")
@@ -235,11 +235,11 @@ def test_each_landmark_has_its_pokes_and_how_far_they_pass_it():
     moment = at(pokes=pokes, at_landmarks=named, excluded=(4,))
     answer = review(rig(distances={1: 0.001, 2: 0.001, 4: 0.5}), reported={1: 0.003, 2: 0.004, 4: 0.5})
     first, second = landmark_rows(moment, answer, "low")
-    assert first == LandmarkRow("corner", 1, 2, f"3.5 {ARROW} 1.0")
-    assert second == LandmarkRow("other", 0, 1, DASH)
-    assert [row.off for row in landmark_rows(moment, None, "low")] == [DASH, DASH]
+    assert first == ("corner", "1", "2", f"3.5 {ARROW} 1.0")
+    assert second == ("other", "0", "1", DASH)
+    assert [row[3] for row in landmark_rows(moment, None, "low")] == [DASH, DASH]
     only = landmark_rows(moment, review(TOO_FEW, reported={1: 0.003, 2: 0.004}), "low")
-    assert only[0].off == "3.5"
+    assert only[0][3] == "3.5"
     assert landmark_rows(decided(moment, landmarks=()), answer, "low") == []
 
 

@@ -317,7 +317,7 @@ def test_elsewhere_a_poke_that_no_taxel_answered_is_rejected():
 def test_what_may_be_done_with_landmarks():
     def may(**changes):
         at = of_pokes()
-        return allowed(at, part().scene, (), Running.STREAMING, (), None, **changes)
+        return allowed(at, Running.STREAMING, (), None, **changes)
 
     asked = shown(Landmarks(part(), plan_of(part())), of_pokes())
     assert (may().skip_landmarks, may(guidance=guidance(target(3))).skip_landmarks) == (False, False)

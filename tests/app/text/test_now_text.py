@@ -276,14 +276,14 @@ def test_an_unknown_arm_pose_is_asked_before_anything_else_is(phase):
 def test_what_may_be_done_follows_the_selection():
     pokes = [touch(1), slip(2), touch(3), touch(4)]
     at = session(1, {3: estimate(3, (0, 0, 0))}, pokes, excluded=[3], dead={7: "stuck"})
-    may = allowed(at, SCENE, (), Running.STREAMING, [1, 2, 3], 7)
+    may = allowed(at, Running.STREAMING, [1, 2, 3], 7)
     assert (may.exclude, may.taxel) == ((Exclude(1),), Revive(7))
     assert (may.export, may.switch_method, may.undo, may.space) == (True, True, "poke 4", "Pause")
     assert not may.another
     assert not may.verdict
-    guided = allowed(at, SCENE, (), Running.STREAMING, [], None, guidance(target(3)))
+    guided = allowed(at, Running.STREAMING, [], None, guidance(target(3)))
     assert (guided.another, guided.verdict, guided.ends, guided.space) == (True, True, False, "Pause")
-    empty = allowed(session(), SCENE, (), Running.OFFLINE, [], None)
+    empty = allowed(session(), Running.OFFLINE, [], None)
     assert (empty.export, empty.exclude, empty.taxel, empty.undo, empty.space) == (False, (), None, "", "Connect")
 
 
@@ -298,16 +298,9 @@ def test_what_may_be_done_follows_the_selection():
 )
 def test_the_space_bar_shows_the_verdict_once_it_is_enough_and_p_still_pauses(running, space, pause):
     enough = guidance(None, done=PLAN.channels.tolist())
-    may = allowed(session(), SCENE, (), running, [], None, enough)
+    may = allowed(session(), running, [], None, enough)
     assert (may.space, may.pause, may.ends) == (space, pause, space == "Verdict")
     assert may.verdict
-
-
-def test_a_pose_is_chosen_only_where_the_arm_does_not_stream_it():
-    streamed = link("joints", carries=(Stream.JOINTS,))
-    assert allowed(session(), arm_scene(), (link(),), Running.STREAMING, [], None).choose_pose
-    assert not allowed(session(), arm_scene(), (streamed,), Running.STREAMING, [], None).choose_pose
-    assert not allowed(session(), SCENE, (), Running.STREAMING, [], None).choose_pose
 
 
 def test_marks_and_the_worst():
