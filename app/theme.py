@@ -9,12 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from skincal.palette import BLUE, GREEN, METHODS, METHODS_ON_DARK, ORANGE, PINK, SKY, VERMILION, YELLOW
-
-if TYPE_CHECKING:
-    from skincal.taxels.result import Method
 
 HUES = (ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PINK)
 """Okabe and Ito 2008, without black; module i has hue i modulo 7."""
@@ -53,45 +49,27 @@ class Colours:
     """By the method's name in files; each method has its own symbol, too."""
 
 
-DARK = Colours(
-    dark=True,
-    window="#14171C",
-    panel="#1B1F26",
-    raised="#272C36",
-    line="#39404C",
-    edge="#757E8E",
-    text="#E8EBF0",
-    muted="#A0A9B8",
-    accent="#5CA8FF",
-    on_accent="#0B1420",
-    bad="#FF8A5C",
-    warn="#E8B84A",
-    axes=("#FF8A7A", "#6FD08C", "#6FB4FF"),
-    methods=METHODS_ON_DARK,
-)
-LIGHT = Colours(
-    dark=False,
-    window="#EEF0F3",
-    panel="#FFFFFF",
-    raised="#E2E6EB",
-    line="#C3CAD4",
-    edge="#768091",
-    text="#171B21",
-    muted="#525C6B",
-    accent="#0B5CBF",
-    on_accent="#FFFFFF",
-    bad="#B03A06",
-    warn="#7A5200",
-    axes=("#C2321F", "#0F7433", "#1463C4"),
-    methods=METHODS,
-)
+_DARK_AND_LIGHT = {
+    "window": ("#14171C", "#EEF0F3"),
+    "panel": ("#1B1F26", "#FFFFFF"),
+    "raised": ("#272C36", "#E2E6EB"),
+    "line": ("#39404C", "#C3CAD4"),
+    "edge": ("#757E8E", "#768091"),
+    "text": ("#E8EBF0", "#171B21"),
+    "muted": ("#A0A9B8", "#525C6B"),
+    "accent": ("#5CA8FF", "#0B5CBF"),
+    "on_accent": ("#0B1420", "#FFFFFF"),
+    "bad": ("#FF8A5C", "#B03A06"),
+    "warn": ("#E8B84A", "#7A5200"),
+}
+DARK, LIGHT = (
+    Colours(dark, axes=axes, methods=methods, **{name: colours[not dark] for name, colours in _DARK_AND_LIGHT.items()})
+    for dark, axes, methods in (
+        (True, ("#FF8A7A", "#6FD08C", "#6FB4FF"), METHODS_ON_DARK), (False, ("#C2321F", "#0F7433", "#1463C4"), METHODS),
+    )
+)  # fmt: skip
 
 WIDGET_GAP_PX = 8  # Pixels between things that belong together
 HEADLINE_FONT_SIZE_PT = 28
 """Status line: readable from two metres on a 24 inch screen, where a small letter is 5 mm high."""
 RESULT_FONT_SIZE_PT = 15  # Result of the last poke or action, above the status line: readable from one metre
-
-
-def method_hue(colours: Colours, method: Method) -> str:
-    """Return the hue of a method's curves."""
-    return colours.methods[method.value]

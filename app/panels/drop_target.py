@@ -8,7 +8,7 @@ from PySide6.QtCore import QEvent, QObject, Signal
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QWidget
 
-from app.session.dropping import DroppedRecording, request_of
+from app.session.dropping import request_of
 from skincal.model.errors import InputError
 
 
@@ -41,7 +41,7 @@ class DropTarget(QObject):
         except InputError as error:
             self.refused.emit(str(error))
             return
-        if isinstance(request, DroppedRecording):
-            self.recording_dropped.emit(request.paths)
+        if isinstance(request, tuple):
+            self.recording_dropped.emit(request)
         else:
             self.request_made.emit(request)

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QSettings, Qt
-from PySide6.QtWidgets import QButtonGroup, QComboBox, QLabel, QSizePolicy, QToolButton
+from PySide6.QtWidgets import QButtonGroup, QComboBox, QSizePolicy, QToolButton
 
 from app.panels.layouts import make_column, make_row
 from app.panels.panel import Panel, PanelContext
 from app.panels.plot import StillPlot
-from app.panels.widgets import compact_combo, escape_tooltip, secondary_label, theme_colours
+from app.panels.widgets import compact_combo, escape_tooltip, rich_label, secondary_label, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import STATISTICS, SYMBOLS, Axis, axis_words, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
-from app.theme import WIDGET_GAP_PX, method_hue
+from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
 from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.taxels.result import Method
@@ -76,10 +76,10 @@ class ErrorPlot(StillPlot):
         super().recolour()
         colours = theme_colours()
         for (method, statistic), curve in self.curves.items():
-            curve.setPen(pg.mkPen(method_hue(colours, method), width=1, style=LINE_STYLES[statistic]))
+            curve.setPen(pg.mkPen(colours.methods[method.value], width=1, style=LINE_STYLES[statistic]))
         for method, symbols in self.symbols.items():
             symbols.setSymbolPen(pg.mkPen(colours.panel))
-            symbols.setSymbolBrush(pg.mkBrush(method_hue(colours, method)))
+            symbols.setSymbolBrush(pg.mkBrush(colours.methods[method.value]))
 
     def draw(self, series: ErrorSeries, axis: Axis, row: int, quantity: str) -> None:
         """Draw the errors.
@@ -90,6 +90,8 @@ class ErrorPlot(StillPlot):
         quantity : title of the vertical axis
         """
         drawn: list[FloatArray] = []
+        # 1 if a point is joined to the next, 0 if points between them are still missing.
+        joined = (np.diff(series.counts, append=0) <= series.stride).astype(np.int64)
         for method in self.symbols:
             course = series.spreads.get(method)
             values = np.empty((0, 1 + len(self._modules), 4)) if course is None else 1e3 * course
@@ -97,7 +99,7 @@ class ErrorPlot(StillPlot):
                 drawn.append(self._draw_modules(method, values))
             else:
                 at = series.counts.astype(float) if axis is Axis.POKES else series.times / 60.0
-                drawn.append(self._draw_course(method, at, values[:, row], _is_joined(series)))
+                drawn.append(self._draw_course(method, at, values[:, row], joined))
         self._fit(series, axis, drawn)
         self._set_label("left", quantity)
         self._set_label("bottom", axis_words(series, axis))
@@ -147,11 +149,6 @@ class ErrorPlot(StillPlot):
             self.item.setXRange(-0.01 * longest, 1.01 * longest, padding=0.0)
 
 
-def _is_joined(series: ErrorSeries) -> IntArray:
-    """Return 1 if a point is joined to the next, 0 if points between them are still missing, (n,) int."""
-    return (np.diff(series.counts, append=0) <= series.stride).astype(np.int64)
-
-
 class ErrorsPanel(Panel):
     """Choice of reference and axis, the newest figures, and the plot."""
 
@@ -167,15 +164,7 @@ class ErrorsPanel(Panel):
         self._drawn_s = -PLOT_REDRAW_PERIOD_S
         self.source_box, self.module_box = compact_combo("compared with"), QComboBox()
         self.axis_buttons = {axis: QToolButton() for axis in Axis}
-        self.lines = {method: QLabel() for method in self._methods}
-        self._prepare()
-        self._arrange()
-        self._list_sources()
-        self.source_box.activated.connect(self._choose_source)
-        self.module_box.activated.connect(self.show_again)
-        self._group.buttonClicked.connect(self._choose_axis)
-
-    def _prepare(self) -> None:
+        self.lines = {method: rich_label() for method in self._methods}
         self._group = QButtonGroup(self)
         for axis, button in self.axis_buttons.items():
             button.setText(axis.value)
@@ -194,17 +183,17 @@ class ErrorsPanel(Panel):
             "Distance of the estimates from the known positions of the taxels, after each poke. Without known positions, the "
             "expected error of the estimates. Excluded pokes are left out of the whole course."
         )
-
-    def _arrange(self) -> None:
         choices = make_row(secondary_label("over"), *self.axis_buttons.values(), 1, self.module_box)
         for label in self.lines.values():
-            label.setTextFormat(Qt.TextFormat.RichText)
-            label.setProperty("rich", True)
             # A narrow panel cuts the end off and does not grow wider.
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         figures, half_gap = make_column(*self.lines.values(), gap=0), WIDGET_GAP_PX // 2
         margins = (WIDGET_GAP_PX, half_gap, WIDGET_GAP_PX, 0)
         self._column = self.fill(make_column(self.source_box, choices, figures, margins=margins, gap=half_gap), gap=0)
+        self._list_sources()
+        self.source_box.activated.connect(self._choose_source)
+        self.module_box.activated.connect(self.show_again)
+        self._group.buttonClicked.connect(self._choose_axis)
 
     @cached_property
     def plot(self) -> ErrorPlot:
@@ -239,7 +228,7 @@ class ErrorsPanel(Panel):
     def update_view(self, state: ViewState) -> None:
         self._drawn_s, row, series = state.now_s, self.module_box.currentIndex(), self.course.series()
         for method, label in self.lines.items():
-            mark = f'<span style="color:{method_hue(theme_colours(), method)}">{SYMBOLS[method]}</span>'
+            mark = f'<span style="color:{theme_colours().methods[method.value]}">{SYMBOLS[method]}</span>'
             words = escape(newest_words(series, method, row)).replace(" ", "&nbsp;")
             label.setText(f"{mark} <b>{METHOD_NAMES[method]}</b>&nbsp;&nbsp;{words}")
         self.plot.draw(series, self.axis, row, quantity_words(self.course.source))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from app.session.opening import PART_FILES, OpenRequest, server_command
@@ -16,15 +15,8 @@ DROP_ADVICE = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class DroppedRecording:
-    """Files or a folder of another program's recording."""
-
-    paths: tuple[Path, ...]
-
-
-def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
-    """Decide what to open: a session, a scene with simulated devices, a new part, or a recording to import.
+def request_of(paths: Sequence[Path]) -> OpenRequest | tuple[Path, ...]:
+    """Decide what to open: a session, a scene with simulated devices, a new part, or files or a folder to import.
 
     Raises
     ------
@@ -33,7 +25,7 @@ def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
     """
     try:
         if len(paths) > 1 and all(map(is_recording, paths)):
-            return DroppedRecording(tuple(paths))
+            return tuple(paths)
         if len(paths) == 1:
             return _request_of(paths[0])
     except OSError as error:
@@ -41,14 +33,14 @@ def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
     raise InputError(f"{len(paths)} files of this computer were dropped; expected one. {DROP_ADVICE}")
 
 
-def _request_of(path: Path) -> OpenRequest | DroppedRecording:
+def _request_of(path: Path) -> OpenRequest | tuple[Path, ...]:
     from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER
 
     kind = path.suffix.lower()
     if (path / SCENE_FOLDER / SCENE_FILE).is_file():
         return OpenRequest(session=path)
     if is_recording(path):
-        return DroppedRecording((path,))
+        return (path,)
     if path.is_dir():
         raise InputError(f"{path}: is not the folder of a session. {DROP_ADVICE}")
     if not path.is_file():

@@ -11,7 +11,7 @@ from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QApplication
 
 from app.__main__ import main
-from app.session.dropping import DroppedRecording, request_of
+from app.session.dropping import request_of
 from app.session.opening import MESHES, OpenRequest
 from app.state.running import Running
 from skincal.mesh.load import read_mesh
@@ -97,8 +97,8 @@ def test_a_recording_is_to_be_imported(tmp_path, name):
     path.parent.mkdir(exist_ok=True, parents=True)
     path.write_text("")
     dropped = tmp_path / Path(name).parts[0]
-    assert request_of([path, path]) == DroppedRecording((path, path))
-    assert request_of([dropped]) == DroppedRecording((dropped,))
+    assert request_of([path, path]) == (path, path)
+    assert request_of([dropped]) == (dropped,)
 
 
 def test_one_thing_at_a_time_that_is_there(tmp_path, recorded):
