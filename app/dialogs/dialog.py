@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QIcon
 from PySide6.QtWidgets import QDialog, QDialogButtonBox, QPushButton, QVBoxLayout, QWidget
 
 from app.panels.layouts import Item, make_column
-from app.panels.widgets import plain_buttons
 
 StandardButton = QDialogButtonBox.StandardButton
 
@@ -25,7 +25,9 @@ class Dialog(QDialog):
 
     def fill(self, *items: Item) -> QVBoxLayout:
         """Put items below each other, above the buttons."""
-        plain_buttons(self.buttons)
+        for button in self.buttons.buttons():
+            # The desktop's icons fit no theme of ours.
+            button.setIcon(QIcon())
         return make_column(*items, self.buttons, within=self)
 
     def button(self, kind: StandardButton = StandardButton.Close) -> QPushButton:

@@ -41,10 +41,6 @@ class ExportDialog(TaskDialog):
         # Space and Enter write the proposed file, then close.
         self.start.setDefault(True)
         self.start.setFocus()
-        self._connect()
-        self._format_chosen()
-
-    def _connect(self) -> None:
         self.format.currentIndexChanged.connect(self._format_chosen)
         self.method.currentIndexChanged.connect(self._propose_name)
         self.path.textChanged.connect(self._clear_outcome)
@@ -53,6 +49,7 @@ class ExportDialog(TaskDialog):
         self.path.textEdited.connect(self._path_edited)
         self.browse.clicked.connect(self._browse)
         self.start.clicked.connect(self._write)
+        self._format_chosen()
 
     def show_written(self, sentences: tuple[str, ...]) -> None:
         """Show that the file is written, with the remarks on it."""

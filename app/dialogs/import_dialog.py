@@ -107,7 +107,7 @@ class ImportDialog(Dialog):
         self._patience = QTimer(self, interval=KILL_STOPPED_IMPORT_AFTER_MS, singleShot=True)
         self._arrange()
         self._connect()
-        self._scene_changed()
+        self._take_preview(None)
         self.scene.read()
         self._check_folder()
         if paths:
@@ -142,11 +142,10 @@ class ImportDialog(Dialog):
         self.progress.hide()
         self.start.setText("Import")
         self.fill((scrolled(inner), 1), self.objection, self.progress)
-        self._show_preview(None)
 
     def _connect(self) -> None:
         self._typing.timeout.connect(self._request_preview)
-        self._progressing.timeout.connect(self._show_share)
+        self._progressing.timeout.connect(lambda: self.progress.setValue(round(1000 * self._share)))
         self._patience.timeout.connect(self._kill_import)
         for field in self.fields.values():
             field.textChanged.connect(self._files_changed)
@@ -255,10 +254,6 @@ class ImportDialog(Dialog):
 
     def _take_preview(self, preview: RecordingPreview | None, trouble: str = "") -> None:
         self._preview, self._trouble = preview, trouble
-        self._show_preview(preview)
-        self._update_problems()
-
-    def _show_preview(self, preview: RecordingPreview | None) -> None:
         self.kind.setText("" if preview is None else kind_words(preview))
         put_rows(self.streams, [] if preview is None else [stream_row(stream) for stream in preview.streams])
         fit_rows(self.streams)
@@ -270,6 +265,7 @@ class ImportDialog(Dialog):
         for widget in (self.streams, self.curve_words, self.curve):
             widget.setVisible(preview is not None)
         self.findings.setVisible(self.findings.count() > 0)
+        self._update_problems()
 
     def _update_problems(self) -> None:
         if self.importing:
@@ -308,9 +304,6 @@ class ImportDialog(Dialog):
             self._share = share
 
         self._jobs.submit(import_job, (request,), self._finish, self._fail, set_share, undo)
-
-    def _show_share(self) -> None:
-        self.progress.setValue(round(1000 * self._share))
 
     def _set_importing(self, importing: bool) -> None:
         self.importing, self._share = importing, 0.0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from PySide6.QtWidgets import QLabel, QScrollArea, QWidget
+from PySide6.QtWidgets import QScrollArea, QWidget
 
 from app.commands import key_words
 from app.dialogs.dialog import Dialog
+from app.panels.widgets import rich_label
 
 MAX_SIZE_PX = (1240, 680)  # A screen of 1280 by 720 without the desktop's frame
 SCROLL_AREA_BORDER_PX = 1  # Frame of the scrolled area, which shows the focus
@@ -17,8 +18,7 @@ class KeysDialog(Dialog):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__("Keys", parent)
-        self.list = QLabel()
-        self.list.setProperty("rich", True)
+        self.list = rich_label()
         self.area = QScrollArea(widgetResizable=True)
         self.area.setAccessibleName("keys")
         self.area.setFrameShape(QScrollArea.Shape.NoFrame)

@@ -27,7 +27,7 @@ from app.dialogs.dialog import Dialog, StandardButton
 from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row, scrolled
 from app.panels.devices import link_sign
 from app.panels.layouts import make_row
-from app.panels.widgets import choose_session_folder, compact_combo, digits_font, secondary_label
+from app.panels.widgets import choose_session_folder, compact_combo, digits_font, rich_label, secondary_label
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
@@ -90,8 +90,7 @@ class StreamRow(QWidget):
         # No completion: it would turn a half typed address into another one.
         self.box.setCompleter(QCompleter([], self))
         self.label.setBuddy(self.box)
-        self.sign = QLabel()
-        self.sign.setProperty("rich", True)
+        self.sign = rich_label()
         self.verdict = QLabel(wordWrap=True, alignment=Qt.AlignmentFlag.AlignTop)
         self.verdict.setMinimumHeight(scaled(STATE_TEXT_MIN_HEIGHT_PX))
         self.verdict.setAccessibleName(f"state of the {name}")

@@ -77,16 +77,6 @@ class ThresholdsDialog(Dialog):
         self._grid = QGridLayout(inner)
         self._grid.setColumnStretch(3, 1)
         self.rows: dict[str, ThresholdRow] = {}
-        self._fill()
-        self.use = self.buttons.addButton("Use", QDialogButtonBox.ButtonRole.ApplyRole)
-        self.back = self.buttons.addButton("Use those of the scene", QDialogButtonBox.ButtonRole.ResetRole)
-        self.fill(secondary_label(THRESHOLDS_INTRODUCTION, wrap=True), (self.area, 1))
-        self.use.setDefault(True)
-        self._show_fields()
-        self.use.clicked.connect(self._use)
-        self.back.clicked.connect(lambda: self.thresholds_wanted.emit(SetThresholds()))
-
-    def _fill(self) -> None:
         for title, group in THRESHOLD_GROUPS.items():
             heading = QLabel(title)
             set_bold(heading)
@@ -94,6 +84,13 @@ class ThresholdsDialog(Dialog):
             for name, words in group.items():
                 row = self.rows[name] = ThresholdRow(words, with_unit(name, self._scene[name]), self._grid)
                 row.field.textEdited.connect(self._edited)
+        self.use = self.buttons.addButton("Use", QDialogButtonBox.ButtonRole.ApplyRole)
+        self.back = self.buttons.addButton("Use those of the scene", QDialogButtonBox.ButtonRole.ResetRole)
+        self.fill(secondary_label(THRESHOLDS_INTRODUCTION, wrap=True), (self.area, 1))
+        self.use.setDefault(True)
+        self._show_fields()
+        self.use.clicked.connect(self._use)
+        self.back.clicked.connect(lambda: self.thresholds_wanted.emit(SetThresholds()))
 
     def show_state(self, state: ViewState) -> None:
         """Show the thresholds in use and the newest pokes, if the dialog is visible."""

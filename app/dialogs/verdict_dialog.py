@@ -59,18 +59,6 @@ class VerdictDialog(Dialog):
         self.report = self.buttons.addButton(f"Report{ELLIPSIS}", QDialogButtonBox.ButtonRole.ActionRole)
         self.export = self.buttons.addButton(f"Export{ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
         self.export.setEnabled(can_export)
-        self._arrange()
-        is_good = verdict.enough and verdict.done > 0 and not verdict.doubted and settled
-        first = self.export if is_good and can_export else self.go_on
-        first.setDefault(True)
-        first.setFocus()
-        self.buttons.accepted.connect(self._export)
-        self.report.clicked.connect(self.report_wanted)
-        self.left.itemActivated.connect(
-            lambda item: self.taxel_wanted.emit(self._channels[self.left.indexOfTopLevelItem(item)])
-        )
-
-    def _arrange(self) -> None:
         self.left.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         # It gets the remaining height, and scrolls before the whole dialog does.
         self.left.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
@@ -86,6 +74,15 @@ class VerdictDialog(Dialog):
         self.area.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.area.setAccessibleName("verdict and figures")
         self.fill((self.area, 1))
+        is_good = verdict.enough and verdict.done > 0 and not verdict.doubted and settled
+        first = self.export if is_good and can_export else self.go_on
+        first.setDefault(True)
+        first.setFocus()
+        self.buttons.accepted.connect(self._export)
+        self.report.clicked.connect(self.report_wanted)
+        self.left.itemActivated.connect(
+            lambda item: self.taxel_wanted.emit(self._channels[self.left.indexOfTopLevelItem(item)])
+        )
 
     def showEvent(self, event: QShowEvent) -> None:
         """Resize the dialog to its wrapped text, at most to the size of the screen."""

@@ -25,6 +25,7 @@ from app.panels.widgets import (
     escape_tooltip,
     fit_rows,
     put_rows,
+    rich_label,
     secondary_label,
     set_bold,
     table,
@@ -88,9 +89,13 @@ class ComparePanel(Panel):
         self._chosen: tuple[str, str] | None = None  # The operator's choice, if any
         self.boxes = (compact_combo("from"), compact_combo("to"))
         self.all, self.scale = QCheckBox("all"), QComboBox()
-        self.legend, self.summary, self.health = (QLabel(wordWrap=True) for _ in range(3))
-        self.add_file, self.add_session = QPushButton("Add file…"), QPushButton("Add session…")
-        self.save_button = QPushButton("Save the corrected layout…")
+        self.legend, self.summary, self.health = rich_label(wrap=True), QLabel(wordWrap=True), QLabel(wordWrap=True)
+        # The space bar pauses, so Enter presses the button that has the focus.
+        self.add_file, self.add_session = (
+            QPushButton("Add file…", autoDefault=True),
+            QPushButton("Add session…", autoDefault=True),
+        )
+        self.save_button = QPushButton("Save the corrected layout…", autoDefault=True)
         self.motion, self.spacing, self.listed = secondary_label(wrap=True), secondary_label(wrap=True), secondary_label()
         self.modules = table("modules", MODULE_HEADINGS, MODULE_HINTS)
         self.worst = TaxelList("taxels with the largest difference")
@@ -113,14 +118,9 @@ class ComparePanel(Panel):
         self.all.setToolTip("Show the layout and the positions by every method together")
         self.modules.setSelectionMode(QTreeWidget.SelectionMode.NoSelection)
         self.modules.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        # The space bar pauses, so Enter presses the button that has the focus.
-        for button in (self.save_button, self.add_file, self.add_session):
-            button.setAutoDefault(True)
         self.add_file.setToolTip("Compare with a calibration (JSON, CSV, iCub) or truth.json")
         self.add_session.setToolTip("Compare with another recorded session, by each of its methods")
         set_bold(self.summary)
-        self.legend.setTextFormat(Qt.TextFormat.RichText)
-        self.legend.setProperty("rich", True)
         self.setWhatsThis(
             "Differences between two sets of taxel positions. Errors of sensor and arm move whole modules, so the difference "
             "of a module has two parts: its shift, and its shape, the rest after the best rotation and shift."
@@ -291,7 +291,7 @@ class ComparePanel(Panel):
 
             write_layout(layout, found.mend, path)
 
-        self._context.compute(write, lambda _: self.message_ready.emit(saved_words(path, found.mend)), self.failure_ready.emit)
+        self._context.compute(write, lambda _: self.message_ready.emit(saved_words(path, found.mend)))
 
 
 def _sign(sign: str, tint: str) -> str:

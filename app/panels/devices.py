@@ -8,7 +8,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton
 
 from app.panels.panel import Panel, PanelContext
-from app.panels.widgets import ElidedLabel, digits_font, escape_tooltip, secondary_label, set_bold, theme_colours
+from app.panels.widgets import ElidedLabel, digits_font, escape_tooltip, rich_label, secondary_label, set_bold, theme_colours
 from app.state.view_state import LinkStatus, ViewState
 from app.text.guidance_text import BETWEEN
 from app.text.outcomes import LinkWords, link_lines
@@ -52,9 +52,7 @@ class LinkCard(QFrame):
     def __init__(self) -> None:
         super().__init__()
         self.setObjectName("card")
-        self.sign = QLabel()
-        self.sign.setProperty("rich", True)
-        self.name = QLabel()
+        self.sign, self.name = rich_label(), QLabel()
         set_bold(self.name)
         self.rate = QLabel(alignment=Qt.AlignmentFlag.AlignRight)
         set_font(self.rate, digits_font(RATE_FONT_SIZE_PT), RATE_FONT_SIZE_PT)

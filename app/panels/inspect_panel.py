@@ -214,7 +214,10 @@ class InspectPanel(Panel):
         self._listed: tuple[object, ...] = ()
         self.heading = QLabel("No taxel selected")
         set_bold(self.heading, TITLE_FONT_SIZE_PT)
-        self.cells = {method: [QLabel(DASH) for _ in ESTIMATE_ROWS] for method in methods}
+        selectable = Qt.TextInteractionFlag.TextSelectableByMouse
+        self.cells = {
+            method: [QLabel(DASH, wordWrap=True, textInteractionFlags=selectable) for _ in ESTIMATE_ROWS] for method in methods
+        }
         self.reason = secondary_label("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")
         self.use.setEnabled(False)
@@ -224,13 +227,6 @@ class InspectPanel(Panel):
         self.pokes = table("pokes of the taxel", POKE_HEADINGS, _POKE_HINTS)
         self.pokes.setMinimumHeight(110)
         self.worst = TaxelList("taxels that need pokes most")
-        self._arrange()
-        self.use.clicked.connect(self._switch_use)
-        self.worst.taxel_wanted.connect(self.taxel_wanted)
-        self.pokes.itemActivated.connect(lambda item, _column: self.poke_wanted.emit(int(item.text(0))))
-        self.setWhatsThis("The selected taxel by each method. " + NOT_COVERED)
-
-    def _arrange(self) -> None:
         grid = QGridLayout()
         grid.setHorizontalSpacing(2 * WIDGET_GAP_PX)
         grid.setVerticalSpacing(2)
@@ -238,8 +234,6 @@ class InspectPanel(Panel):
             grid.addWidget(secondary_label(METHOD_NAMES[method]), 0, column)
             grid.setColumnStretch(column, 1)
             for row, label in enumerate(self.cells[method], start=1):
-                label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-                label.setWordWrap(True)
                 grid.addWidget(label, row, column, Qt.AlignmentFlag.AlignTop)
         for row, text in enumerate(ESTIMATE_ROWS, start=1):
             grid.addWidget(secondary_label(text), row, 0, Qt.AlignmentFlag.AlignTop)
@@ -249,6 +243,10 @@ class InspectPanel(Panel):
         )  # fmt: skip
         for empty in (self.diversity, self.rival, self.pokes_title, self.pokes):
             empty.hide()
+        self.use.clicked.connect(self._switch_use)
+        self.worst.taxel_wanted.connect(self.taxel_wanted)
+        self.pokes.itemActivated.connect(lambda item, _column: self.poke_wanted.emit(int(item.text(0))))
+        self.setWhatsThis("The selected taxel by each method. " + NOT_COVERED)
 
     def show_state(self, state: ViewState) -> None:
         self.diversity.show_state(state)

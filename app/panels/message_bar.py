@@ -23,9 +23,8 @@ class MessageBar(QFrame):
     def __init__(self) -> None:
         super().__init__()
         self._waiting: deque[Message] = deque(maxlen=MAX_QUEUED_MESSAGES)
-        self.text = QLabel(wordWrap=True)
         # Messages quote files and devices: Qt would interpret HTML in them.
-        self.text.setTextFormat(Qt.TextFormat.PlainText)
+        self.text = QLabel(wordWrap=True, textFormat=Qt.TextFormat.PlainText)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.close_button = QPushButton("Dismiss  (Esc)", flat=True)
         self._timer = QTimer(self, singleShot=True)

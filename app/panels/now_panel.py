@@ -255,8 +255,7 @@ class NowPanel(QFrame):
         self.headline = FittedLabel()
         self.detail = ElidedLabel("muted")
         self.detail.setProperty("quiet", True)
-        self.simulated = QLabel()
-        self.simulated.setAlignment(Qt.AlignmentFlag.AlignRight)
+        self.simulated = QLabel(alignment=Qt.AlignmentFlag.AlignRight)
         self.simulated.setToolTip("No robot is connected: a simulated hand presses a simulated robot. Shift+P: change its pace")
         set_bold(self.simulated, SIMULATED_LABEL_FONT_SIZE_PT)
         self.gauge = ForceGauge()
@@ -266,13 +265,6 @@ class NowPanel(QFrame):
         set_bold(self.result, RESULT_FONT_SIZE_PT)
         self.headline.setAccessibleName("what to do now")
         self.result.setAccessibleName("last result")
-        self._arrange()
-        self.setWhatsThis(
-            "What to do now: which taxel to press, how to hold the tool, and why. Above it, smaller, the result of the last "
-            "poke or key. The ring fills while a poke is held still. The bar is the force; in the lighter band a poke counts."
-        )
-
-    def _arrange(self) -> None:
         words = make_column(1, self.result, self.headline, self.detail, 1, gap=2)
         right = make_column(self.simulated, (self.gauge, 1, Qt.AlignmentFlag.AlignRight))
         margins = (2 * WIDGET_GAP_PX, WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, WIDGET_GAP_PX)
@@ -280,6 +272,10 @@ class NowPanel(QFrame):
         # The same height with and without the dial, so that nothing moves when the guide is switched off.
         row.addStrut(TILT_DIAL_SIZE_PX + 2)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self.setWhatsThis(
+            "What to do now: which taxel to press, how to hold the tool, and why. Above it, smaller, the result of the last "
+            "poke or key. The ring fills while a poke is held still. The bar is the force; in the lighter band a poke counts."
+        )
 
     def begin_session(self, snapshot: Snapshot) -> None:
         """Show a newly opened session, which may already have pokes."""

@@ -52,7 +52,6 @@ class Panel(QScrollArea):
     follow_wanted = Signal()  # Follow the session again: the panel needs something else from now on
     comparison_changed = Signal(object)  # Show this `Comparison` in the 3D view; `None` for the estimates
     message_ready = Signal(str)  # Tell this to the operator
-    failure_ready = Signal(str)  # Tell this failure to the operator
 
     def __init__(self, _context: PanelContext | None = None) -> None:
         super().__init__()

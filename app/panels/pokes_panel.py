@@ -190,25 +190,15 @@ class PokesPanel(Panel):
     def __init__(self, context: PanelContext) -> None:
         super().__init__()
         self.model = PokeTable(context.names)
-        self.table = QTableView()
+        self.table = QTableView(showGrid=False)
         self.table.setModel(self.model)
         self.tally = secondary_label(wrap=True)
         self.tally.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
-        self._prepare()
-        self.fill(self.tally, (self.table, 1), gap=0)
-        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.setWhatsThis(
-            "Every poke, newest first, with its outcome. An excluded poke stays in the recording, is not used for the "
-            "estimates, and can be restored."
-        )
-
-    def _prepare(self) -> None:
         table = self.table
         table.setAccessibleName("pokes")
         make_copyable(table)
         # Tab goes to the next part of the window, as everywhere.
         table.setTabKeyNavigation(False)
-        table.setShowGrid(False)
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         table.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         table.verticalHeader().hide()
@@ -220,6 +210,12 @@ class PokesPanel(Panel):
             header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed if text else QHeaderView.ResizeMode.Stretch)
         self._fit_cells()
         table.selectionModel().selectionChanged.connect(self._selection_changed)
+        self.fill(self.tally, (self.table, 1), gap=0)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setWhatsThis(
+            "Every poke, newest first, with its outcome. An excluded poke stays in the recording, is not used for the "
+            "estimates, and can be restored."
+        )
 
     def _fit_cells(self) -> None:
         metrics = self.fontMetrics()

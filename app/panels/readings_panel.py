@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QBoxLayout, QLabel, QWidget
+from PySide6.QtWidgets import QBoxLayout, QWidget
 
 from app.panels.layouts import make_column
 from app.panels.panel import Panel, PanelContext
 from app.panels.plot import StillPlot
-from app.panels.widgets import theme_colours
+from app.panels.widgets import rich_label, theme_colours
 from app.state.policies import curve_range
 from app.state.view_state import ViewState
 from app.text_size import scaled
@@ -68,8 +67,7 @@ class Curves(QWidget):
         super().__init__()
         self._title, self._unit, self._floor, self._decimals = title, UNITS[unit], floor, decimals
         self._is_broken, self._numbers, self._half = False, np.full(3, np.nan), floor
-        self.header = QLabel(textFormat=Qt.TextFormat.RichText)
-        self.header.setProperty("rich", True)
+        self.header = rich_label()
         self.header.setContentsMargins(WIDGET_GAP_PX, 2, WIDGET_GAP_PX, 0)
         self.plot = StillPlot(f"curves of the {title.lower()}", 44, 18, 60)
         self.plot.item.setXRange(-TIME_AXIS_SPAN_S, 0.0, padding=0.0)

@@ -13,7 +13,6 @@ from PySide6.QtGui import (
     QFontDatabase,
     QFontMetrics,
     QGuiApplication,
-    QIcon,
     QKeySequence,
     QPainter,
     QPaintEvent,
@@ -24,7 +23,6 @@ from PySide6.QtWidgets import (
     QAbstractItemView,
     QApplication,
     QComboBox,
-    QDialogButtonBox,
     QFileDialog,
     QHeaderView,
     QLabel,
@@ -134,6 +132,14 @@ def secondary_label(text: str = "", *, wrap: bool = False) -> QLabel:
     label = QLabel(text)
     label.setProperty("quiet", True)
     label.setWordWrap(wrap)
+    return label
+
+
+def rich_label(*, wrap: bool = False) -> QLabel:
+    """Make an empty label that shows HTML."""
+    label = QLabel(wordWrap=wrap, textFormat=Qt.TextFormat.RichText)
+    # The style sheet makes the text of all other labels plain.
+    label.setProperty("rich", True)
     return label
 
 
@@ -263,12 +269,6 @@ def fit_to_screen(window: QWidget, size: tuple[int, int]) -> None:
     frame.moveRight(min(frame.right(), room.right()))
     frame.moveBottom(min(frame.bottom(), room.bottom()))
     window.move(max(frame.left(), room.left()), max(frame.top(), room.top()))
-
-
-def plain_buttons(box: QDialogButtonBox) -> None:
-    """Remove the desktop's icons from a dialog's buttons: they fit no theme of ours."""
-    for button in box.buttons():
-        button.setIcon(QIcon())
 
 
 def with_ending(chosen: str, ending: str) -> Path:
