@@ -338,8 +338,7 @@ class TaxelMap(pg.GraphicsView):
     def mouseReleaseEvent(self, ev: QMouseEvent) -> None:
         ev.accept()
 
-    def mouseDoubleClickEvent(self, ev: QMouseEvent) -> None:
-        ev.accept()
+    mouseDoubleClickEvent = mouseReleaseEvent
 
     def keyPressEvent(self, ev: QKeyEvent) -> None:
         """Zoom, or select the next taxel in the arrow's direction."""

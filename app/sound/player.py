@@ -184,11 +184,16 @@ class Player:
 
     def get_ready(self) -> None:
         """Open the device, so that the first sound is not late."""
-        self._order(None)
+        self.play(None)
 
-    def play(self, sound: Cue, word: str = "") -> None:
-        """Play a sound, then speak the word if speech is on; a new sound interrupts the one before."""
-        self._order(sound, word)
+    def play(self, sound: Cue | None, word: str = "") -> None:
+        """Play a sound, then speak the word if speech is on; a new sound interrupts the one before. `None`: open the device."""
+        if self._closed or not self.on:
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="skincal-sound", daemon=True)
+            self._thread.start()
+        self._orders.put((sound, word, time.monotonic()))
 
     def close(self) -> None:
         """Close the device and end the thread."""
@@ -197,14 +202,6 @@ class Player:
         if thread is not None:
             self._orders.put(None)
             thread.join(DEVICE_CLOSE_TIMEOUT_S)
-
-    def _order(self, sound: Cue | None, word: str = "") -> None:
-        if self._closed or not self.on:
-            return
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name="skincal-sound", daemon=True)
-            self._thread.start()
-        self._orders.put((sound, word, time.monotonic()))
 
     # In the thread
 
