@@ -46,23 +46,17 @@ PICTURES_FOLDER = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 
 
 class WindowPhotographer:
-    """A window on one session, and its pictures."""
+    """A window without a screen, and its pictures."""
 
-    def __init__(self, request: OpenRequest, choice: Choice, tab: str, size: tuple[int, int] = (1280, 800)) -> None:
-        settings = QSettings(f"{tab}.ini", QSettings.Format.IniFormat)
+    def __init__(self, name: str, choice: Choice, size: tuple[int, int]) -> None:
+        settings, documents = QSettings(f"{name}.ini", QSettings.Format.IniFormat), Path("documents").absolute()
         settings.setValue("window/sounds", False)
         self.theme = Theme(choice)
-        self.window = Window(Controller(Path("documents")), self.theme, settings, Path("documents"), Player())
+        self.window = Window(Controller(documents), self.theme, settings, documents, Player())
         # There is no screen to maximize on.
         self.window.setWindowState(Qt.WindowState.WindowNoState)
         self.window.resize(*size)
         self.window.show()
-        self.window.controller.open(request)
-        self.until(lambda: self.window.session_view is not None and self.window.session_view.state is not None)
-        assert self.window.session_view is not None
-        self.view = self.window.session_view
-        self.until(lambda: self.view.workspace.view.list_layers() != ())
-        self.view.workspace.show_tab(tab)
 
     def until(self, there: Callable[[], bool]) -> None:
         """Let the window work until a condition is true."""
@@ -72,6 +66,31 @@ class WindowPhotographer:
                 sys.exit("pictures: what a picture is to show did not come; try another seed.")
             QApplication.processEvents()
             time.sleep(0.001)
+
+    def grab(self, name: str, seconds: float = 0.06) -> Path:
+        """Write a picture of the window and its open dialog after `seconds`; return its path."""
+        self.window.show()
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() > end)
+        picture, dialog = self.window.grab(), QApplication.activeModalWidget()
+        if dialog is not None:
+            dialog.render(picture, self.window.rect().center() - dialog.rect().center())
+        path = PICTURES_FOLDER / f"{name}.png"
+        picture.save(str(path))
+        return path
+
+
+class SessionPhotographer(WindowPhotographer):
+    """A window on one session, and its pictures."""
+
+    def __init__(self, request: OpenRequest, choice: Choice, tab: str, size: tuple[int, int] = (1280, 800)) -> None:
+        super().__init__(tab, choice, size)
+        self.window.controller.open(request)
+        self.until(lambda: self.window.session_view is not None and self.window.session_view.state is not None)
+        assert self.window.session_view is not None
+        self.view = self.window.session_view
+        self.until(lambda: self.view.workspace.view.list_layers() != ())
+        self.view.workspace.show_tab(tab)
 
     def until_text(self, words: str, detail: str, pokes: int) -> None:
         """Wait until the line below the views has `words`, the one below it `detail`, and the session `pokes`."""
@@ -84,25 +103,15 @@ class WindowPhotographer:
 
         self.until(has_text)
 
-    def grab(self, name: str, seconds: float = 0.06) -> None:
-        """Write a picture of the window and its open dialog after `seconds`."""
-        self.window.show()
-        end = time.monotonic() + seconds
-        self.until(lambda: time.monotonic() > end)
-        picture, dialog = self.window.grab(), QApplication.activeModalWidget()
-        if dialog is not None:
-            dialog.render(picture, self.window.rect().center() - dialog.rect().center())
-        picture.save(str(PICTURES_FOLDER / f"{name}.png"))
-
 
 def draw_window() -> None:
     """Write every picture of the window."""
     forearm = load_scene(find_scene(None))
     simulate_session(forearm, load_scene_surface(forearm)[0], Path("trial"), 252, 1, RigErrors.noise())
-    course = WindowPhotographer(OpenRequest(session=Path("trial")), Choice.DARK, "Errors")
+    course = SessionPhotographer(OpenRequest(session=Path("trial")), Choice.DARK, "Errors")
     course.grab("errors", 10.0)
     course.window.leave()
-    good = WindowPhotographer(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
+    good = SessionPhotographer(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
     # The modules method would end before the last pictures.
     good.view.show_method(Method.SURFACE)
     good.until_text("hold still", "aim", 25)
@@ -121,7 +130,7 @@ def draw_window() -> None:
 
 def draw_rig() -> None:
     """Write the pictures of a rig with the paper's errors."""
-    wrong = WindowPhotographer(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, "Rig")
+    wrong = SessionPhotographer(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, "Rig")
     # Hidden, it does not fall behind the operator on a busy machine.
     wrong.window.hide()
     wrong.until(lambda: any(offer.frame is None for offer in (wrong.view.state.offers if wrong.view.state else ())))
@@ -137,7 +146,7 @@ def draw_rig() -> None:
 
 def draw_robot() -> None:
     """Write the picture of the window while a simulated robot pokes."""
-    robot = WindowPhotographer(OpenRequest(server=server_command(None, robot=True), robot=True), Choice.LIGHT, "Readings")
+    robot = SessionPhotographer(OpenRequest(server=server_command(None, robot=True), robot=True), Choice.LIGHT, "Readings")
     robot.until(lambda: robot.view.state is not None and len(robot.view.state.snapshot.contacts) >= 14)
     robot.until_text("Hold still", "", 0)
     robot.grab("robot")
@@ -148,33 +157,12 @@ def draw_part() -> None:
     """Write the pictures of the tutorial on a part of one's own."""
     from tools.first_part import find_icub, walk_tutorial
 
-    settings = QSettings("part.ini", QSettings.Format.IniFormat)
-    settings.setValue("window/sounds", False)
-    documents = Path("documents").absolute()
-    window = Window(Controller(documents), Theme(Choice.LIGHT), settings, documents, Player())
-    window.setWindowState(Qt.WindowState.WindowNoState)
-    window.resize(1280, 720)
-    window.show()
-
-    def until(there: Callable[[], bool]) -> None:
-        end = time.monotonic() + 900.0
-        while not there():
-            if time.monotonic() > end:
-                sys.exit("pictures: what a picture is to show did not come.")
-            QApplication.processEvents()
-            time.sleep(0.001)
-
-    for name in walk_tutorial(window, find_icub(), until, documents / "forearm.json"):
-        end = time.monotonic() + 0.3
-        until(lambda end=end: time.monotonic() > end)
-        picture, dialog = window.grab(), QApplication.activeModalWidget()
-        if dialog is not None:
-            dialog.render(picture, window.rect().center() - dialog.rect().center())
-        path = PICTURES_FOLDER / f"part-{name}.png"
-        picture.save(str(path))
+    part = WindowPhotographer("part", Choice.LIGHT, (1280, 720))
+    for name in walk_tutorial(part.window, find_icub(), part.until, Path("documents/forearm.json").absolute()):
+        path = part.grab(f"part-{name}", 0.3)
         # A quarter of the size, and no eye sees the difference.
         Image.open(path).convert("RGB").quantize(PART_PICTURE_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
-    window.leave()
+    part.window.leave()
 
 
 def draw_headless() -> None:
