@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from skincal.geometry import FloatArray, inverse_pose, length_of, orthonormal_pair
-from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
@@ -16,6 +15,7 @@ from skincal.physics.effects import Effects
 from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, Engine
 from skincal.physics.mjcf import Joint, RigPlan, write_mjcf
 from skincal.physics.rig import RigLayout, SimulatedRobot, rotation_by, soft_axes
+from skincal.simulate.simulated_rig import mount_skin
 
 TOOL_LENGTH_M = 0.10
 PART_CENTRE_HEIGHT_M = 0.40
@@ -148,7 +148,7 @@ def _place_tip(
     -------
     The plan, the angles of that pose (joints,) and other starts (n, joints), radians.
     """
-    places, normals = _planned_skin(scene, surface)
+    _, places, normals = mount_skin(scene, surface, lambda anchor: anchor)
     rng = np.random.default_rng(0)
     limits = np.array([joint.limits for joint in chain if joint.axis is not None])
     low, high = np.maximum(limits[:, 0], -MAX_TRIED_JOINT_ANGLE_RAD), np.minimum(limits[:, 1], MAX_TRIED_JOINT_ANGLE_RAD)
@@ -187,16 +187,6 @@ def _tip_base(chain: Sequence[Joint], angles: FloatArray, places: FloatArray, no
     wrist[:3, 2] = push
     wrist[:3, 3] = middle - (TOOL_LENGTH_M + TIP_START_HEIGHT_M) * push
     return wrist
-
-
-def _planned_skin(scene: Scene, surface: Surface) -> tuple[FloatArray, FloatArray]:
-    """Return places (n, 3) and normals (n, 3) of the taxels by the plan. Raises InputError without one."""
-    layout = scene.skin.layout
-    laid = None if layout is None else place_layout(layout, scene.skin.anchor, surface)
-    if layout is None or laid is None:
-        raise InputError(f"{scene.path}: a simulated skin needs [skin] modules and an anchor, to know where its taxels are.")
-    known = layout.channels[np.isfinite(laid.places[layout.channels]).all(axis=1)]
-    return laid.places[known], laid.normals[known]
 
 
 def make_robot(scene: Scene, surface: Surface, effects: Effects, seed: int) -> SimulatedRobot:

@@ -18,6 +18,7 @@ from skincal.physics.effects import BASE_TURN_PER_M, SENSOR_DELAY_S, Effects
 from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, PERIOD_S, Engine, Touch
 from skincal.physics.mjcf import TIP_RADIUS_M, RigPlan, write_mjcf
 from skincal.physics.skin import Pads
+from skincal.simulate.simulated_rig import truth_as_json
 
 SENSOR_LAST_DIGIT_SD_N = 0.005
 """N, sd of one reading of a sensor without noise: its last digit. Readings that never change look like a frozen sensor."""
@@ -222,13 +223,8 @@ class SimulatedRobot:
         return self.pads.frame(self.engine.touch(), self.effects.patch, self._frame_rng)
 
     def truth(self) -> dict[str, Any]:
-        """Return the true taxels for `truth.json`: link frame, metres, unit normals."""
-        pads = self.pads
-        taxels = zip(pads.channels.tolist(), pads.places.tolist(), pads.normals.tolist(), strict=True)
-        return {
-            "link": self.scene.link,
-            "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
-        }
+        """Return the true taxels for `truth.json`."""
+        return truth_as_json(self.scene.link, self.pads.channels, self.pads.places, self.pads.normals)
 
 
 def _moved_towards(
