@@ -26,6 +26,15 @@ RIG_KEY = "rig"
 """In a truth file: `seed` and `errors` of the simulated rig, from which `simulate` makes the same rig."""
 
 
+def truth_as_json(link: str, channels: IntArray, places: FloatArray, normals: FloatArray) -> dict[str, Any]:
+    """Write true taxels for `truth.json`: link frame, metres, unit normals."""
+    taxels = zip(channels.tolist(), places.tolist(), normals.tolist(), strict=True)
+    return {
+        "link": link,
+        "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
+    }
+
+
 class Origin(Enum):
     """Source of known positions."""
 

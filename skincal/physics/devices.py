@@ -12,7 +12,6 @@ from skincal.model.readings import Stream
 from skincal.physics.engine import PERIOD_S
 from skincal.physics.rig import SimulatedRobot
 from skincal.simulate.board_formats import Encoder, make_encoder
-from skincal.simulate.simulated_rig import DEFAULT_RANGE
 
 CONTROL_PERIODS_PER_SENT_BLOCK = 5
 BLOCK_S = CONTROL_PERIODS_PER_SENT_BLOCK * PERIOD_S
@@ -52,7 +51,7 @@ class RobotDevices:
                 f"board={scene.name},n={self.channels},rate={1 / BLOCK_S:g},unit=raw,kind=taxel,"
                 f"polarity={'up' if scene.skin.polarity > 0 else 'down'},fw=1",
                 self.channels,
-                (scene.skin.range or DEFAULT_RANGE)[1],
+                (scene.skin.range or (0.0, 255.0))[1],
             ),
         }
         if scene.arm is not None:

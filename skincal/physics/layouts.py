@@ -15,7 +15,7 @@ from skincal.physics.effects import Effects
 from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, Engine
 from skincal.physics.mjcf import Joint, RigPlan, write_mjcf
 from skincal.physics.rig import RigLayout, SimulatedRobot, rotation_by, soft_axes
-from skincal.simulate.simulated_rig import mount_skin
+from skincal.physics.skin import mount_skin
 
 TOOL_LENGTH_M = 0.10
 PART_CENTRE_HEIGHT_M = 0.40
@@ -148,7 +148,7 @@ def _place_tip(
     -------
     The plan, the angles of that pose (joints,) and other starts (n, joints), radians.
     """
-    _, places, normals = mount_skin(scene, surface, lambda anchor: anchor)
+    _, places, normals = mount_skin(scene, surface)
     rng = np.random.default_rng(0)
     limits = np.array([joint.limits for joint in chain if joint.axis is not None])
     low, high = np.maximum(limits[:, 0], -MAX_TRIED_JOINT_ANGLE_RAD), np.minimum(limits[:, 1], MAX_TRIED_JOINT_ANGLE_RAD)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from skincal.files.reference import truth_as_json
 from skincal.geometry import FloatArray, cross_matrix, crossed, inverse_pose, length_of
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
@@ -18,7 +19,6 @@ from skincal.physics.effects import BASE_TURN_PER_M, SENSOR_DELAY_S, Effects
 from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, PERIOD_S, Engine, Touch
 from skincal.physics.mjcf import TIP_RADIUS_M, RigPlan, write_mjcf
 from skincal.physics.skin import Pads
-from skincal.simulate.simulated_rig import truth_as_json
 
 SENSOR_LAST_DIGIT_SD_N = 0.005
 """N, sd of one reading of a sensor without noise: its last digit. Readings that never change look like a frozen sensor."""

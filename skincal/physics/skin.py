@@ -7,14 +7,19 @@ force to the pad, z its part along the normal. A pad reads the load on its disc,
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, tangent_axes
+from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.model.skin import Anchor, Layout
 from skincal.physics.engine import Touch
 from skincal.physics.mjcf import FOAM_THICKNESS_M, TIP_RADIUS_M
-from skincal.simulate.simulated_rig import DEFAULT_RANGE, displace_anchor, mount_skin
 
 PAD_RADIUS_M = 0.002
 """m, of an electrode (Maiolino et al., IEEE Sensors Journal 2013: about 4 mm across)."""
@@ -32,6 +37,7 @@ READING_NOISE_SD_OVER_RANGE = 1.0 / 255.0
 """sd of one reading over the range."""
 MOUNT_SHIFT_M, MOUNT_TURN = 0.003, float(np.radians(2.0))
 """sd of the skin's offset from its plan, in each direction, and of its turn: the calibration has to find it."""
+DEFAULT_RANGE = (0.0, 255.0)
 _RING_ANGLES = np.pi / 3.0 * np.arange(6)
 DISC_POINTS = np.vstack([np.zeros((1, 2)), np.sqrt(2.0 / 3.0) * np.column_stack([np.cos(_RING_ANGLES), np.sin(_RING_ANGLES)])])
 """(7, 2) float: points of a quadrature of the unit disc with the weights `DISC_WEIGHTS` (Abramowitz and Stegun, 25.4.61)."""
@@ -46,8 +52,12 @@ class Pads:
 
     def __init__(self, scene: Scene, surface: Surface, rng: np.random.Generator) -> None:
         shift, turn = MOUNT_SHIFT_M * rng.standard_normal(2), MOUNT_TURN * rng.standard_normal()
-        mounted = mount_skin(scene, surface, lambda anchor: displace_anchor(anchor, turn, shift))
-        self.channels, self.places, self.normals = mounted
+
+        def displaced(anchor: Anchor) -> Anchor:
+            x = np.cos(turn) * anchor.x + np.sin(turn) * np.cross(anchor.normal, anchor.x)
+            return replace(anchor, at=anchor.at + shift, x=x)
+
+        self.channels, self.places, self.normals = mount_skin(scene, surface, displaced)
         low, high = scene.skin.range or DEFAULT_RANGE
         self._low, self._high, self._polarity = low, high, scene.skin.polarity
         rest = REST_READING_OVER_RANGE if self._polarity < 0 else 1.0 - REST_READING_OVER_RANGE
@@ -92,3 +102,22 @@ class Pads:
             )
         values[self.channels] += READING_NOISE_SD_OVER_RANGE * span * rng.standard_normal(len(self.channels))
         return np.clip(np.rint(values), self._low, self._high)
+
+
+def mount_skin(
+    scene: Scene, surface: Surface, displaced: Callable[[Anchor], Anchor] = lambda anchor: anchor
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Lay the skin from its displaced anchors: channels (n,), positions (n, 3), metres, and normals (n, 3).
+
+    Raises InputError: the scene does not say where its taxels are.
+    """
+    layout, anchor = scene.skin.layout, scene.skin.anchor
+    if layout is None or (anchor is None and all(module.anchor is None for module in layout.modules)):
+        raise InputError(f"{scene.path}: a simulated skin needs [skin] modules and an anchor, to know where its taxels are.")
+    modules = tuple(m if m.anchor is None else replace(m, anchor=displaced(m.anchor)) for m in layout.modules)
+    laid = place_layout(Layout(modules, layout.width), None if anchor is None else displaced(anchor), surface)
+    if laid is None:
+        raise InputError(f"{scene.path}: the layout could not be laid; check its anchor.")
+    channels = layout.channels
+    known = np.isfinite(laid.places[channels]).all(axis=1)
+    return channels[known], laid.places[channels][known], laid.normals[channels][known]

@@ -6,12 +6,12 @@ arm pose differs slightly from the reported one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
+from skincal.files.reference import truth_as_json
 from skincal.geometry import Arm, FloatArray, IntArray, cross_matrix, inverse_pose
 from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
@@ -134,12 +134,7 @@ class Rig:
         # Separate random streams: a rig with another sensor has the same skin.
         mount, skin, arm, sensor = rng.spawn(4)
         self.scene, self.surface, self.errors, self.foam = scene, surface, errors, Foam()
-
-        def displaced(anchor: Anchor) -> Anchor:
-            turn = errors.mount_turn * mount.standard_normal()
-            return displace_anchor(anchor, turn, errors.mount_shift * mount.standard_normal(2))
-
-        self.channels, self.places, self.normals = mount_skin(scene, surface, displaced)
+        self.channels, self.places, self.normals = _mounted(scene, surface, errors, mount)
         if surface is not None:
             # Builds the search tree now instead of in the first poke.
             nearest_points(surface, self.places[:1])
@@ -254,27 +249,15 @@ class Rig:
         return np.clip(np.rint(frames), low, high, dtype=np.float64)
 
 
-def truth_as_json(link: str, channels: IntArray, places: FloatArray, normals: FloatArray) -> dict[str, Any]:
-    """Write true taxels for `truth.json`: link frame, metres, unit normals."""
-    taxels = zip(channels.tolist(), places.tolist(), normals.tolist(), strict=True)
-    return {
-        "link": link,
-        "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
-    }
-
-
-def mount_skin(
-    scene: Scene, surface: Surface | None, displace: Callable[[Anchor], Anchor]
+def _mounted(
+    scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Lay the layout from displaced anchors: channels (n,), positions (n, 3), metres, and normals (n, 3).
-
-    Raises InputError: the scene does not say where its taxels are.
-    """
+    """Return channels, true positions and normals of the mounted skin."""
     layout, anchor = scene.skin.layout, scene.skin.anchor
     if layout is None or (anchor is None and all(m.anchor is None for m in layout.modules)):
         raise InputError(f"{scene.path}: a simulated skin needs [skin] modules and an anchor, to know where its taxels are.")
-    modules = tuple(m if m.anchor is None else replace(m, anchor=displace(m.anchor)) for m in layout.modules)
-    laid = place_layout(Layout(modules, layout.width), None if anchor is None else displace(anchor), surface)
+    modules = tuple(m if m.anchor is None else replace(m, anchor=_displaced(m.anchor, errors, rng)) for m in layout.modules)
+    laid = place_layout(Layout(modules, layout.width), None if anchor is None else _displaced(anchor, errors, rng), surface)
     if laid is None:
         raise InputError(f"{scene.path}: the layout could not be laid; check its anchor.")
     channels = layout.channels
@@ -283,10 +266,11 @@ def mount_skin(
     return channels[known], places[known], normals[known]
 
 
-def displace_anchor(anchor: Anchor, turn: float, shift: FloatArray) -> Anchor:
-    """Turn an anchor in its plane, radians, and shift it by (2,), metres."""
-    x = np.cos(turn) * anchor.x + np.sin(turn) * np.cross(anchor.normal, anchor.x)
-    return replace(anchor, at=anchor.at + shift, x=x)
+def _displaced(anchor: Anchor, errors: RigErrors, rng: np.random.Generator) -> Anchor:
+    """Return the anchor with a random shift and turn in its plane."""
+    angle = errors.mount_turn * rng.standard_normal()
+    x = np.cos(angle) * anchor.x + np.sin(angle) * np.cross(anchor.normal, anchor.x)
+    return replace(anchor, at=anchor.at + errors.mount_shift * rng.standard_normal(2), x=x)
 
 
 def _nominal(scene: Scene) -> dict[str, tuple[FloatArray, FloatArray]]:
