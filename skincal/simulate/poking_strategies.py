@@ -6,9 +6,8 @@ from measurements. The rig is good: noise of 0.10 N and 10 N mm a poke, 6 to 12 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -73,52 +72,32 @@ def poke_by_hand(
     return simulate_contacts(rig, pokes, rng, SHORT_LEVER_POSE, first, conditions.habits), pokes
 
 
-PokingWay: TypeAlias = Callable[[ExamplePart, Conditions, int, np.random.Generator], MeantPokes]
-"""Plans a number of pokes."""
+STRATEGIES = ("clumped", "random", "round_robin", "tilt_recipe")
+"""Strategies without measurements, by their names in JSON."""
 
 
-def _at(part: ExamplePart, rows: IntArray, tilts: FloatArray, azimuths: FloatArray) -> MeantPokes:
-    normals = part.plan.normals[rows]
-    return MeantPokes(part.plan.places[rows], push_directions(normals, tilts, azimuths))
+def plan_pokes(way: str, part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
+    """Plan pokes of one of `STRATEGIES`: at favourite places as unguided people do, anywhere, or each taxel once a round.
 
-
-def _straight(part: ExamplePart, rows: IntArray) -> MeantPokes:
-    return _at(part, rows, np.zeros(len(rows)), np.zeros(len(rows)))
-
-
-def _rounds(part: ExamplePart, count: int, rng: np.random.Generator) -> IntArray:
+    Pokes are along the normal. Those of the recipe are tilted: the direction turns each round, as a printed card can say.
+    """
     taxels = len(part.plan.channels)
-    return np.concatenate([rng.permutation(taxels) for _ in range(-(-count // taxels))])[:count]
+    if way == "clumped":
+        liked = np.exp(1.5 * rng.standard_normal(taxels))
+        rows = rng.choice(taxels, count, p=liked / liked.sum())
+    elif way == "random":
+        rows = rng.integers(taxels, size=count)
+    else:
+        rows = in_rounds(np.arange(taxels), count, rng)
+    tilt = min(RECIPE_TILT, conditions.habits.cone) if way == "tilt_recipe" else 0.0
+    turns = np.asarray(RECIPE_TURN * (np.arange(count) // taxels), dtype=np.float64)
+    return MeantPokes(part.plan.places[rows], push_directions(part.plan.normals[rows], np.full(count, tilt), turns))
 
 
-def clumped(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke favourite places again and again, along the normal, as unguided people do."""
-    del conditions
-    liked = np.exp(1.5 * rng.standard_normal(len(part.plan.channels)))
-    return _straight(part, rng.choice(len(liked), count, p=liked / liked.sum()))
+def in_rounds(items: IntArray, count: int, rng: np.random.Generator) -> IntArray:
+    """Repeat items in rounds, each in a new random order."""
+    return np.concatenate([rng.permutation(items) for _ in range(-(-count // len(items)))])[:count]
 
-
-def random(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke anywhere, along the normal."""
-    del conditions
-    return _straight(part, rng.integers(len(part.plan.channels), size=count))
-
-
-def round_robin(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke each taxel once a round, along the normal."""
-    del conditions
-    return _straight(part, _rounds(part, count, rng))
-
-
-def tilt_recipe(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke each taxel once a round, tilted. The direction turns each round, as a printed card can say."""
-    rows = _rounds(part, count, rng)
-    turns = np.asarray(RECIPE_TURN * (np.arange(count) // len(part.plan.channels)), dtype=np.float64)
-    return _at(part, rows, np.full(count, min(RECIPE_TILT, conditions.habits.cone)), turns)
-
-
-STRATEGIES: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, round_robin, tilt_recipe)}
-"""Key: name in JSON."""
 
 NEXT_EVALUATION_POKE_COUNT_RATIO = 1.03
 """Of successive evaluations; up to `EVALUATE_EVERY_SECOND_POKE_UNTIL` pokes every second one is evaluated."""
@@ -206,9 +185,8 @@ TABLE_I: Mapping[str, float] = {"1": 13, "2": 5, "3": 4, "4": 7, "5": 7, "6": 7,
 
 def poke_rounds(rig: Rig, pose: str, count: int, rng: np.random.Generator, first: int) -> list[Contact]:
     """Simulate `count` unguided pokes in an arm pose: each taxel once a round, from random sides."""
-    rounds = -(-count // len(rig.channels))
-    targets = np.concatenate([rng.permutation(rig.channels) for _ in range(rounds)])[:count]
-    return simulate_contacts(rig, unguided_presses(rig, targets, Habits.careful(), rng), rng, pose, first)
+    pokes = unguided_presses(rig, in_rounds(rig.channels, count, rng), Habits.careful(), rng)
+    return simulate_contacts(rig, pokes, rng, pose, first)
 
 
 def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, list[Contact]]:
@@ -238,7 +216,7 @@ def _unguided(
     way: str, part: ExamplePart, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke a plan that is fixed before the first poke."""
-    meant = STRATEGIES[way](part, conditions, limit, rng)
+    meant = plan_pokes(way, part, conditions, limit, rng)
     contacts, pokes = poke_by_hand(rig, meant, conditions, rng, 1)
     session, added = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
 from itertools import groupby
 from typing import Any
 
@@ -17,14 +16,12 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.palette import BLACK, BLUE, ORANGE, VERMILION
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
-from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.poking_strategies import CAREFUL, Conditions, ErrorCourse, run_course
+from skincal.simulate.example_parts import forearm
+from skincal.simulate.poking_strategies import CAREFUL, STRATEGIES, Conditions, ErrorCourse, run_course
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.taxels.result import Method
 
 STANDARD_CASE = "standard"
-STRATEGIES = ("clumped", "random", "round_robin", "tilt_recipe")
-"""Strategies without measurements."""
 POKES_TO_5_MM_MAX, POKES_TO_3_MM_MAX = 87.0, 200.0
 """Pokes of the guide until the free method's mean error is 5 and 3 mm."""
 RANDOM_RATIO_MIN, RECIPE_RATIO_MIN = 4.0, 1.3
@@ -142,14 +139,8 @@ def _tasks(sizes: GuidanceSizes) -> Iterator[CourseTask]:
             yield from seeds(way, method, sizes.case_seeds, sizes.free_limit, case)
 
 
-@cache
-def _bench() -> ExamplePart:
-    # One for all courses of a process: making it takes 0.2 s.
-    return ExamplePart()
-
-
 def _run(task: CourseTask) -> ErrorCourse:
-    return run_course(_bench(), task.way, task.method, task.conditions, task.seed, task.limit)
+    return run_course(forearm(), task.way, task.method, task.conditions, task.seed, task.limit)
 
 
 def _row(task: CourseTask, courses: Sequence[ErrorCourse]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -24,7 +24,7 @@ from skincal.palette import METHODS as METHOD_HUES
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.rig.correction_fit import REPORT_LANDMARK_POKES_WITH_TRUST_BELOW, LandmarkPoke, RigRequest, correct_rig
 from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.example_parts import ExamplePart
+from skincal.simulate.example_parts import forearm
 from skincal.simulate.poking_strategies import TABLE_I, poke_rounds, poke_table
 from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
@@ -138,15 +138,9 @@ def error_statistics(off: FloatArray) -> dict[str, float]:
     return {**dict(zip(("mean", "sd", "largest"), map(float, of), strict=True)), "missing": len(off) - len(known)}
 
 
-@cache
-def bench() -> ExamplePart:
-    """Load the shipped forearm. This module makes its own rigs."""
-    return ExamplePart("icub-forearm")
-
-
 def solve_positions(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[str, FloatArray]:
     """Solve for the positions (n, 3), metres, of the rig's taxels by each method; NaN without an estimate."""
-    part, nowhere = bench(), np.full(3, np.nan)
+    part, nowhere = forearm(), np.full(3, np.nan)
     channels = rig.channels.tolist()
     found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, model=part.model)
     return {
@@ -169,7 +163,7 @@ def _modules_error_mm(contacts: Sequence[Contact], rig: Rig) -> float:
 
 def _make_rig(seed: int, stream: int, errors: RigErrors) -> tuple[Rig, np.random.Generator]:
     """Make a rig, and the random generator of its pokes."""
-    part = bench()
+    part = forearm()
     rig = Rig(part.scene, part.surface, errors, np.random.default_rng([seed, stream]))
     return rig, np.random.default_rng([seed, 2000 + stream])
 
@@ -177,7 +171,7 @@ def _make_rig(seed: int, stream: int, errors: RigErrors) -> tuple[Rig, np.random
 def _poke_landmarks(
     rig: Rig, rng: np.random.Generator, each: int = LANDMARKS_PER_POSE[0], off: FloatArray | None = None
 ) -> list[LandmarkPoke]:
-    return poke_landmarks(rig, bench().scene.landmarks, each, rng, FIRST_LANDMARK_POKE_NUMBER, off)
+    return poke_landmarks(rig, forearm().scene.landmarks, each, rng, FIRST_LANDMARK_POKE_NUMBER, off)
 
 
 def _poke_all_poses(rig: Rig, each: int, rng: np.random.Generator) -> list[Contact]:
@@ -195,7 +189,7 @@ def corrected(
     correction if it is not used; `seconds` of processor time of the correction alone
     """
     begin = time.process_time()
-    answer = correct_rig(RigRequest(bench().scene, bench().surface, contacts, known))
+    answer = correct_rig(RigRequest(forearm().scene, forearm().surface, contacts, known))
     seconds = time.process_time() - begin
     right = contacts
     if answer.used and answer.correction is not None:

@@ -33,8 +33,8 @@ from skincal.physics.session import RobotSession, make_client
 from skincal.plotting import Axes, Figure
 from skincal.robot.target_lines import Judged
 from skincal.session.session import Session
-from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes, time_session_pokes, timed
-from skincal.studies.unmodelled import error_numbers
+from skincal.studies.benchmarking import check_limits, limit_lines, processes, time_session_pokes, timed
+from skincal.studies.unmodelled import error_numbers, mean_over_seeds
 from skincal.taxels.result import Method
 
 RIGS: Mapping[str, str] = {"arm": "an arm pokes the part", "moving part": "the part is pressed onto a fixed tip"}
@@ -217,21 +217,9 @@ def _solve_times(
 def _mean_row(case: Task, sessions: Sequence[Row]) -> Row:
     names = ("pokes", "accepted", "no_taxel", "enough", "minutes")
     numbers = {name: float(np.mean([each[name] for each in sessions])) for name in names}
-    methods = {
-        method: {name: _mean(name, [each["methods"][method][name] for each in sessions]) for name in first}
-        for method, first in sessions[0]["methods"].items()
-    }
+    methods = {method: mean_over_seeds([each["methods"][method] for each in sessions]) for method in sessions[0]["methods"]}
     taxels = sessions[0]["taxels"]
     return {"rig": case.rig, "case": case.case, "sessions": len(sessions), "taxels": taxels, **numbers, "methods": methods}
-
-
-def _mean(name: str, values: Sequence[float]) -> float | None:
-    own = np.array(values, dtype=float)
-    # A session without an estimate has no errors (NaN).
-    own = own[np.isfinite(own)]
-    if not len(own):
-        return None
-    return finite(np.sqrt(np.mean(own**2)) if name in ("predicted_mm", "true_rms_mm") else own.mean())
 
 
 def robot_limits(rows: Sequence[Mapping[str, Any]], *, quick: bool = False) -> dict[str, tuple[float, str, float]]:

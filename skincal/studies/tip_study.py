@@ -21,7 +21,7 @@ from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.tip_frame import TipState
 from skincal.session.session import Session
 from skincal.simulate.contacts import add_tips, poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.example_parts import ExamplePart
+from skincal.simulate.example_parts import ExamplePart, forearm
 from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.benchmarking import check_limits, limit_lines, processes
@@ -68,7 +68,7 @@ def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
 
 def run_session(rig: str, sd_mm: float | None, seed: int) -> dict[int, dict[str, dict[str, Any]]]:
     """Simulate a session and solve it after each of `POKE_COUNTS`: the numbers of `error_numbers` by count and method."""
-    part = ExamplePart()
+    part = forearm()
     errors, landmark_pokes = RIG_CASES[rig]
     simulated, rng = Rig(part.scene, part.surface, errors(), np.random.default_rng(seed)), np.random.default_rng((seed, 1))
     contacts = _poke(simulated, sd_mm, rng)
@@ -151,7 +151,7 @@ def _row(rig: str, sd_mm: float | None, found: Sequence[Mapping[int, Mapping[str
 
 
 def _mean_if_known(found: Sequence[Mapping[str, Any] | None]) -> float | None:
-    taxels = len(ExamplePart().channels)
+    taxels = len(forearm().channels)
     known = [each for each in found if each is not None and each["missing"] <= (1.0 - TAXELS_WITH_ESTIMATE_MIN_SHARE) * taxels]
     return float(np.mean([each["mean"] for each in known])) if len(known) == len(found) else None
 
@@ -172,12 +172,9 @@ def tip_limits(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str,
 
 def summary(result: Mapping[str, Any]) -> list[str]:
     """Describe each case and each limit."""
-    head = f"forearm, {result['seeds']} sessions of each kind, mean error of the free method after {_counts_text()} pokes:"
+    counts = ", ".join(map(str, POKE_COUNTS))
+    head = f"forearm, {result['seeds']} sessions of each kind, mean error of the free method after {counts} pokes:"
     return [head, *map(_row_text, result["tip"]), *limit_lines(result["bars"])]
-
-
-def _counts_text() -> str:
-    return ", ".join(map(str, POKE_COUNTS))
 
 
 def _row_text(row: Mapping[str, Any]) -> str:

@@ -8,7 +8,6 @@ believes a wrong prediction.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
 from itertools import islice
 from typing import Any, TypeAlias
 
@@ -17,15 +16,15 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.guide.verdict import Check, check, is_believed
-from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import estimate_taxels
-from skincal.model.scene import Scene, load_scene, resource
+from skincal.model.scene import Scene
 from skincal.modules.pose import ModuleModel
 from skincal.palette import BLACK, BLUE, VERMILION
 from skincal.plotting import GREY, Axes, Figure
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, LandmarkPoke, RigRequest, correct_rig, landmark_agreement
+from skincal.simulate.example_parts import forearm
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.studies.independent_simulator import CASES, SimulatedSession, simulate_session
 from skincal.taxels.contact_table import ContactTable
@@ -67,6 +66,8 @@ ByMethod: TypeAlias = dict[str, dict[str, Any]]
 `ratio` : of measured to predicted misses at landmarks, NaN without them; `noisier` is the noise factor of landmark pokes
 `believed`, `wrongly_believed` : by the verdict; `used` : whether the rig was corrected
 """
+ROOT_MEAN_SQUARES = ("predicted", "true_rms", "true_along", "ratio", "predicted_mm", "true_rms_mm")
+"""Numbers that are averaged as root mean squares, also those of `robot`."""
 Session: TypeAlias = dict[int, ByMethod]
 """By number of landmark pokes."""
 
@@ -97,14 +98,6 @@ def summary(result: Mapping[str, Any]) -> list[str]:
     return [*unmodelled_lines(result["unmodelled"]), *limit_lines(result["bars"])]
 
 
-@cache
-def part() -> tuple[Scene, Surface]:
-    """Load the shipped forearm and its mesh."""
-    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
-    assert scene.surface is not None
-    return scene, load_surface(scene.surface)[0]
-
-
 def in_known_directions(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Project an error (3,) onto the directions with nonzero variance. Return the components and their variances, (d,)."""
     values, axes = np.linalg.eigh(covariance)
@@ -125,7 +118,7 @@ def inside_95_ellipsoid(off: FloatArray, covariance: FloatArray) -> bool:
 
 def run_session(case: str, seed: int) -> Session:
     """Simulate a session, and solve it without landmarks, with 21 and with 70 pokes at them."""
-    scene, true = part()
+    scene, true = forearm().scene, forearm().surface
     poked = simulate_session(scene, true.vertices, true.triangles, CASES[case], seed)
     surface = make_surface(poked.vertices, true.triangles)
     plain = _solve(scene, surface, poked, poked.contacts)
@@ -222,7 +215,7 @@ def unmodelled(
 
 def _row(case: str, found: Sequence[Session], first: int) -> dict[str, Any]:
     means = {
-        str(count): {method.value: _mean_over_seeds([session[count][method.value] for session in found]) for method in Method}
+        str(count): {method.value: mean_over_seeds([session[count][method.value] for session in found]) for method in Method}
         for count in LANDMARK_COUNTS
     }
     lead = {count: own[Method.MODULES.value] for count, own in means.items()}
@@ -236,25 +229,29 @@ def _row(case: str, found: Sequence[Session], first: int) -> dict[str, Any]:
         "believed_where_right": float(np.mean(right)) if right else None,
         "wrongly_believed_by_any_method": float(np.mean([bool(own["wrongly_believed"]) for own in every])),
         "sessions": [
-            {"seed": seed, **{str(count): _as_json(session[count][Method.MODULES.value]) for count in LANDMARK_COUNTS}}
+            {
+                "seed": seed,
+                **{
+                    str(count): {
+                        name: finite(value) if isinstance(value, float) else value
+                        for name, value in session[count][Method.MODULES.value].items()
+                    }
+                    for count in LANDMARK_COUNTS
+                },
+            }
             for seed, session in enumerate(found, start=first)
         ],
     }  # fmt: skip
 
 
-def _as_json(found: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: finite(value) if isinstance(value, float) else value for name, value in found.items()}
-
-
-def _mean_over_seeds(found: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+def mean_over_seeds(found: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     """Average over seeds: predicted and true errors and ratios as root mean squares, the others as means."""
-    squares = ("predicted", "true_rms", "true_along", "ratio")
     means: dict[str, float | None] = {}
     for name in found[0]:
         own = np.array([session[name] for session in found], dtype=float)
         # A session without any estimate has no errors (NaN); it counts under `missing`.
         own = own[np.isfinite(own)]
-        means[name] = None if not len(own) else float(np.sqrt(np.mean(own**2)) if name in squares else own.mean())
+        means[name] = None if not len(own) else float(np.sqrt(np.mean(own**2)) if name in ROOT_MEAN_SQUARES else own.mean())
     return means
 
 

@@ -21,7 +21,7 @@ from skincal.rig.expected_gain import unchecked_of
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.poking_strategies import Conditions, displaced_rig, errors_of, poke_by_hand, tilt_recipe
+from skincal.simulate.poking_strategies import Conditions, displaced_rig, errors_of, plan_pokes, poke_by_hand
 from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, State
@@ -42,7 +42,7 @@ def part():
 def poked_session(pokes=240, seed=1, conditions=None):
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
     rig = displaced_rig(part(), conditions, seed)
-    contacts, _ = poke_by_hand(rig, tilt_recipe(part(), conditions, pokes, rng), conditions, rng, 1)
+    contacts, _ = poke_by_hand(rig, plan_pokes("tilt_recipe", part(), conditions, pokes, rng), conditions, rng, 1)
     session = Session(part().scene, part().surface)
     for contact in contacts:
         session.add(contact)

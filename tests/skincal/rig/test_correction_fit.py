@@ -15,9 +15,9 @@ from skincal.rig import correction_fit
 from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, _first_rows, correct_rig
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulate.example_parts import forearm
 from skincal.simulate.rig_errors import RigErrors
 from skincal.studies.independent_simulator import CASES, simulate_session
-from skincal.studies.unmodelled import part
 from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import predicted_error
 from skincal.words.rig_words import rig_sentences
@@ -297,7 +297,7 @@ def test_where_landmarks_do_not_tell_whether_a_sensor_is_linear_both_count_as_li
 
 def second_request(case, seed, planned):
     """What the second simulator's pokes ask, and the places of its taxels."""
-    scene, true = part()
+    scene, true = forearm().scene, forearm().surface
     poked = simulate_session(scene, true.vertices, true.triangles, CASES[case], seed)
     surface = make_surface(poked.vertices, true.triangles)
     known = [LandmarkPoke(*mark[:7]) for mark in poked.known if mark.planned or not planned]

@@ -13,6 +13,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import load_scene, resource
 from skincal.modules.pose import ModuleModel
+from skincal.simulate.example_parts import forearm
 from skincal.studies.independent_simulator import (
     CASES,
     GUIDED_LANDMARK_POKES,
@@ -37,7 +38,6 @@ from skincal.studies.independent_simulator import (
     taxels,
     turns,
 )
-from skincal.studies.unmodelled import part
 from skincal.taxels.result import Method
 
 MM = 1e-3
@@ -50,7 +50,7 @@ def rng(seed=1):
 
 @cache
 def poked(world=PERFECT, seed=1):
-    scene, surface = part()
+    scene, surface = forearm().scene, forearm().surface
     return simulate_session(scene, surface.vertices, surface.triangles, world, seed)
 
 
@@ -85,7 +85,7 @@ def sheet(side=0.1, cells=20):
 
 
 def test_the_chain_is_the_arm_of_the_scene():
-    scene, _ = part()
+    scene = forearm().scene
     for name, pose in forward_kinematics(scene).items():
         np.testing.assert_allclose(pose, scene.arm.arm.link_from_sensor(scene.arm.poses[name]), atol=1e-15)
 
@@ -116,7 +116,7 @@ def test_a_straight_way_around_a_tube_is_a_helix():
 
 
 def test_the_plan_lies_where_the_program_lays_it_too():
-    scene, surface = part()
+    scene, surface = forearm().scene, forearm().surface
     own = replace(NOISY_RIG, mount_shift=0.0, mount_turn=0.0)
     channels, places = taxels(scene, SmoothSurface(surface.vertices, surface.triangles), own, rng())
     laid = place_layout(scene.skin.layout, scene.skin.anchor, surface)
@@ -124,7 +124,7 @@ def test_the_plan_lies_where_the_program_lays_it_too():
 
 
 def test_a_skin_is_stuck_on_beside_its_plan_and_pads_off_it_by_what_is_told():
-    scene, surface = part()
+    scene, surface = forearm().scene, forearm().surface
     on = SmoothSurface(surface.vertices, surface.triangles)
     plan, beside, off = (
         np.array([taxels(scene, on, replace(NOISY_RIG, **sizes), rng(seed))[1] for seed in range(12)])
@@ -148,7 +148,7 @@ def test_a_perfect_rig_reads_axes_through_the_places_that_were_pressed():
 
 
 def test_the_program_finds_the_skin_of_a_perfect_rig():
-    scene, surface = part()
+    scene, surface = forearm().scene, forearm().surface
     session = poked()
     model = ModuleModel(scene.skin.layout, scene.skin.anchor, surface)
     for method, limit in ((Method.FREE, 0.3), (Method.SURFACE, 0.2), (Method.MODULES, 0.1)):
@@ -321,7 +321,7 @@ def test_an_arm_pose_is_wrong_for_all_its_pokes_and_a_wandering_arm_more_and_mor
 
 
 def test_a_landmark_is_told_wrong_by_the_same_for_all_its_pokes():
-    scene, _ = part()
+    scene = forearm().scene
     true = {mark.name: mark.place for mark in scene.landmarks}
     wrong = [
         {each.name: each.place - true[each.name] for each in poked(replace(PERFECT, landmarks=1.5 * MM), seed).known}
@@ -346,7 +346,7 @@ def test_the_guide_asks_for_21_of_70_landmark_pokes_well_spread():
 
 
 def test_a_wrong_mesh_is_given_and_the_taxels_stay_on_the_true_one():
-    surface = part()[1]
+    surface = forearm().surface
     on = SmoothSurface(surface.vertices, surface.triangles)
     shifted, inflated, bumpy = (
         on.wrong(replace(NOISY_RIG, **{size: 1.5 * MM}), rng(4)) - surface.vertices
@@ -376,7 +376,7 @@ def test_another_scene_with_mesh_and_layout_is_poked_too():
 
 
 def test_a_seed_says_everything():
-    scene, surface = part()
+    scene, surface = forearm().scene, forearm().surface
     again, other = (simulate_session(scene, surface.vertices, surface.triangles, CASES["bad"], seed) for seed in (1, 2))
     np.testing.assert_array_equal(readings(poked(CASES["bad"])), readings(again))
     assert np.abs(again.places - other.places).max() > 0.5 * MM
