@@ -115,10 +115,6 @@ class Engine:
         self.mujoco.mju_mat2Quat(self.model.body_quat[base], (turn @ turned.reshape(3, 3)).ravel())
 
     @property
-    def joint_count(self) -> int:
-        return len(self._joints)
-
-    @property
     def time_s(self) -> float:
         return float(self.data.time)
 
@@ -194,10 +190,8 @@ class Engine:
 
     def believed_weight(self, angles: FloatArray) -> FloatArray:
         """Compute the weight of the sensor's load as the joints report it: (6,) N and N m, sensor frame."""
-        data, model, mujoco = self._believed, self._nominal, self.mujoco
-        data.qpos[self._angles] = angles
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
+        data, model = self._believe(angles), self._nominal
+        self.mujoco.mj_comPos(model, data)
         body, site = model.body("sensor").id, model.site("ft").id
         turn = data.site_xmat[site].reshape(3, 3)
         force = model.body_subtreemass[body] * model.opt.gravity
@@ -213,19 +207,20 @@ class Engine:
 
     # ---- kinematics of the commanded joints: without sag, wrist and vibration
 
-    def believed_tip(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return position (3,), metres, and direction (3,) of the tip in the part's frame if the joints were rigid."""
+    def _believe(self, angles: FloatArray) -> Any:
+        """Compute MuJoCo's data of the rig as its joints report it."""
         self._believed.qpos[self._angles] = angles
         self.mujoco.mj_kinematics(self._nominal, self._believed)
-        return self.tip_in_part(self._believed)
+        return self._believed
+
+    def believed_tip(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return position (3,), metres, and direction (3,) of the tip in the part's frame if the joints were rigid."""
+        return self.tip_in_part(self._believe(angles))
 
     def believed_part(self, angles: FloatArray) -> FloatArray:
         """Compute the pose (4, 4) of the part in the world, metres, if the joints were rigid."""
-        self._believed.qpos[self._angles] = angles
-        self.mujoco.mj_kinematics(self._nominal, self._believed)
-        pose = np.eye(4)
-        pose[:3, :3] = self._believed.xmat[self._part].reshape(3, 3)
-        pose[:3, 3] = self._believed.xpos[self._part]
+        data, pose = self._believe(angles), np.eye(4)
+        pose[:3, :3], pose[:3, 3] = data.xmat[self._part].reshape(3, 3), data.xpos[self._part]
         return pose
 
     def solve_angles(

@@ -198,6 +198,12 @@ class PokingClient:
         }
 
     @property
+    def _present(self) -> PokePlan:
+        """The present poke, in the phases that have one."""
+        assert self._plan is not None
+        return self._plan
+
+    @property
     def pace(self) -> RobotPace:
         """Pace to greet skincal with, on every connection: then the guide asks for several tilts in a row."""
         own = self.settings
@@ -335,12 +341,9 @@ class PokingClient:
 
     def _go(self, position: FloatArray, speed: float) -> bool:
         """Command a motion along the poke's direction, or to a point of the way; return whether the tip is there."""
-        plan = self._plan
-        assert plan is not None
-        if self.phase is Phase.RELEASE:
-            direction = self._out_direction
-        else:
-            direction = plan.way[0].direction if self.phase is Phase.TRAVEL else plan.target.push
+        plan = self._present
+        direction = plan.way[0].direction if self.phase is Phase.TRAVEL else plan.target.push
+        direction = self._out_direction if self.phase is Phase.RELEASE else direction
         self._command(position, direction, speed)
         tip = self._read_tip()
         is_turned = tip.direction @ direction > 0.999
@@ -400,15 +403,13 @@ class PokingClient:
         return True
 
     def _start_travel(self) -> None:
-        plan, here = self._plan, self._read_tip()
-        assert plan is not None
+        plan, here = self._present, self._read_tip()
         way_s = length_of(plan.way[0].position - here.position) / plan.speed
         turn = float(np.arccos(np.clip(here.direction @ plan.way[0].direction, -1.0, 1.0)))
         self._enter(Phase.TRAVEL, way_s + 2.0 * turn)
 
     def _travel(self) -> None:
-        plan = self._plan
-        assert plan is not None
+        plan = self._present
         if self._go(plan.way[0].position, plan.speed):
             if len(plan.way) > 1:
                 plan.way.pop(0)
@@ -434,16 +435,14 @@ class PokingClient:
             self._enter(Phase.IDLE)
 
     def _take_tare(self) -> None:
-        plan = self._plan
-        assert plan is not None
+        plan = self._present
         if self._has_tare():
             # A part that the arm carries has turned on its way.
             self._shift = self._shift_for(plan.target)
             self._enter(Phase.ENTER, 2.0 * self.settings.clearance / self.settings.enter_speed)
 
     def _go_to_standoff(self) -> None:
-        plan = self._plan
-        assert plan is not None
+        plan = self._present
         if self.force > 2.0 * self.settings.touch_force:
             self._fail(TOUCHED_EARLY)
         elif self._go(plan.standoff, self.settings.enter_speed):
@@ -453,8 +452,7 @@ class PokingClient:
             self._fail(NOT_THERE)
 
     def _approach(self) -> None:
-        plan, own = self._plan, self.settings
-        assert plan is not None
+        plan, own = self._present, self.settings
         if self.force > own.touch_force:
             self._setpoint = self._touched_at = self._read_tip().position
             self._enter(Phase.PRESS, own.settle_s)
@@ -462,8 +460,7 @@ class PokingClient:
             self._fail(NOTHING_FELT)
 
     def _press(self) -> None:
-        plan, own = self._plan, self.settings
-        assert plan is not None
+        plan, own = self._present, self.settings
         missing = plan.target.force - self.force
         if self._is_pressed_well(missing):
             self._enter(Phase.HOLD, plan.target.hold + own.held_wait_s)
@@ -473,8 +470,7 @@ class PokingClient:
             self._move_by_force(missing, own.press_speed)
 
     def _hold_force(self) -> None:
-        plan, own = self._plan, self.settings
-        assert plan is not None
+        plan, own = self._present, self.settings
         missing = plan.target.force - self.force
         is_over = self._is_held or self.arm.time_s > self._expected_s
         # A tip that has slipped lets go, too: skincal sees the slip and says what it wants now.
@@ -485,22 +481,19 @@ class PokingClient:
 
     def _across(self, vector: FloatArray) -> FloatArray:
         """Compute the part (3,) of a vector across the push."""
-        plan = self._plan
-        assert plan is not None
-        return vector - (vector @ plan.target.push) * plan.target.push
+        push = self._present.target.push
+        return vector - (vector @ push) * push
 
     def _is_pressed_well(self, missing: float) -> bool:
         """Whether the force along the push is right, but for `missing`, and the force across it small."""
-        plan, own = self._plan, self.settings
-        assert plan is not None
+        plan, own = self._present, self.settings
         is_along = abs(missing) < own.force_tolerance * plan.target.force
         is_across = length_of(self._across(self._wrench[:3])) < own.across_tolerance * plan.target.force
         return is_along and (is_across or length_of(self._across(self._setpoint - self._touched_at)) > 0.99 * own.across_way)
 
     def _move_by_force(self, missing: float, most: float) -> None:
         """Move the set point by the missing force, for the stiffness that is felt: along the push, and across it."""
-        plan, own = self._plan, self.settings
-        assert plan is not None
+        plan, own = self._present, self.settings
         push = plan.target.push
         depth = max(float((self._setpoint - self._touched_at) @ push), 0.5e-3)
         stiffness = max(self.force, own.touch_force) / depth
@@ -515,8 +508,7 @@ class PokingClient:
 
     def _let_go(self, answer: Answer | None) -> None:
         """Draw back along the push: to the standoff, or further out if the tip did not get there."""
-        plan, own = self._plan, self.settings
-        assert plan is not None
+        plan, own = self._present, self.settings
         is_reached = answer is not None and answer.kind is AnswerKind.REACHED
         if own.corrects_aim and is_reached and self.force > own.slip_share * plan.target.force:
             contact = self.arm.read_tip().position + self.arm.tip_radius_m * plan.target.push
@@ -526,8 +518,7 @@ class PokingClient:
         self._enter(Phase.RELEASE, 2.0 * (own.clearance + own.search) / own.retreat_speed)
 
     def _release(self) -> None:
-        plan = self._plan
-        assert plan is not None
+        plan = self._present
         if self._go(self._setpoint, self.settings.retreat_speed):
             self._failures = 0 if self._answer is not None and self._answer.kind is AnswerKind.REACHED else self._failures
             self._end_poke(self._answer)

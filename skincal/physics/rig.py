@@ -16,7 +16,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.physics.arm import TipPose, WrenchReading
 from skincal.physics.effects import BASE_TURN_PER_M, SENSOR_DELAY_S, Effects
-from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, PERIOD_S, Engine, Touch
+from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, PERIOD_S, Engine
 from skincal.physics.mjcf import TIP_RADIUS_M, RigPlan, write_mjcf
 from skincal.physics.skin import Pads
 
@@ -78,7 +78,7 @@ class SimulatedRobot:
         chosen = [name for name in names if name.startswith("mount")] or [name for name in names if name.startswith("p")]
         self._trembling_dofs = [int(self.engine.model.joint(name).dofadr[0]) for name in chosen]
         self._angles = layout.start.copy()
-        self._goal = self._aim = self._believed()
+        self._goal = self._aim = self.read_tip()
         self._speed, self._speeds = 0.0, (0.0, 0.0)
         self._servo = self._aim.position.copy(), np.zeros(3)
         self._filtered: FloatArray | None = None
@@ -125,9 +125,6 @@ class SimulatedRobot:
         return self.engine.time_s
 
     def read_tip(self) -> TipPose:
-        return self._believed()
-
-    def _believed(self) -> TipPose:
         return TipPose(*self.engine.believed_tip(self._angles))
 
     def read_wrench(self) -> WrenchReading | None:
@@ -213,10 +210,6 @@ class SimulatedRobot:
     def joint_record(self) -> FloatArray:
         """Return a record of the joint stream, radians; empty without an arm."""
         return self._layout.columns(self._angles)
-
-    def touch(self) -> Touch | None:
-        """Return the present contact, or `None`."""
-        return self.engine.touch()
 
     def skin_frame(self) -> FloatArray:
         """Return a raw frame (width,) of the skin at the present contact."""

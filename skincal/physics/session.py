@@ -86,7 +86,7 @@ class RobotSession:
     ) -> None:
         self.robot, self.targets = robot, TargetQueue()
         self._devices = RobotDevices(robot)
-        self._links = links_of(self._devices)
+        self._links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in self._devices.links.items()]
         self.pipeline = Pipeline(scene, self._links, surface, journal)
         self._guide = RobotGuide(self.pipeline, cast("TargetServer", self.targets), method)
         for link in self._links:
@@ -128,8 +128,3 @@ def make_client(
             arrive=ARRIVED_WITHIN_WITH_CARRIED_PART_M,
         )
     return PokingClient(robot, surface, answer, settings)
-
-
-def links_of(devices: RobotDevices) -> list[LinkSpec]:
-    """Describe the links of simulated devices."""
-    return [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in devices.links.items()]

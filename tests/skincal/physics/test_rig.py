@@ -48,7 +48,7 @@ def go(arm: SimulatedRobot, row: int, tilt_deg: float, *moves: tuple[float, floa
 def press(arm: SimulatedRobot, tilt_deg: float = 0.0, row: int = 40, into_m: float = 0.003) -> Touch:
     """Press at a taxel until everything rests."""
     go(arm, row, tilt_deg, (0.05, 0.2, 5.0), (-into_m, 0.03, 4.0))
-    touch = arm.touch()
+    touch = arm.engine.touch()
     assert touch is not None
     return touch
 

@@ -94,7 +94,7 @@ def test_a_part_that_is_pressed_onto_a_fixed_tip_is_calibrated(tmp_path: Path) -
             judged += [line.reason] if isinstance(line, Judged) else []
             client.receive_line(line)
         client.run_period()
-        touches += [touch] if (touch := arm.touch()) is not None else []
+        touches += [touch] if (touch := arm.engine.touch()) is not None else []
     outcomes = [record.outcome for record in session.pipeline.snapshot().pokes]
     assert len({outcome.pose for outcome in outcomes}) > 1
     assert judged == [""] * 4
