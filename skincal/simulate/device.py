@@ -130,6 +130,7 @@ class DeviceTimeline:
         # Streams of their own: a sensor that draws more changes nothing of the others.
         noise, boards, self._skin_rng = rng.spawn(3)
         self.rig, self.operator, self.settings = rig, operator, settings or DeviceSettings()
+        self.block_s, self.emulated, self.channels = self.settings.block_s, self.settings.emulated, rig.scene.skin.channels
         self.now = 0.0
         """s, end of the computed time."""
         self.arm_pose = rig.arm_pose()
@@ -141,21 +142,6 @@ class DeviceTimeline:
         self._arrivals: list[tuple[int, int, str, bytes]] = []
         self._sent = 0
         self._blocks = 0
-
-    @property
-    def block_s(self) -> float:
-        """Seconds of readings that are computed at once."""
-        return self.settings.block_s
-
-    @property
-    def emulated(self) -> Mapping[Stream, str]:
-        """Emulated devices of makers, by the stream that they send."""
-        return self.settings.emulated
-
-    @property
-    def channels(self) -> int:
-        """Channels of the skin."""
-        return self.rig.scene.skin.channels
 
     @property
     def links(self) -> dict[str, Stream]:

@@ -24,21 +24,12 @@ class DeviceSource(Protocol):
 
     now: float
     """s, end of the computed time."""
-
-    @property
-    def block_s(self) -> float:
-        """Seconds of a block."""
-        ...
-
-    @property
-    def emulated(self) -> Mapping[Stream, str]:
-        """Makers' devices that send a stream, by their names."""
-        ...
-
-    @property
-    def channels(self) -> int:
-        """Channels of the skin."""
-        ...
+    block_s: float
+    """s of readings that are computed at once."""
+    emulated: Mapping[Stream, str]
+    """Makers' devices that send a stream, by their names."""
+    channels: int
+    """Channels of the skin."""
 
     @property
     def links(self) -> dict[str, Stream]:
