@@ -6,7 +6,6 @@ import contextlib
 import socket
 import struct
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from skincal.simulate.emulated_devices import (
     XelaTalk,
     YarpTalk,
 )
-from skincal.simulate.outlets import PtyOutlet, TcpOutlet
+from skincal.simulate.outlets import Outlet, PtyOutlet, TcpOutlet
 from skincal.simulate.ros_outlets import RosOutlet
 
 RDT_RECORD_BYTES = 36
@@ -152,9 +151,6 @@ class SilentPtyOutlet(PtyOutlet):
         return came, b""
 
 
-MakerOutlet: TypeAlias = TalkOutlet | RdtOutlet | RosOutlet | RobotiqOutlet | SilentPtyOutlet
-
-
 class SkinManagerOutlet(TalkOutlet):
     """The RPC port of a skinManager without positions."""
 
@@ -174,7 +170,7 @@ class MakerOutlets:
         self._channels = channels
         self._shared: tuple[TalkOutlet, TalkOutlet] | None = None
 
-    def open(self, maker: str, stream: Stream, *, tcp: bool) -> MakerOutlet:
+    def open(self, maker: str, stream: Stream, *, tcp: bool) -> Outlet:
         """Open the port where a simulated device sends its bytes; with `tcp`, serial devices get a TCP port instead."""
         match maker:
             case "yarp":

@@ -6,6 +6,7 @@ targets as a robot does (`skincal/robot/target_lines.py`), answers likewise, and
 
 from __future__ import annotations
 
+import contextlib
 import queue
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -66,33 +67,26 @@ PACE_RANGE = (0.1, 4.0)
 
 def read_order(line: str) -> Order | None:
     """Read one line; `None` for an empty one. Raises InputError for any other line without an order."""
-    words = line.split()
-    if not words:
-        return None
-    try:
-        order = _order_of(words)
-    except ValueError:
-        order = None
+    order: Order | None = None
+    with contextlib.suppress(ValueError):
+        match line.split():
+            case []:
+                return None
+            case ["poke", channel]:
+                order = PokeOrder(int(channel))
+            case ["poke", channel, *numbers] if len(numbers) == 3:
+                tilt, azimuth, force = map(float, numbers)
+                if 0 <= tilt < 90 and 0 < force < 1000 and np.isfinite(azimuth):
+                    order = PokeOrder(int(channel), float(np.radians(tilt)), float(np.radians(azimuth)), force)
+            case ["pose", name]:
+                order = PoseOrder(name)
+            case ["pace", pace] if PACE_RANGE[0] <= float(pace) <= PACE_RANGE[1]:
+                order = PaceOrder(float(pace))
+            case _:
+                pass
     if order is None:
         raise InputError(f"{line.strip()!r} is not an order; expected {ORDER_HELP}, with 0 <= tilt < 90 and force above 0.")
     return order
-
-
-def _order_of(words: list[str]) -> Order | None:
-    match words:
-        case ["poke", channel]:
-            return PokeOrder(int(channel))
-        case ["poke", channel, *numbers] if len(numbers) == 3:
-            tilt, azimuth, force = map(float, numbers)
-            if 0 <= tilt < 90 and 0 < force < 1000 and np.isfinite(azimuth):
-                return PokeOrder(int(channel), float(np.radians(tilt)), float(np.radians(azimuth)), force)
-        case ["pose", name]:
-            return PoseOrder(name)
-        case ["pace", pace] if PACE_RANGE[0] <= float(pace) <= PACE_RANGE[1]:
-            return PaceOrder(float(pace))
-        case _:
-            pass
-    return None
 
 
 @dataclass(frozen=True, slots=True)
