@@ -6,7 +6,7 @@ rounded numbers, and these are the inputs of the study.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeAlias
 
@@ -719,15 +719,20 @@ MODULE_FAMILIES: dict[str, Callable[[np.random.Generator, CaseSizes], ModuleCase
 }  # fmt: skip
 
 
+def cases_of(
+    families: Mapping[str, Callable[[np.random.Generator, CaseSizes], Iterator[Any]]], seed: int, sizes: CaseSizes
+) -> Iterator[Any]:
+    """Yield the cases of some families."""
+    for number, (name, family) in enumerate(families.items()):
+        for case in family(np.random.default_rng([seed, number]), sizes):
+            yield replace(case, family=name)
+
+
 def taxel_cases(sizes: CaseSizes) -> Cases:
     """Yield the cases of one taxel."""
-    for number, (name, family) in enumerate(TAXEL_FAMILIES.items()):
-        for case in family(np.random.default_rng([TAXEL_SEED, number]), sizes):
-            yield replace(case, family=name)
+    return cases_of(TAXEL_FAMILIES, TAXEL_SEED, sizes)
 
 
 def module_cases(sizes: CaseSizes) -> ModuleCases:
     """Yield the cases of one module."""
-    for number, (name, family) in enumerate(MODULE_FAMILIES.items()):
-        for case in family(np.random.default_rng([MODULE_SEED, number]), sizes):
-            yield replace(case, family=name)
+    return cases_of(MODULE_FAMILIES, MODULE_SEED, sizes)

@@ -77,6 +77,7 @@ from skincal.studies.stability_cases import (
     CaseSizes,
     ModuleCase,
     arm_poses,
+    cases_of,
     cone,
     contacts_of,
     in_space,
@@ -276,7 +277,7 @@ class _Fit:
     def _iterate(self) -> None:
         misses, of_wrench, of_pose, of_place, noise = self._rows()
         self._parts = of_wrench, of_pose, self._own
-        wanted = (self._shifts(*self._parts) - misses).ravel()
+        wanted = (self.shifts(*self._parts) - misses).ravel()
         places, of = of_place.reshape(-1, 3), self.pokes.at[self._own].repeat(2)
         alike = places @ places.T * (of[:, None] == of).astype(int)
         self._last = _Equations(self._together(self._parts, self._parts), wanted, noise, alike)
@@ -292,8 +293,8 @@ class _Fit:
         pose_of = self.pokes.pose_of[of]
         self.poses = np.array([self._turns * pose[pose_of == g].sum(axis=0) for g in range(len(self.pokes.poses))])
 
-    def _shifts(self, of_wrench: Exact, of_pose: Exact, of: IntArray) -> Exact:
-        """Return J x of rows of the pokes `of`."""
+    def shifts(self, of_wrench: Exact, of_pose: Exact, of: IntArray) -> Exact:
+        """Return J x of rows of the pokes `of`, such as the shifts of their axes."""
         wrench = (self._features[of] @ self.matrix.T)[:, None]
         return dot(of_wrench, wrench) + dot(of_pose, self.poses[self.pokes.pose_of[of], None])
 
@@ -346,10 +347,6 @@ class _Fit:
         every = self._together(skin, skin) - seen @ solve_positive(found.covariance, seen.T)[0]
         return every.reshape(count, 3, count, 3)[at, :, at]
 
-    def axes(self, skin: tuple[Exact, Exact, IntArray]) -> Exact:
-        """Return the shifts (k, 3) of the axes of k pokes on the skin by the unknowns."""
-        return self._shifts(*skin)
-
 
 def axes_off(wrenches: Exact, poses: Exact, places: Exact) -> tuple[Exact, Exact]:
     """Return the shifts (m, 3, 6) of axes across their pushes at `places` (m, 3), by wrench errors and by pose errors."""
@@ -382,7 +379,7 @@ def exact_correction(pokes: CorrectionInputs) -> Outputs:
     if abs(gap) > SENSOR_MODEL_MIN_LOG_LIKELIHOOD_RATIO:
         return {"unknowns": likelier.unknowns(), "uncertainty": more * likelier.spread(skin)}
     chance = 1 / (1 + MP.exp(-gap))
-    off = linear.axes(skin) - bent.axes(skin)
+    off = linear.shifts(*skin) - bent.shifts(*skin)
     both = (1 - chance) * linear.spread(skin) + chance * bent.spread(skin)
     both = both + chance * (1 - chance) * off[:, :, None] * off[:, None]
     one, other = linear.unknowns(), bent.unknowns()
@@ -441,17 +438,10 @@ class CovarianceInputs:
     """Number of arm poses in the correction; the others are as wrong as the prior says."""
 
 
-def shared_errors(shared: CovarianceInputs, contacts: Sequence[Contact]) -> CorrectionErrors:
-    """Make the program's errors of a correction with this root."""
-    quadratic = np.zeros((6, shared.columns - LINEAR_COLUMNS))
-    motions = {f"pose {pose}": np.eye(4) for pose in range(shared.known)}
-    correction = Correction(np.eye(6), motions=motions, root=shared.root, quadratic=quadratic)
-    return CorrectionErrors(correction, {contact.poke: contact for contact in contacts}.__getitem__)
-
-
-def renumber(contacts: Sequence[Contact]) -> list[Contact]:
-    """Renumber contacts so that they share no slow noise."""
-    return [replace(contact, poke=1 + POKE_NUMBER_STEP_BETWEEN_CASES * at) for at, contact in enumerate(contacts)]
+def renumber(contacts: Sequence[Contact]) -> dict[int, Contact]:
+    """Renumber contacts so that they share no slow noise; return them by their numbers."""
+    numbers = (1 + POKE_NUMBER_STEP_BETWEEN_CASES * at for at in range(len(contacts)))
+    return {number: replace(contact, poke=number) for number, contact in zip(numbers, contacts, strict=True)}
 
 
 def exact_covariances(shared: CovarianceInputs) -> Outputs:
@@ -526,7 +516,10 @@ def shipped_covariances(shared: CovarianceInputs) -> Outputs:
     case = shared.case
     surface = None if case.mesh is None else make_surface(case.mesh.vertices, case.mesh.triangles)
     contacts = renumber(contacts_of(case, np.arange(len(case.readings.forces))))
-    table, errors = ContactTable(contacts), shared_errors(shared, contacts)
+    quadratic = np.zeros((6, shared.columns - LINEAR_COLUMNS))
+    motions = {f"pose {pose}": np.eye(4) for pose in range(shared.known)}
+    correction = Correction(np.eye(6), motions=motions, root=shared.root, quadratic=quadratic)
+    table, errors = ContactTable(list(contacts.values())), CorrectionErrors(correction, contacts.__getitem__)
 
     def placed_from(start: ModulePoses) -> tuple[list[Estimate], FittedModule]:
         kept, model = dict[int, FittedModule](), model_of([replace(case, start=start)], surface)
@@ -566,10 +559,10 @@ def fit_modules_with_distances(
         for number, case in enumerate(cases)
         for contact in contacts_of(case, np.arange(len(case.readings.forces)))
     ]
-    contacts, kept, noise = renumber(contacts), dict[int, FittedModule](), cases[0].noise
-    errors = CorrectionErrors(Correction(np.eye(6), root=root), {contact.poke: contact for contact in contacts}.__getitem__)
-    modules = range(len(cases))
-    estimate_modules(ContactTable(contacts), model_of(cases, None), modules, noise, [], {}, False, errors, kept)
+    by_poke, kept, noise = renumber(contacts), dict[int, FittedModule](), cases[0].noise
+    errors = CorrectionErrors(Correction(np.eye(6), root=root), by_poke.__getitem__)
+    table, modules = ContactTable(list(by_poke.values())), range(len(cases))
+    estimate_modules(table, model_of(cases, None), modules, noise, [], {}, False, errors, kept)
     lengths = np.array([each.length for each in distances])
     return DistanceInputs(tuple(cases), tuple(kept[module] for module in modules), tuple(distances), lengths, noise)
 
@@ -707,12 +700,13 @@ def _root(rng: np.random.Generator, columns: int, poses: int, share: float = 0.2
     return np.triu(scales[:, None] * share * (np.eye(len(scales)) + 0.1 * rng.normal(size=(len(scales),) * 2)))
 
 
+ADDED_SEED = 20261123
+
+
 def added_cases(sizes: CaseSizes) -> Iterator[AddedCase]:
     """Yield the cases of what the program adds to the paper's methods."""
     families = {"corrections": _corrections, "covariances and heights": _carried, "known distances": _distances}
-    for number, (name, family) in enumerate(families.items()):
-        for case in family(np.random.default_rng([20261123, number]), sizes):
-            yield replace(case, family=name)
+    return cases_of(families, ADDED_SEED, sizes)
 
 
 def _corrections(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
