@@ -30,6 +30,17 @@ def play(errors, seconds, seed=1, name="icub-forearm", settings=None, operator=N
     return line, arrived
 
 
+def told(order, **habits):
+    """Make an operator of `play` that gets one order, made from the rig."""
+
+    def operator(rig, rng):
+        scripted = ScriptedOperator(rig, replace(Habits.careful(), **habits), rng)
+        scripted.accept(order(rig))
+        return scripted
+
+    return operator
+
+
 def decode(line, arrived, link, form="skb"):
     """Decode one link; return the decoder, device times and values."""
     channels = line.rig.scene.skin.channels
@@ -124,13 +135,8 @@ def test_same_seed_same_bytes_and_another_seed_others():
 
 def test_the_same_poke_gives_the_truth_over_the_wire():
     # A perfect rig told to poke once: the mean of the held readings is the true wrench, and the foam answers as computed.
-    def poke_once(rig, rng):
-        operator = ScriptedOperator(
-            rig, replace(Habits.careful(), tremor=0.0, approach_s=(0.5, 0.5), hold_s=(0.5, 0.5), rest_s=(1, 1)), rng
-        )
-        operator.accept(PokeOrder(int(rig.channels[30]), np.radians(20), 1.0, 8.0))
-        return operator
-
+    steady = {"tremor": 0.0, "approach_s": (0.5, 0.5), "hold_s": (0.5, 0.5), "rest_s": (1, 1)}
+    poke_once = told(lambda rig: PokeOrder(int(rig.channels[30]), np.radians(20), 1.0, 8.0), **steady)
     line, arrived = play(RigErrors.none(), 1.8, settings=QUIET, operator=poke_once)
     press = next(a for a in line._actions if isinstance(a, HandPress))
     _, times, wrenches = decode(line, arrived, "wrench")
@@ -151,11 +157,7 @@ def test_the_same_poke_gives_the_truth_over_the_wire():
 
 
 def test_the_foam_answers_later_than_the_force():
-    def press_hard(rig, rng):
-        operator = ScriptedOperator(rig, replace(Habits.careful(), ramp_s=(0.2, 0.2)), rng)
-        operator.accept(PokeOrder(int(rig.channels[30]), 0.0, 0.0, 12.0))
-        return operator
-
+    press_hard = told(lambda rig: PokeOrder(int(rig.channels[30]), 0.0, 0.0, 12.0), ramp_s=(0.2, 0.2))
     line, arrived = play(RigErrors.none(), 1.2, settings=replace(QUIET, skin_hz=1000.0), operator=press_hard)
     press = next(a for a in line._actions if isinstance(a, HandPress))
     _, times, frames = decode(line, arrived, "skin")
@@ -169,11 +171,7 @@ def test_the_foam_answers_later_than_the_force():
 
 
 def test_wrench_sign_is_the_sensors():
-    def press_straight(rig, rng):
-        operator = ScriptedOperator(rig, Habits.careful(), rng)
-        operator.accept(PokeOrder(0, 0.0, 0.0, 10.0))
-        return operator
-
+    press_straight = told(lambda _: PokeOrder(0, 0.0, 0.0, 10.0))
     results = []
     for sign in (1, -1):
         scene, _ = scene_and_surface("flat-patch")
@@ -249,11 +247,7 @@ def test_boards_say_what_they_are_at_the_start_and_every_two_seconds():
 
 
 def test_the_arm_moves_between_poses_and_the_weight_with_it():
-    def move_once(rig, rng):
-        operator = ScriptedOperator(rig, replace(Habits.careful(), move_s=0.5), rng)
-        operator.accept(PoseOrder("2"))
-        return operator
-
+    move_once = told(lambda _: PoseOrder("2"), move_s=0.5)
     line, arrived = play(replace(RigErrors.none(), weight=8.0), 1.0, settings=QUIET, operator=move_once)
     _, times, angles = decode(line, arrived, "joints")
     degrees, since = np.degrees(angles[:, 3:]), times - times[0]

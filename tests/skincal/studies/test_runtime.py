@@ -15,7 +15,7 @@ from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.plotting import render
-from skincal.simulate.example_parts import SHAPES, ExamplePart
+from skincal.simulate.example_parts import SHAPES, forearm
 from skincal.studies import baselines, runtime
 from skincal.studies.benchmarking import gc_disabled, quartiles, time_words, timed, usable_cores
 from skincal.studies.runtime import SURFACE_SEARCHES, known_positions, main_rows, runtime_limits, summary
@@ -25,33 +25,28 @@ from tests.skincal.studies.studies_support import FOREARM, TINY, tiny
 
 
 @lru_cache
-def bench():
-    return ExamplePart(FOREARM)
-
-
-@lru_cache
 def poked():
-    return bench().contacts(6, seed=1)
+    return forearm().contacts(6, seed=1)
 
 
 @lru_cache
 def shipped(method, triangles=None):
-    forearm = bench()
-    return estimate_taxels(poked(), forearm.channels, [method], forearm.scene.noise, forearm.mesh(triangles))[method]
+    part = forearm()
+    return estimate_taxels(poked(), part.channels, [method], part.scene.noise, part.mesh(triangles))[method]
 
 
 @pytest.mark.parametrize(("name", "off"), [("brute", 1e-12), ("compiled", 1e-12), ("quadprog", 1e-12), ("slsqp", 1e-5)])
 def test_other_searches_give_the_shipped_answer_from_their_own_start(name, off):
-    problems = baselines.taxel_problems(poked(), bench().channels, bench().scene.noise)
-    surface, ours = bench().mesh(1_000), known_positions(shipped(Method.SURFACE, 1_000))
+    problems = baselines.taxel_problems(poked(), forearm().channels, forearm().scene.noise)
+    surface, ours = forearm().mesh(1_000), known_positions(shipped(Method.SURFACE, 1_000))
     assert len(ours) > 40
     for channel in list(ours)[:: 20 if name in runtime.SLOW_SEARCHES else 1]:
         assert np.linalg.norm(SURFACE_SEARCHES[name](surface, problems[channel]) - ours[channel]) < off
 
 
 def test_without_a_facing_triangle_there_is_no_point():
-    problems = baselines.taxel_problems(poked(), bench().channels, bench().scene.noise)
-    surface, problem = bench().mesh(300), next(iter(problems.values()))
+    problems = baselines.taxel_problems(poked(), forearm().channels, forearm().scene.noise)
+    surface, problem = forearm().mesh(300), next(iter(problems.values()))
     only = make_surface(surface.vertices, surface.triangles[:1])
     away = problem._replace(push=only.normals[0])
     assert np.isnan(baselines.by_every_triangle(only, away)).all()
@@ -60,7 +55,7 @@ def test_without_a_facing_triangle_there_is_no_point():
 
 def test_the_error_of_a_wrong_baseline_is_measured(monkeypatch):
     monkeypatch.setitem(runtime.SURFACE_SEARCHES, "slsqp", lambda surface, _: surface.vertices[0])
-    size = runtime.ProblemSize(bench(), bench().mesh(300), 6, [poked()], bench().channels, 1, 0.0)
+    size = runtime.ProblemSize(forearm(), forearm().mesh(300), 6, [poked()], forearm().channels, 1, 0.0)
     (row,) = (row for row in runtime._surface_rows(size, quadratic=True) if row["method"] == "slsqp")
     assert row["off_ours_m"] > 0.01
     assert row["error_beside_ours_mm"] > 5.0
@@ -70,7 +65,7 @@ def test_the_error_of_a_wrong_baseline_is_measured(monkeypatch):
 
 @pytest.mark.parametrize("way", [baselines.by_lstsq, baselines.by_normal_equations])
 def test_the_papers_rows_give_the_shipped_free_answer(way):
-    rows = baselines.stack_rows(poked(), bench().channels)
+    rows = baselines.stack_rows(poked(), forearm().channels)
     ours = known_positions(shipped(Method.FREE))
     doubted = {channel for channel, estimate in shipped(Method.FREE).items() if estimate.doubted}
     pairs = {
@@ -93,17 +88,17 @@ def test_a_generated_mesh_has_the_parts_shape_and_about_the_triangles_wanted(nam
 
 
 def test_the_forearm_that_ships_is_its_shape():
-    ours = SHAPES[FOREARM].mesh(len(bench().surface.triangles))
-    assert np.array_equal(ours.triangles, bench().surface.triangles)
-    assert np.abs(ours.vertices - bench().surface.vertices).max() < 1e-6
+    ours = SHAPES[FOREARM].mesh(len(forearm().surface.triangles))
+    assert np.array_equal(ours.triangles, forearm().surface.triangles)
+    assert np.abs(ours.vertices - forearm().surface.vertices).max() < 1e-6
 
 
 def test_contacts_go_through_the_poses_and_are_the_same_again():
-    poses = [contact.pose for contact in bench().contacts(3, seed=5)]
+    poses = [contact.pose for contact in forearm().contacts(3, seed=5)]
     assert set(poses) == {"1", "2", "3"}
-    again = bench().contacts(3, seed=5)
-    assert all(np.array_equal(a.force, b.force) for a, b in zip(bench().contacts(3, seed=5), again, strict=True))
-    assert not np.array_equal(bench().contacts(3, seed=6)[0].force, again[0].force)
+    again = forearm().contacts(3, seed=5)
+    assert all(np.array_equal(a.force, b.force) for a, b in zip(forearm().contacts(3, seed=5), again, strict=True))
+    assert not np.array_equal(forearm().contacts(3, seed=6)[0].force, again[0].force)
 
 
 def test_the_table_has_every_method_on_both_parts_and_says_what_was_extrapolated():
@@ -135,9 +130,9 @@ def test_a_general_solver_finds_the_modules_where_the_program_does():
 
 def test_a_general_solver_is_measured_on_every_seed():
     """Which seed comes first does not matter, as it would if the others were left out."""
-    forearm = bench()
-    runs = [forearm.contacts(2, seed) for seed in (1, 2)]
-    size = runtime.ProblemSize(forearm, forearm.surface, 2, runs, forearm.channels, 1, math.inf)
+    part = forearm()
+    runs = [part.contacts(2, seed) for seed in (1, 2)]
+    size = runtime.ProblemSize(part, part.surface, 2, runs, part.channels, 1, math.inf)
     found = []
     for order in (runs, runs[::-1]):
         rows = [
