@@ -73,15 +73,12 @@ class GuidanceSizes:
     cases: Mapping[str, Conditions] = field(default_factory=dict[str, Conditions])
 
 
-def _cases() -> dict[str, Conditions]:
-    cases = {f"drift {drift:g} N": Conditions(drift=drift) for drift in (0.1, 0.25, 0.5)}
-    cases["8 % double contacts"] = Conditions(replace(CAREFUL, double_rate=0.08))
-    cases |= {f"aim {1e3 * aim:g} mm": Conditions(replace(CAREFUL, aim=aim)) for aim in (0.001, 0.004)}
-    cases |= {f"tilt {tilt} degrees": Conditions(replace(CAREFUL, cone=float(np.radians(tilt)))) for tilt in (10, 20, 45)}
-    return cases
-
-
-FULL_SIZES = GuidanceSizes(cases=_cases())
+FULL_SIZES = GuidanceSizes(cases={
+    **{f"drift {drift:g} N": Conditions(drift=drift) for drift in (0.1, 0.25, 0.5)},
+    "8 % double contacts": Conditions(replace(CAREFUL, double_rate=0.08)),
+    **{f"aim {1e3 * aim:g} mm": Conditions(replace(CAREFUL, aim=aim)) for aim in (0.001, 0.004)},
+    **{f"tilt {tilt} degrees": Conditions(replace(CAREFUL, cone=float(np.radians(tilt)))) for tilt in (10, 20, 45)},
+})  # fmt: skip
 QUICK_SIZES = GuidanceSizes(
     seeds=6, other_seeds=2, case_seeds=2, guided_limit=220, free_limit=220, surface_limit=252,
     modules_limit=60, modules_seeds=2, long=1008,
