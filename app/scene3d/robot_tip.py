@@ -9,7 +9,7 @@ from app.scene3d.mesh_actors import NO_POINTS, PART, Dots, Layer, Segments
 from app.scene3d.scene_state import StaticScene, View3DState
 from skincal.robot.target_lines import TipPose
 
-DRAWN_TOOL_LENGTH_M = 0.08  # m of the tool that are drawn
+DRAWN_ROBOT_TOOL_LENGTH_M = 0.08  # m of the tool that are drawn
 BALL_PX, LINE_PX = 18.0, 5.0
 TIP_BALL_SHIFT_ALONG_TOOL_M = 0.003
 """m, of the ball along the tool: otherwise the part hides half of a ball that touches it."""
@@ -34,7 +34,7 @@ class RobotTipLayer(Layer):
 
     def draw(self) -> None:
         tip = self._tip
-        ends = NO_POINTS if tip is None else np.stack([tip.place, tip.place - DRAWN_TOOL_LENGTH_M * tip.push])
+        ends = NO_POINTS if tip is None else np.stack([tip.place, tip.place - DRAWN_ROBOT_TOOL_LENGTH_M * tip.push])
         ball = NO_POINTS if tip is None else tip.place - TIP_BALL_SHIFT_ALONG_TOOL_M * tip.push
         self.ball.show(ball, self.colours.tints["to"])
         self.tool.show(ends, self.colours.ink)

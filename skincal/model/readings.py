@@ -140,7 +140,7 @@ class SideReading:
     now: float
 
     def then(self, later: SideReading) -> SideReading:
-        """Merge these lost readings with later ones."""
+        """Merge with later readings of the same quantity."""
         return SideReading(min(self.least, later.least), max(self.most, later.most), later.now)
 
 

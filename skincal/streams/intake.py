@@ -216,7 +216,7 @@ class LinkIntake:
             batches = self._decoder.finish()
             self._count_readings(batches)
         elif event.state is LinkState.OPEN and self._last_ns:
-            # A new decoder: half a record from before the break must not be merge_side_readings with the first one after it.
+            # A new decoder: half a record from before the break must not be joined to the first one after it.
             self._losses_before += self._decoder.current.counts
             self._side_readings_before = self.side_readings()
             self._decoder = self._new_decoder()

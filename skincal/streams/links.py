@@ -327,7 +327,7 @@ class Reader:
             data = link.read(READ_TIMEOUT_S)
             if not self._open_was_reported and (data or time.monotonic() - self._opened_s >= CONNECTION_STABLE_AFTER_S):
                 self._report_open()
-            # TimedAction at once, by a clock that cannot be set back while a session runs.
+            # Dated at once, by a clock that cannot be set back while a session runs.
             if data:
                 self._enqueue(Chunk(self._spec.name, time.monotonic_ns(), data))
             tried: tuple[int, ...] = getattr(link, "tried", ())

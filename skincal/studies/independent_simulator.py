@@ -545,7 +545,7 @@ def sensor_wrenches(poses: FloatArray, points: FloatArray, forces: FloatArray, f
 POKE_CYCLE_S = 2.5
 """From one poke to the next."""
 MAX_ATTEMPTS_PER_TARGET = 4
-"""Attempts at a target that no taxel taxel_responses, or too many."""
+"""Attempts at a target that no taxel answers, or too many."""
 
 
 def _skin_pokes(
