@@ -17,7 +17,9 @@ from skincal.physics.engine import PERIOD_S, Touch, load_mujoco
 from skincal.physics.layouts import make_robot
 from skincal.physics.mjcf import FOAM_STIFFNESS_N_PER_M, FOAM_THICKNESS_M, TIP_RADIUS_M
 from skincal.physics.rig import SimulatedRobot
+from skincal.physics.session import make_client
 from skincal.physics.skin import Pads
+from skincal.robot.target_lines import Answer, AnswerKind, PokeTarget, RobotLine
 
 pytest.importorskip("mujoco")
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -233,3 +235,13 @@ def test_the_arm_goes_where_it_is_told_in_the_frame_it_believes() -> None:
     np.testing.assert_allclose(exact.engine.tip_in_part()[0], believed.position, atol=2e-5)
     assert not arm.is_reachable(np.array([2.0, 0.0, 0.0]), direction)
     assert arm.tip_radius_m == TIP_RADIUS_M
+
+
+@pytest.mark.parametrize("frame", ["r_forearm_dh_frame", "", "r_hand"])
+def test_its_client_pokes_in_the_frame_of_its_part_alone(frame: str) -> None:
+    arm, answers = robot(), list[RobotLine]()
+    client = make_client(arm, part()[1], answers.append)
+    client.receive_line(PokeTarget(1, 3, arm.pads.places[40], -arm.pads.normals[40], frame=frame))
+    client.run_period()
+    faults = [line.number for line in answers if isinstance(line, Answer) and line.kind is AnswerKind.FAULT]
+    assert faults == ([1] if frame == "r_hand" else [])
