@@ -161,8 +161,6 @@ class PokingClient:
         self._clearance = Clearance(surface, self.settings.clearance)
         self._lines: queue.SimpleQueue[AskedLine] = queue.SimpleQueue()
         self.phase = Phase.IDLE
-        self.is_finished = False
-        """skincal needs no more pokes."""
         self._goal: PokeTarget | None = None
         """Target that is not planned yet."""
         self._plan: PokePlan | None = None
@@ -233,7 +231,6 @@ class PokingClient:
     def _follow_line(self, line: AskedLine) -> None:
         match line:
             case PokeTarget():
-                self.is_finished = False
                 if line.frame and self.settings.frame not in ("", line.frame):
                     self._goal = None
                     self._break_off()
@@ -249,7 +246,7 @@ class PokingClient:
                 is_pressing = self.phase in (Phase.PRESS, Phase.HOLD)
                 self._is_held |= is_pressing and self._plan is not None and line.number == self._plan.target.number
             case NoTarget() | Refused():
-                self._goal, self.is_finished = None, line is NoTarget.ENOUGH
+                self._goal = None
                 self._break_off()
             case _:
                 pass

@@ -38,10 +38,8 @@ class TargetQueue:
     def __init__(self) -> None:
         self._asked: deque[AskedLine] = deque()
         self._answers: list[RobotLine | RobotChange | str] = [RobotChange.CAME]
-        self.refused = ""
-        """Why the guide would disconnect the robot."""
         self.fault = ""
-        """Why the robot has stopped for good; empty while it pokes."""
+        """Why no more pokes come, from the robot or from the guide; empty while it pokes."""
 
     def send(self, lines: Sequence[AskedLine]) -> None:
         """Send lines to the robot."""
@@ -53,8 +51,8 @@ class TargetQueue:
         return answers
 
     def refuse(self, reason: str) -> None:
-        """Note an impossible answer."""
-        self.refused = reason
+        """End the session: the robot's answer is impossible."""
+        self.fault = reason
 
     def poll(self) -> AskedLine | None:
         """Return the next line for the robot, or `None`."""

@@ -17,7 +17,7 @@ from skincal.physics.engine import PERIOD_S, Touch, load_mujoco
 from skincal.physics.layouts import make_robot
 from skincal.physics.mjcf import FOAM_STIFFNESS_N_PER_M, FOAM_THICKNESS_M, TIP_RADIUS_M
 from skincal.physics.rig import SimulatedRobot
-from skincal.physics.session import make_client
+from skincal.physics.session import RobotSession, make_client
 from skincal.physics.skin import Pads
 from skincal.robot.target_lines import Answer, AnswerKind, PokeTarget, RobotLine
 
@@ -245,3 +245,12 @@ def test_its_client_pokes_in_the_frame_of_its_part_alone(frame: str) -> None:
     client.run_period()
     faults = [line.number for line in answers if isinstance(line, Answer) and line.kind is AnswerKind.FAULT]
     assert faults == ([1] if frame == "r_hand" else [])
+
+
+def test_an_impossible_answer_ends_a_session_of_a_simulated_robot() -> None:
+    arm = robot()
+    session = RobotSession(*part(), arm)
+    session.targets.answer(Answer(AnswerKind.SKIP, 99))
+    while not session.targets.fault and arm.time_s < 1.0:
+        arm.advance()
+    assert session.targets.fault == "it answers 'skip 99', and was asked 0 at most."
