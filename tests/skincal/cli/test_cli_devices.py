@@ -160,6 +160,7 @@ def test_devices_says_what_answers_on_a_port_and_what_to_type(capsys, monkeypatc
 
 def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(devices, "_ports", list)
+    monkeypatch.setattr(devices, "_ros_topics", lambda: ([], {}, ""))  # other tests publish meanwhile
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     with sending("yarp", Stream.SKIN) as address:
         host, port = address.removeprefix("yarp://").partition("/")[0].split(":")
@@ -172,6 +173,7 @@ def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path
 
 def test_devices_says_that_nothing_is_plugged_in_and_that_there_is_no_yarp(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(devices, "_ports", list)
+    monkeypatch.setattr(devices, "_ros_topics", lambda: ([], {}, ""))  # other tests publish meanwhile
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     (tmp_path / "yarp.conf").write_text("127.0.0.1 1 yarp\n", encoding="utf-8")
     assert main(["devices"]) == 0
