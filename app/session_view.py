@@ -71,7 +71,7 @@ MAX_EVENT_AGE_FOR_SOUND_S = 0.3  # Older events make no sound: the hand does som
 METHOD_ORDER = (Method.SURFACE, Method.FREE, Method.MODULES)
 RIGHT_PX, MIN_RIGHT_PX = 430, 400
 """Width of the right column at 1280 pixels, and the least that the titles of all tabs need at 100 %."""
-PANELS: tuple[type[Panel], ...] = (
+PANEL_TYPES: tuple[type[Panel], ...] = (
     ReadingsPanel, PokesPanel, InspectPanel, ComparePanel, DevicesPanel, ErrorsPanel, RigPanel,
 )  # fmt: skip
 """The tabs; the number of a tab is its key."""
@@ -92,7 +92,7 @@ class Workspace(QWidget):
         self.now = NowPanel()
         self._static = StaticScene(scene, part.surface, part.laid, part.channels)
         self.map = TaxelMap(scene, part.channels, context.names, quarter_turns(self._static))
-        self.panels = {kind.title: kind(context) for kind in PANELS}
+        self.panels = {kind.title: kind(context) for kind in PANEL_TYPES}
         # All widgets have their parents from the start: Qt applies the style sheet again to all in a widget that moves.
         self.across = QSplitter(Qt.Orientation.Horizontal, self, handleWidth=WIDGET_GAP_PX, childrenCollapsible=False)
         left = QWidget(self.across)

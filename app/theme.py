@@ -12,7 +12,7 @@ from enum import Enum
 
 from skincal.palette import BLUE, GREEN, METHODS, METHODS_ON_DARK, ORANGE, PINK, SKY, VERMILION, YELLOW
 
-HUES = (ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PINK)
+MODULE_HUES = (ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PINK)
 """Okabe and Ito 2008, without black; module i has hue i modulo 7."""
 
 

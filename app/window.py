@@ -25,7 +25,7 @@ from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.start_page import StartPage
 from app.panels.widgets import ElidedLabel, mix
-from app.session.controller import PACES, Controller
+from app.session.controller import OPERATOR_PACES, Controller
 from app.session.opening import OpenRequest, dated_folder, find_scene, is_shipped
 from app.sound.player import Player
 from app.state.running import Running
@@ -336,7 +336,7 @@ class Window(QMainWindow):
 
     def change_pace(self) -> None:
         """Make the simulated operator faster, and after the fastest pace slow again."""
-        self.controller.set_pace(PACES[(PACES.index(self.controller.pace) + 1) % len(PACES)])
+        self.controller.set_pace(OPERATOR_PACES[(OPERATOR_PACES.index(self.controller.pace) + 1) % len(OPERATOR_PACES)])
 
     def switch_sounds(self) -> None:
         """Apply the menu's choices of sounds and speech."""

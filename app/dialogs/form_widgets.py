@@ -19,7 +19,7 @@ from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
 
-ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
+BUTTON_ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
 
 
 class ScenePicker(QComboBox):
@@ -77,7 +77,7 @@ def number_field(name: str, suffix: str, limit: float, decimals: int = 1, prefix
 
 def path_row(title: str, field: QWidget, choose: Callable[[], object]) -> tuple[QLabel, QHBoxLayout]:
     """Make the label of a field, and a row of the field with a button that calls `choose`."""
-    label, button = QLabel(title), QPushButton(f"Choose{ELLIPSIS}")
+    label, button = QLabel(title), QPushButton(f"Choose{BUTTON_ELLIPSIS}")
     label.setBuddy(field)
     name = title.replace("&", "")
     field.setAccessibleName(name)

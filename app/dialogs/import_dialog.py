@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.dialogs.dialog import Dialog, StandardButton
-from app.dialogs.form_widgets import ELLIPSIS, ScenePicker, Sparkline, path_row, scrolled
+from app.dialogs.form_widgets import BUTTON_ELLIPSIS, ScenePicker, Sparkline, path_row, scrolled
 from app.panels.drop_target import DropTarget
 from app.panels.layouts import make_column, make_form, make_row
 from app.panels.widgets import choose_session_folder, fit_rows, fit_to_screen, put_rows, secondary_label, table
@@ -91,7 +91,7 @@ class ImportDialog(Dialog):
         self._starts_later = False  # The import starts after that check
         self._share = 0.0  # Finished share of the import; written in another thread
         self.importing = False
-        self.take_folder, self.take_files = QPushButton(f"F&older{ELLIPSIS}"), QPushButton(f"Fi&les{ELLIPSIS}")
+        self.take_folder, self.take_files = QPushButton(f"F&older{BUTTON_ELLIPSIS}"), QPushButton(f"Fi&les{BUTTON_ELLIPSIS}")
         self.fields = {stream: QLineEdit() for stream in STREAM_TITLES}
         self.form = QWidget()
         self.scene, self.pose, self.folder = ScenePicker(scene), QComboBox(), QLineEdit(str(folder))

@@ -32,7 +32,7 @@ class Pedal:
     what: str
 
 
-PEDALS: tuple[Pedal, ...] = (
+ALL_PEDALS: tuple[Pedal, ...] = (
     Pedal("space", Key.Key_Space, "Space bar", "pauses, continues, or presses the focused button"),
     Pedal("undo", Key.Key_Backspace, "Backspace", "undoes the last poke or action"),
     Pedal("another", Key.Key_N, "N", "asks for another target"),
@@ -81,14 +81,14 @@ class Pedals(QObject):
         self._actions, self._taken, self._settings = actions, taken, settings
         self._is_installed = False
         self.keys: dict[str, str] = {}  # By the name of the pedal
-        for pedal in PEDALS:
+        for pedal in ALL_PEDALS:
             name = str(settings.value(f"pedal/{pedal.name}", ""))
             if name and not self._problem(pedal.name, name):
                 self.keys[pedal.name] = name
         self._install()
 
     def _problem(self, pedal: str, key: str) -> str:
-        others = {k: f"it is the pedal for {p.title}" for p in PEDALS if (k := self.keys.get(p.name)) and p.name != pedal}
+        others = {k: f"it is the pedal for {p.title}" for p in ALL_PEDALS if (k := self.keys.get(p.name)) and p.name != pedal}
         return key_problem(key, {**self._taken(), **others})
 
     def set_key(self, pedal: str, key: str) -> str:
@@ -126,7 +126,7 @@ class Pedals(QObject):
         if event.type() not in (QEvent.Type.KeyPress, QEvent.Type.KeyRelease) or not isinstance(event, QKeyEvent):
             return False
         name = key_name(event)
-        pedal = next((p for p in PEDALS if self.keys.get(p.name) == name), None)
+        pedal = next((p for p in ALL_PEDALS if self.keys.get(p.name) == name), None)
         popup = QApplication.activePopupWidget()
         target = QApplication.focusWidget() or QApplication.activeWindow() if popup is None else popup.focusWidget() or popup
         if pedal is None or target is None or _types(target, event):
@@ -180,12 +180,12 @@ class PedalsDialog(Dialog):
         super().__init__("Pedals", parent)
         self.setMinimumWidth(640)
         self._pedals = pedals
-        self.fields = {pedal.name: PedalField(pedal) for pedal in PEDALS}
-        self.forget = {pedal.name: QPushButton("Forget") for pedal in PEDALS}
+        self.fields = {pedal.name: PedalField(pedal) for pedal in ALL_PEDALS}
+        self.forget = {pedal.name: QPushButton("Forget") for pedal in ALL_PEDALS}
         self.outcome = secondary_label(wrap=True)
         grid = QGridLayout()
         grid.setColumnStretch(1, 1)
-        for row, pedal in enumerate(PEDALS):
+        for row, pedal in enumerate(ALL_PEDALS):
             title = QLabel(pedal.title)
             set_bold(title)
             forget = self.forget[pedal.name]
@@ -218,7 +218,7 @@ class PedalsDialog(Dialog):
         self._show_keys()
 
     def _show_keys(self) -> None:
-        for pedal in PEDALS:
+        for pedal in ALL_PEDALS:
             key = self._pedals.keys.get(pedal.name, "")
             self.fields[pedal.name].setKeySequence(QKeySequence(key))
             self.forget[pedal.name].setEnabled(bool(key))

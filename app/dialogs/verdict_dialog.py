@@ -7,7 +7,7 @@ from PySide6.QtGui import QKeyEvent, QShowEvent
 from PySide6.QtWidgets import QDialogButtonBox, QHeaderView, QLabel, QSizePolicy, QWidget
 
 from app.dialogs.dialog import Dialog, StandardButton
-from app.dialogs.form_widgets import ELLIPSIS, scrolled
+from app.dialogs.form_widgets import BUTTON_ELLIPSIS, scrolled
 from app.panels.layouts import make_column, make_form, make_row
 from app.panels.widgets import fit_to_screen, put_rows, secondary_label, set_bold, table
 from app.text_size import scaled
@@ -56,8 +56,8 @@ class VerdictDialog(Dialog):
         self.left = table("unfinished taxels", HEADINGS)
         put_rows(self.left, [(names.short(left.channel), left_words(left)) for left in verdict.left])
         self.go_on = self.buttons.addButton("Continue poking", QDialogButtonBox.ButtonRole.RejectRole)
-        self.report = self.buttons.addButton(f"Report{ELLIPSIS}", QDialogButtonBox.ButtonRole.ActionRole)
-        self.export = self.buttons.addButton(f"Export{ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
+        self.report = self.buttons.addButton(f"Report{BUTTON_ELLIPSIS}", QDialogButtonBox.ButtonRole.ActionRole)
+        self.export = self.buttons.addButton(f"Export{BUTTON_ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
         self.export.setEnabled(can_export)
         self.left.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         # It gets the remaining height, and scrolls before the whole dialog does.

@@ -48,7 +48,7 @@ from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, error_words, pokes_words, summary_words
 from app.text_size import scaled
-from app.theme import HUES, WIDGET_GAP_PX
+from app.theme import MODULE_HUES, WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
@@ -201,7 +201,7 @@ class TaxelMap(pg.GraphicsView):
         self._row = {int(channel): row for row, channel in enumerate(channels)}
         self._width, self._names = scene.skin.channels, names
         owners = [names.module_index(int(channel)) for channel in channels]
-        self._hues = ["" if owner < 0 else HUES[owner % len(HUES)] for owner in owners]
+        self._hues = ["" if owner < 0 else MODULE_HUES[owner % len(MODULE_HUES)] for owner in owners]
         """One a channel of the map; empty without a module."""
         self._zoom, self._scale, self._dragged = 1.0, 1.0, QPointF()
         """Zoom over showing all, and pixels a unit of the map."""
@@ -417,7 +417,7 @@ class TaxelMap(pg.GraphicsView):
         font.setBold(True)
         font.setPixelSize(40)
         for index, (polygon, text) in enumerate(zip(self._modules, self._numbers, strict=True)):
-            hue = HUES[index % len(HUES)]
+            hue = MODULE_HUES[index % len(MODULE_HUES)]
             polygon.setPen(pg.mkPen(mix(hue, colours.panel, 0.45), width=1.2))
             polygon.setBrush(mix(colours.panel, hue, 0.07))
             corners, size = self._plan.outlines[index], float(np.ptp(self._plan.outlines[index], axis=0).min())

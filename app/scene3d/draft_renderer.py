@@ -87,7 +87,7 @@ class LinksLayer(Layer):
         for link, actor in self.actors.items():
             is_part = link == chosen
             actor.visibility = step in ROBOT_STEPS
-            actor.prop.color = theme.HUES[0] if is_part else self.colours.front
+            actor.prop.color = theme.MODULE_HUES[0] if is_part else self.colours.front
 
     def pick(self, x: float, y: float) -> str | None:
         """Return the link at a pixel; `None` next to the robot."""

@@ -44,7 +44,7 @@ def rgb(colour: str) -> Colour:
     return red, green, blue
 
 
-HUES = np.array([rgb(hue) for hue in theme.HUES], dtype=np.uint8)
+MODULE_RGB = np.array([rgb(hue) for hue in theme.MODULE_HUES], dtype=np.uint8)
 """(7, 3) the modules' hues: seven that colour-blind people tell apart."""
 
 
@@ -83,8 +83,8 @@ LIGHT = _make_colours(
 def module_hues(layout: Layout | None, channels: IntArray) -> ColourArray:
     """Return the hue of the module of each of n channels, (n, 3) uint8: repeated beyond seven, the first without a layout."""
     if layout is None:
-        return np.tile(HUES[0], (len(channels), 1))
-    return HUES[layout.module_of[channels] % len(HUES)]
+        return np.tile(MODULE_RGB[0], (len(channels), 1))
+    return MODULE_RGB[layout.module_of[channels] % len(MODULE_RGB)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -48,7 +48,7 @@ BACKLOG_READINGS_TIME_PER_TICK_S = 0.060  # Time for readings per tick then: the
 SOLVING_TIME_PER_TICK_S = 0.012  # Time for solving per tick. All taxels, as after a correction, take several ticks.
 MAX_UNSOLVED_TAXELS = 200
 """With more unsolved taxels an action is refused: the window shows a state from before the last change."""
-PACES = (1, 2, 4)  # Speed of the simulated operator between pokes, relative to a careful person
+OPERATOR_PACES = (1, 2, 4)  # Speed of the simulated operator between pokes, relative to a careful person
 DEMO_SPEED_FACTOR = 2  # A poke takes 1.5 s, and the modules method finishes in two minutes
 DEMO_FIRST_MODULE_POKES = 2
 """The demonstration shows the taxels of a module within seconds; in any other session the landmarks come first."""
@@ -128,7 +128,7 @@ class Controller(QObject):
         self.running = Running.OPENING
         self.prepare: Callable[[], object] = lambda: None
         """Imports the session's views; called in the background before a part is loaded."""
-        self.pace = 1  # Of the simulated operator, one of `PACES`; 0 if a simulated robot pokes
+        self.pace = 1  # Of the simulated operator, one of `OPERATOR_PACES`; 0 if a simulated robot pokes
         self.demo = False
         self._reset()
         self._timer = QTimer(self, interval=TICK_PERIOD_MS)

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from skincal.streams.links import LinkSpec
 
 DEFAULT_SCENE = "icub-forearm"
-MESHES = (".stl", ".obj", ".ply", ".off")
-PART_FILES = (*MESHES, ".urdf")  # Endings of files with which a new part begins
+MESH_FILE_ENDINGS = (".stl", ".obj", ".ply", ".off")
+PART_FILES = (*MESH_FILE_ENDINGS, ".urdf")  # Endings of files with which a new part begins
 
 
 @dataclass(frozen=True, slots=True)

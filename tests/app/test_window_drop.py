@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QApplication
 
 from app.__main__ import main
 from app.session.dropping import request_of
-from app.session.opening import MESHES, OpenRequest
+from app.session.opening import MESH_FILE_ENDINGS, OpenRequest
 from app.state.running import Running
 from skincal.mesh.load import read_mesh
 from skincal.model.errors import InputError
@@ -113,7 +113,7 @@ def test_one_thing_at_a_time_that_is_there(tmp_path, recorded):
     assert str(refusal.value).endswith(approved("dropping.gone"))
 
 
-@pytest.mark.parametrize("kind", MESHES)
+@pytest.mark.parametrize("kind", MESH_FILE_ENDINGS)
 def test_the_meshes_are_those_that_are_read(kind):
     with pytest.raises(InputError, match="export the mesh again"):
         read_mesh(Path(f"part{kind}"), b"?")

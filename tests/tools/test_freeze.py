@@ -6,7 +6,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QImage, QPainter
 
 from app.session.opening import server_command
-from app.theme import HUES
+from app.theme import MODULE_HUES
 from tests.app.test_window_start import python
 from tools import freeze
 from tools.freeze import WindowProgress, left_out, shows_taxels
@@ -18,7 +18,7 @@ def picture():
     return image
 
 
-@pytest.mark.parametrize("hue", HUES)
+@pytest.mark.parametrize("hue", MODULE_HUES)
 def test_a_ball_in_a_module_s_hue_is_a_taxel_and_its_outline_is_none(hue):
     image = picture()
     painter = QPainter(image)
@@ -35,7 +35,7 @@ def test_a_ball_in_a_module_s_hue_is_a_taxel_and_its_outline_is_none(hue):
 def test_a_ball_on_the_map_beside_the_3d_view_is_none():
     image = picture()
     painter = QPainter(image)
-    painter.setBrush(QColor(HUES[0]))
+    painter.setBrush(QColor(MODULE_HUES[0]))
     painter.drawEllipse(1000, 100, 30, 30)
     painter.end()
     assert not shows_taxels(image)

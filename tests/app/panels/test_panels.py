@@ -21,7 +21,7 @@ from app.panels.rig_panel import RigPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.widgets import put_rows, rows_text, table, theme_colours
 from app.session.opening import OpenRequest
-from app.session_view import PANELS, RIGHT_PX
+from app.session_view import PANEL_TYPES, RIGHT_PX
 from app.state.memo import Memo, is_same
 from app.text.guidance_text import BETWEEN
 from app.text.message import Message
@@ -162,7 +162,7 @@ def test_a_panel_is_drawn_after_a_change_and_when_it_is_shown_again(qtbot):
     assert panel.drawn == 3
 
 
-@pytest.mark.parametrize("kind", PANELS, ids=lambda kind: kind.title)
+@pytest.mark.parametrize("kind", PANEL_TYPES, ids=lambda kind: kind.title)
 def test_every_panel_can_be_made_draws_once_and_follows_the_theme(qtbot, kind):
     panel = shown(qtbot, kind(context(part(arm_scene()))))
     times, wrench = np.linspace(90.0, 100.0, 1000), np.ones((1000, 6))

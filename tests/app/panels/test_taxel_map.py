@@ -15,7 +15,7 @@ from app.panels.taxel_map import MapCard, TaxelMap, lay_out_map, mark_path, quar
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark
-from app.theme import HUES
+from app.theme import MODULE_HUES
 from skincal.model.scene import resource
 from skincal.session.part import load_part
 from skincal.words.units import ChannelNames
@@ -78,7 +78,7 @@ def test_an_answer_a_state_and_a_selection_each_change_their_taxel_alone(taxels)
     taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))})))
     known = around(taxels, here)
     assert changed(before, known) > 20
-    hue = QColor(HUES[0]).getRgb()[:3]
+    hue = QColor(MODULE_HUES[0]).getRgb()[:3]
     assert tuple(int(v) for v in known[9, 9, :3]) == hue
     plain = around(taxels, here, 20)
     taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))}), selected=here))

@@ -17,7 +17,7 @@ from app.scene3d.camera import VIEW_SLOPE, facing, pose_of, rotate, zoom
 from app.scene3d.canvas import Canvas
 from app.scene3d.offscreen import draw
 from app.scene3d.scene_renderer import SceneRenderer
-from app.scene3d.scene_state import DARK, HUES, LIGHT, Comparison, StaticScene, View3DState
+from app.scene3d.scene_state import DARK, LIGHT, MODULE_RGB, Comparison, StaticScene, View3DState
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
 from skincal.mesh.lay import PlacedLayout
@@ -100,7 +100,7 @@ def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures,
     away = np.linalg.norm(PLACES - PLACES[CENTRE_CHANNEL], axis=1)
     for channel in np.flatnonzero(away > 7e-3):  # what is nearer lies under the target's ring and arrow
         ball = pictures.around(shown, PLACES[channel])
-        assert np.abs(ball - HUES[channel // 12]).max() < 80, f"the ball of channel {channel}"
+        assert np.abs(ball - MODULE_RGB[channel // 12]).max() < 80, f"the ball of channel {channel}"
     for step in ring_steps():
         ring = pictures.around(shown, asked_for().place + step, 4)
         assert (ring.min(axis=1) > 230).sum() > 10, "white upon"
@@ -172,7 +172,7 @@ def test_as_many_balls_are_seen_as_taxels_face_the_camera_however_deep_they_lie(
         picture, pose = pixels(view).astype(float), pose_of(renderer_of(view).camera)
         cosines = facing(out, places, pose.position)
         size = 3.2e-3 * view.height() / (2 * VIEW_SLOPE * pose.distance)
-        for module, hue in enumerate(HUES[:2]):
+        for module, hue in enumerate(MODULE_RGB[:2]):
             own = cosines[12 * module : 12 * module + 12]
             assert np.abs(own).min() > 0.02, "none on the edge, where half a ball would count"
             assert spots(picture, hue.astype(float), 0.3 * size**2) == (own > 0).sum(), f"turned by {turned}"

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from app import theme
 from app.scene3d.part_layers import SurfaceLayer
-from app.scene3d.scene_state import HUES, LIGHT, StaticScene, module_hues
+from app.scene3d.scene_state import LIGHT, MODULE_RGB, StaticScene, module_hues
 from skincal.mesh.surface import contact_point, entry_points, make_surface
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.palette import METHODS
@@ -177,9 +177,9 @@ def test_a_picture_is_drawn_without_display_or_qt(tmp_path: Path, surface: bool)
     pixels = _read_png(out)
     assert pixels.shape == (300, 400, 3)
     np.testing.assert_array_equal(pixels[0, 0], LIGHT.background)
-    for hue in HUES[:2]:
+    for hue in MODULE_RGB[:2]:
         assert (pixels == hue).all(axis=-1).sum() > 60, "the outline of a module has its hue"
-    assert not (pixels == HUES[2]).all(axis=-1).any()
+    assert not (pixels == MODULE_RGB[2]).all(axis=-1).any()
     grey = (np.ptp(pixels.astype(int), axis=-1) < 12) & (pixels.max(axis=-1) < 220)
     assert (grey.sum() > 20_000) == surface
 

@@ -19,7 +19,7 @@ from app.scene3d import offscreen
 from app.scene3d.axes import MAX_DRAWN_FORCE_AXES
 from app.scene3d.canvas import Canvas
 from app.scene3d.estimates import UNKNOWN_DEPTH_HALF_LENGTH_M
-from app.scene3d.scene_state import DARK, HUES, LIGHT, StaticScene, View3DState
+from app.scene3d.scene_state import DARK, LIGHT, MODULE_RGB, StaticScene, View3DState
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
 from skincal.model.errors import InputError
@@ -73,7 +73,7 @@ def test_a_moved_estimate_leaves_its_place_and_appears_at_the_new_one(view):
     for place in (old, new):
         changed = np.abs(around(before, place) - around(after, place)).max(axis=-1) > 25
         assert changed.mean() > 0.5
-    hue = HUES[0].astype(int)
+    hue = MODULE_RGB[0].astype(int)
     # Lit from the camera, the middle of a ball has its module's hue at nearly full strength.
     assert np.abs(around(after, new, 2) - hue).max() < 60
     assert np.abs(around(before, old, 2) - hue).max() < 60
@@ -111,7 +111,7 @@ def test_the_other_method_shows_its_own_estimates(view):
     assert screen_place(view, 3) != place
     for channel, row in ((3, 0), (15, 1)):
         ball = around(second, screen_place(view, channel), 2)
-        assert np.abs(ball - HUES[row].astype(int)).max() < 70
+        assert np.abs(ball - MODULE_RGB[row].astype(int)).max() < 70
     assert (first != second).any(axis=-1).sum() > 100
     view.set_difference(True)
     assert (pixels(view) != second).any(axis=-1).sum() > 30, "a line leads to the other method's estimate"
@@ -337,7 +337,7 @@ def test_sizes_follow_the_pixel_ratio_of_the_screen_and_letters_also_the_text_si
         image = canvas_of(view).grabFramebuffer().convertToFormat(QImage.Format.Format_RGB888)
         rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), image.bytesPerLine())
         seen = rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).astype(int)
-        return tuple((np.abs(seen - colour).max(axis=2) < 30).mean() for colour in (HUES[0], DARK.ink))
+        return tuple((np.abs(seen - colour).max(axis=2) < 30).mean() for colour in (MODULE_RGB[0], DARK.ink))
 
     hue, ink = spots()
     if canvas is Canvas.RASTER:
@@ -423,7 +423,7 @@ def test_on_a_graphics_card_the_interactor_shows_the_same_layers(qtbot):
     settle()
     assert drawn.count == 1
     x, y = screen_place(view, 15)
-    assert np.abs(around(pixels(view), (x, y), 2) - HUES[1].astype(int)).max() < 70
+    assert np.abs(around(pixels(view), (x, y), 2) - MODULE_RGB[1].astype(int)).max() < 70
     with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
         qtbot.mouseClick(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
     assert picked.args == [15]
