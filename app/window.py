@@ -20,7 +20,7 @@ from app.commands import Commands
 from app.dialogs.pedals import Pedals
 from app.panels.drop_target import DropTarget
 from app.panels.first_minute import FirstMinute
-from app.panels.layouts import make_column
+from app.panels.layouts import make_column, scrolled
 from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.start_page import StartPage
@@ -102,6 +102,7 @@ def style_sheet(colours: Colours) -> str:
     QTabBar::tab:selected:focus {{ border: 1px solid {colours.accent}; border-bottom-width: 2px; padding: 5px 9px 6px 9px; }}
     QTabBar {{ outline: none; }}
     QScrollArea {{ border: 1px solid {colours.panel}; }}
+    QScrollArea#pages {{ border: none; }}
     QScrollArea:focus {{ border: 1px solid {colours.accent}; }}
     QHeaderView::section {{ color: {colours.muted}; background: {colours.panel}; border: none; padding: 4px 6px;
         border-bottom: 1px solid {colours.line}; }}
@@ -184,7 +185,10 @@ class Window(QMainWindow):
         self.stack.addWidget(self.opening)
         self._show_opening()
         centre = QWidget()
-        make_column(self.messages, (self.stack, 1), within=centre, margins=0, gap=0)
+        # Pages larger than the screen scroll: Wayland compositors end a program whose maximized window is larger.
+        pages = scrolled(self.stack)
+        pages.setObjectName("pages")
+        make_column(self.messages, (pages, 1), within=centre, margins=0, gap=0)
         self.setCentralWidget(centre)
         bar = self.statusBar()
         bar.setSizeGripEnabled(False)

@@ -22,8 +22,7 @@ from app.builder.place_step import PlaceStep
 from app.builder.sensor_step import SensorStep
 from app.builder.skin_step import SkinStep
 from app.builder.step import Step
-from app.dialogs.form_widgets import scrolled
-from app.panels.layouts import make_column, make_row
+from app.panels.layouts import make_column, make_row, scrolled
 from app.panels.widgets import theme_colours
 from app.scene3d.draft_state import DraftPicture, DraftStatic
 from app.scene3d.draft_view import DraftView3D

@@ -7,9 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QLocale, QPointF, Qt, Signal
+from PySide6.QtCore import QLocale, QPointF, Signal
 from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
-from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFileDialog, QHBoxLayout, QLabel, QPushButton, QScrollArea, QWidget
+from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFileDialog, QHBoxLayout, QLabel, QPushButton, QWidget
 
 from app.panels.layouts import make_row
 from app.panels.widgets import Painted
@@ -84,16 +84,6 @@ def path_row(title: str, field: QWidget, choose: Callable[[], object]) -> tuple[
     button.setAccessibleName(f"choose: {name}")
     button.clicked.connect(lambda: choose())
     return label, make_row((field, 1), button)
-
-
-def scrolled(inner: QWidget) -> QScrollArea:
-    """Put a form into an area that scrolls if the screen is too low. It follows the focus of the fields."""
-    area = QScrollArea()
-    area.setFrameShape(QScrollArea.Shape.NoFrame)
-    area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-    area.setWidgetResizable(True)
-    area.setWidget(inner)
-    return area
 
 
 class Sparkline(Painted):

@@ -22,9 +22,9 @@ from PySide6.QtWidgets import (
 )
 
 from app.dialogs.dialog import Dialog, StandardButton
-from app.dialogs.form_widgets import BUTTON_ELLIPSIS, ScenePicker, Sparkline, path_row, scrolled
+from app.dialogs.form_widgets import BUTTON_ELLIPSIS, ScenePicker, Sparkline, path_row
 from app.panels.drop_target import DropTarget
-from app.panels.layouts import make_column, make_form, make_row
+from app.panels.layouts import make_column, make_form, make_row, scrolled
 from app.panels.widgets import choose_session_folder, fit_rows, fit_to_screen, put_rows, secondary_label, table
 from app.text.import_text import (
     HEADINGS,

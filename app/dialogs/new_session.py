@@ -24,9 +24,9 @@ from PySide6.QtWidgets import (
 )
 
 from app.dialogs.dialog import Dialog, StandardButton
-from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row, scrolled
+from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row
 from app.panels.devices import link_sign
-from app.panels.layouts import make_row
+from app.panels.layouts import make_row, scrolled
 from app.panels.widgets import choose_session_folder, compact_combo, digits_font, rich_label, secondary_label
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics

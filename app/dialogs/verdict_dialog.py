@@ -7,8 +7,8 @@ from PySide6.QtGui import QKeyEvent, QShowEvent
 from PySide6.QtWidgets import QDialogButtonBox, QHeaderView, QLabel, QSizePolicy, QWidget
 
 from app.dialogs.dialog import Dialog, StandardButton
-from app.dialogs.form_widgets import BUTTON_ELLIPSIS, scrolled
-from app.panels.layouts import make_column, make_form, make_row
+from app.dialogs.form_widgets import BUTTON_ELLIPSIS
+from app.panels.layouts import make_column, make_form, make_row, scrolled
 from app.panels.widgets import fit_to_screen, put_rows, secondary_label, set_bold, table
 from app.text_size import scaled
 from app.theme import HEADLINE_FONT_SIZE_PT, WIDGET_GAP_PX

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias, TypeVar
 
-from PySide6.QtWidgets import QBoxLayout, QFormLayout, QHBoxLayout, QLayout, QVBoxLayout, QWidget
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QBoxLayout, QFormLayout, QHBoxLayout, QLayout, QScrollArea, QVBoxLayout, QWidget
 
 Item: TypeAlias = QWidget | QLayout | int | tuple[Any, ...]
 """A widget, a layout, the share of an empty space, or a tuple: a widget or a layout, its share, and its alignment if any."""
@@ -36,6 +37,15 @@ def make_form(
     for row in rows:
         form.addRow(*row) if isinstance(row, tuple) else form.addRow(row)
     return form
+
+
+def scrolled(inner: QWidget) -> QScrollArea:
+    """Put a widget into an area that scrolls where the screen is too small. It follows the focus of the fields."""
+    area = QScrollArea(widgetResizable=True)
+    area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    area.setFrameShape(QScrollArea.Shape.NoFrame)
+    area.setWidget(inner)
+    return area
 
 
 def _fill_box(box: AnyBox, items: tuple[Item, ...], within: QWidget | None, margins: Margins | None, gap: int | None) -> AnyBox:

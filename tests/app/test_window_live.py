@@ -13,7 +13,7 @@ import pytest
 from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtGui import QAccessible
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QDialog, QMessageBox, QWidget
+from PySide6.QtWidgets import QApplication, QDialog, QMessageBox, QScrollArea, QWidget
 
 from app.run import Faults, collect_in_window
 from app.scene3d.canvas import best_canvas
@@ -21,6 +21,7 @@ from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
 from app.state.view_state import LinkStatus
 from app.text.message import Message
+from app.window import Window
 from app.workers.device_process import DeviceProcess
 from skincal.journal.lock import SessionLock
 from skincal.journal.writer import create_session
@@ -202,14 +203,19 @@ def open_dialogs() -> list[QDialog]:
     return [w for w in QApplication.topLevelWidgets() if isinstance(w, QDialog) and w.isVisible()]
 
 
+def scroll_ranges(window: Window) -> tuple[int, int]:
+    """Pixels by which the window's pages can be scrolled across and down."""
+    area = window.findChild(QScrollArea, "pages")
+    return area.horizontalScrollBar().maximum(), area.verticalScrollBar().maximum()
+
+
 def test_a_recorded_session_is_looked_through_at_1280_by_720(bench, recorded, qtbot):
     """Every tab fits and has names for a screen reader; a taxel is selected, disabled and enabled; both themes."""
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     window, workspace = bench.window, bench.window.session_view.workspace
     assert (window.width(), window.height()) == (1280, 720)
-    assert window.minimumSizeHint().width() <= 1280
-    assert window.minimumSizeHint().height() <= 720 - 40
+    assert scroll_ranges(window) == (0, 0)
     assert workspace.view.width() > workspace.right.width()
     for index in range(workspace.tabs.count()):
         bench.key(Qt.Key(Qt.Key.Key_1 + index))
@@ -251,6 +257,23 @@ def test_a_recorded_session_is_looked_through_at_1280_by_720(bench, recorded, qt
         corner = widget.mapTo(window, widget.rect().topLeft())
         area = np.s_[corner.y() : corner.y() + widget.height(), corner.x() : corner.x() + widget.width(), :3]
         assert light[area].mean() > dark[area].mean() + 60, widget
+
+
+@pytest.mark.parametrize("percent", [100, 200])
+def test_on_a_screen_smaller_than_its_pages_the_window_scrolls(bench, recorded, percent):
+    """A Wayland compositor ends a program whose maximized window is larger than the screen: 1366 x 768 at 150 %, at 250 %."""
+    bench.window.text_size.choose(percent)
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    window, now = bench.window, bench.window.session_view.workspace.now
+    assert window.minimumSizeHint().width() <= 1366 / 2.5
+    assert window.minimumSizeHint().height() <= 768 / 2.5
+    window.resize(546, 307)
+    bench.until(lambda: (window.width(), window.height()) == (546, 307), 5000)
+    bench.until(lambda: min(scroll_ranges(window)) > 0, 5000)
+    window.findChild(QScrollArea, "pages").ensureWidgetVisible(now)
+    assert now.visibleRegion().boundingRect().height() == now.height()
+    window.text_size.choose()
 
 
 @pytest.mark.parametrize(("first", "maximized"), [(QSize(800, 600), False), (QSize(20_000, 10_000), True)])
