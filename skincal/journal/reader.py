@@ -106,10 +106,11 @@ class SessionLog:
                     self.scene_changed |= self._has_other_scene(item)
                     if item.continues:
                         continue
+                    ended = False
                 if isinstance(item, DetectorResult):
                     self._check_channels(item)
-                # The last counts are behind the end.
-                ended = isinstance(item, SessionClosed) or (ended and isinstance(item, Totals))
+                # The results of closing are behind the end mark: the last outcome, its landmark and the last counts.
+                ended |= isinstance(item, SessionClosed)
                 yield item
         if not ended and not self.written_by:
             self._findings.append(

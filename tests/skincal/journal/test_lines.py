@@ -7,7 +7,7 @@ import pytest
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
-from skincal.contacts.outcome import Reason, Rejection
+from skincal.contacts.outcome import PressPhase, Reason, Rejection
 from skincal.journal import mcap_file
 from skincal.journal.documents import DetectorResult, Totals, key_of
 from skincal.journal.line_file import LineWriter, lines_path, read_lines
@@ -24,6 +24,21 @@ ACTIONS = [(0.3, Exclude(1)), (0.4, MarkDead(2)), (0.5, Restore(1)), (0.6, Undo(
 @pytest.fixture
 def scene(tmp_path):
     return write_scene(tmp_path / "source")
+
+
+def test_a_session_that_is_closed_while_poking_was_closed(scene, tmp_path):
+    """Closing in a hold, in a release, and before the tare after a poke: its last outcome is written behind the end mark."""
+    samples, phases = some_pokes(scene, 2).samples, set()
+    for end in range(len(samples) // 2, len(samples), 3):
+        live = new_session(scene, tmp_path / str(end))
+        for item in as_chunks(samples[:end]):
+            live.feed(item)
+        phases.add(live.phase)
+        live.close()
+        loaded = load(tmp_path / str(end))
+        assert loaded.findings == ()
+        assert_same(live, loaded)
+    assert {PressPhase.READY, PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD} <= phases
 
 
 def crowded(scene):
