@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from PySide6.QtCore import QObject, Signal
 
 from app.workers.threads import LOG, ThreadService, raise_sentences
+from skincal.child_environment import protect_children
 from skincal.session.review import Review, ReviewRequest, SentReview, review_sent
 from skincal.session.session import Session
 from skincal.session.snapshot import PokeRecord, Snapshot
@@ -132,8 +133,7 @@ class WorkerProcess:
         from multiprocessing import get_context
 
         context = get_context("spawn")
-        # No file of the working folder is imported.
-        os.environ["PYTHONSAFEPATH"] = "1"
+        protect_children()
         # Without a lock: only the window writes, and a late reader only works a little longer.
         self._shared_id = shared_id = context.RawValue("q", 0)
         shared_id.value = self._newest_id

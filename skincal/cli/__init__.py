@@ -6,7 +6,6 @@ Results go to stdout, as text or with `--json` as one JSON value; everything els
 
 from __future__ import annotations
 
-import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from importlib import import_module
 import typer
 
 from skincal import __version__
+from skincal.child_environment import protect_children
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError, shortened
 
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : without the program's name; those of the process when None
     """
-    os.environ["PYTHONSAFEPATH"] = "1"  # processes that a study starts run nothing that lies in the working folder
+    protect_children()
     _register()
     try:
         # Not standalone: it would end the process and print errors in its own words.

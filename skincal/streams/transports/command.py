@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from skincal.child_environment import operator_environment
 from skincal.devices.family import Command
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
@@ -76,7 +77,7 @@ class CommandLink:
         self._kind_of_end = FailureKind.VANISHED if command.is_driver else FailureKind.ENDED
         stdin = subprocess.PIPE if command.has_input else subprocess.DEVNULL
         # Without this, Python buffers the lines of a script in blocks of 8 kB, since its output is a pipe.
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        environment = {**(os.environ if command.is_driver else operator_environment()), "PYTHONUNBUFFERED": "1"}
         streams: dict[str, Any] = {"stdin": stdin, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         try:
             self._process = subprocess.Popen(command.words, bufsize=0, env=environment, **_OWN_PROCESS_GROUP, **streams)

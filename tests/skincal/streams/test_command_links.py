@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from skincal.child_environment import OPERATOR_VALUE_VARIABLE, SAFE_PATH_VARIABLE
 from skincal.cli import main
 from skincal.devices.bota import BotaDecoder, driver_settings
 from skincal.devices.link import FailureKind, LinkError
@@ -145,6 +146,25 @@ def test_on_windows_a_command_is_one_line_and_ends_with_all_that_it_started(tmp_
     assert ended[0][1:] == ["/F", "/T", "/PID", str(pid)]
     assert Path(ended[0][0]) == Path("W", "System32", "taskkill.exe")
     assert link._process.poll() is not None, "the command itself in any case"
+
+
+@pytest.mark.parametrize("value", [None, "", "1"])
+def test_a_script_imports_its_driver_from_its_own_folder(tmp_path, monkeypatch, value):
+    """As the example of the manual, also from the command line and the window, which protect their own processes."""
+    monkeypatch.delenv(OPERATOR_VALUE_VARIABLE, raising=False)
+    monkeypatch.setenv(SAFE_PATH_VARIABLE, value) if value is not None else monkeypatch.delenv(
+        SAFE_PATH_VARIABLE, raising=False
+    )
+    assert main(["--version"]) == 0
+    assert os.environ[SAFE_PATH_VARIABLE] == "1"
+    (tmp_path / "own_driver.py").write_text("LINE = '1,2,3'\n", encoding="utf-8")
+    address = script(tmp_path, "import own_driver\nprint(own_driver.LINE)\n")
+    if value:  # the operator's own wish
+        with pytest.raises(LinkError, match="own_driver"), opened(address):
+            pass
+    else:
+        with opened(address) as link:
+            assert all_of(link)[0].split() == [b"1,2,3"]
 
 
 def test_two_commands_are_recorded_and_their_session_never_starts_them(tmp_path, capsys):
