@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from skincal.files.formats import ExportFormat, formats_help
+from skincal.files.formats import ExportFormat, ExportOptions, Inertia, formats_help
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
@@ -31,6 +31,14 @@ Replay = Annotated[
 Part = Annotated[
     str | None,
     typer.Option(help="Skin part named in the iCub file, such as r_forearm; default: the beginning of the scene's link name."),
+]
+Prefix = Annotated[
+    str | None,
+    typer.Option(
+        help='Begins the names of taxels in urdf, tactile-urdf, sdf and mjcf; "" for none. Default: the link and an '
+        "underscore, so that two skins of one robot share no name.",
+        show_default=False,
+    ),
 ]
 Correct = Annotated[
     bool,
@@ -85,6 +93,7 @@ def solve(
     layout: LayoutOption = None,
     correct: Correct = False,
     part: Part = None,
+    prefix: Prefix = None,
     replay: Replay = False,
     as_json: Json = False,
 ) -> None:
@@ -98,6 +107,8 @@ def solve(
 
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
+    if prefix is not None and out is None:
+        raise InputError("--prefix begins the names of taxels in the files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
     results = open_results(session, replay, layout, correct)
     pipeline, snapshot = results.pipeline, results.snapshot
@@ -116,7 +127,7 @@ def solve(
     unchecked = results.verdict(results.choose_method(None)).unchecked
     # Before the calibration is written: this file may be refused.
     modules, module_lines = _layout_result(results, layout, layout_out)
-    files, written = ([], []) if out is None else _write_all(results, out, part)
+    files, written = ([], []) if out is None else _write_all(results, out, ExportOptions(part=part, prefix=prefix))
     findings = [*pipeline.findings, *written]
     totals = pipeline.totals()
     losses = output.loss_counts(totals.links, totals.unpaired)
@@ -281,7 +292,7 @@ def _estimates_if_corrected(results: SessionResults) -> Estimates | None:
     return {method: tuple(estimates.values()) for method, estimates in solved.items()}
 
 
-def _write_all(results: SessionResults, folder: Path, part: str | None) -> tuple[list[Path], list[str]]:
+def _write_all(results: SessionResults, folder: Path, options: ExportOptions) -> tuple[list[Path], list[str]]:
     """Write every format for every method of the scene; return the files and the findings, each once."""
     from skincal.files.export import write_calibration
 
@@ -297,7 +308,7 @@ def _write_all(results: SessionResults, folder: Path, part: str | None) -> tuple
         for method in list(calibration.estimates)[: 1 if format_.holds_all_methods else None]:
             name = "calibration" if format_.holds_all_methods else f"{stem}-{method.value}"
             files.append(folder / f"{name}{format_.suffix}")
-            findings |= dict.fromkeys(write_calibration(calibration, format_, files[-1], method, part))
+            findings |= dict.fromkeys(write_calibration(calibration, format_, files[-1], method, options.for_format(format_)))
     return files, list(findings)
 
 
@@ -309,6 +320,22 @@ def export(
     layout: LayoutOption = None,
     correct: Correct = False,
     part: Part = None,
+    prefix: Prefix = None,
+    inertia: Annotated[
+        Inertia,
+        typer.Option(
+            help="Mass of each taxel's link in urdf: none, or tiny (1e-6 kg, 1e-12 kg m2) for programs that give 1 kg to a "
+            "link without mass (PyBullet, urchin)."
+        ),
+    ] = Inertia.NONE,
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            help="Robot's own file (.urdf for urdf and tactile-urdf, .sdf for sdf): the whole robot with the taxels is "
+            "written to --out, and this file stays as it is.",
+            show_default=False,
+        ),
+    ] = None,
     replay: Replay = False,
     as_json: Json = False,
 ) -> None:
@@ -316,11 +343,11 @@ def export(
     from skincal.cli import output
     from skincal.files.export import write_calibration
 
-    if part is not None and format_ is not ExportFormat.ICUB:
-        raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
+    options = ExportOptions(part, prefix, inertia, into)
+    options.require_use(format_)
     results = open_results(session, replay, layout, correct)
     chosen, calibration = results.choose_method(method), results.calibration()
-    findings = [*results.pipeline.findings, *write_calibration(calibration, format_, out, chosen, part)]
+    findings = [*results.pipeline.findings, *write_calibration(calibration, format_, out, chosen, options)]
     summary = output.method_summary(calibration.estimates[chosen], None, results.session.scene.skin.layout)
     verdict, unchecked = calibration.verdicts[chosen], calibration.unmodelled_rig_error_m[chosen]
     line = output.method_line(chosen.value, summary) + (output.LEADS_WORDS if chosen is results.leading else "")
@@ -329,6 +356,7 @@ def export(
         "format": format_.value,
         "method": chosen.value,
         **({} if layout is None else {"layout": layout}),
+        **({} if into is None else {"into": into}),
         **summary,
         "leads": None if results.leading is None else results.leading.value,
         "verdict": verdict,

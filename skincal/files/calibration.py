@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.files.formats import NO_OPTIONS, ExportOptions
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
@@ -52,8 +53,8 @@ class Calibration:
     unmodelled_rig_error_m: Mapping[Method, float | None] = field(default_factory=dict[Method, "float | None"])
     """m rms, by method: shift from rig errors that the predicted error leaves out (`unchecked_of`)."""
 
-    part: str | None = None
-    """Skin part that the operator named for the iCub file; see `skincal.files.icub.skin_part`."""
+    options: ExportOptions = NO_OPTIONS
+    """The operator's choices for the file."""
     mesh_findings: tuple[str, ...] = ()
     """Sentences on the mesh."""
 

@@ -27,8 +27,10 @@ import numpy as np
 
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
-from skincal.files.formats import ExportFormat
+from skincal.files.formats import NO_OPTIONS, ExportFormat, ExportOptions
+from skincal.files.frames import named_poses, skin_name
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, skin_part
+from skincal.files.robot_file import check_robot, mesh_sentences, require_other_file
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.load import MeshFinding, load_surface
@@ -227,14 +229,14 @@ def ply_text(calibration: Calibration, method: Method) -> str:
     """Return ASCII PLY: one vertex a taxel with a position, metres, link frame.
 
     Properties: `x y z`, unit normal `nx ny nz` (0 0 0 where unknown), `channel`, `method` (0 free, 1 surface, 2 modules),
-    `sd_mm` (-1 where it is not determined).
+    `sd_mm` (-1 where it is not determined), and `quality`, the same number under the only name that MeshLab keeps.
     """
     taxels, frame = placed_taxels(calibration.estimates_by(method)), " ".join(calibration.scene.link.split())
     header = [
         "ply",
         "format ascii 1.0",
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {frame}",
-        "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
+        "comment method 0 is free, 1 is surface, 2 is modules; sd_mm, quality -1 is not determined; normal 0 0 0 is not known",
         *(f"comment {correction_words(used)}" for used in calibration.corrections),
         *(f"comment {words}" for words in calibration.verdict_comments(method)),
         f"element vertex {len(taxels.channels)}",
@@ -242,17 +244,22 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "property int channel",
         "property uchar method",
         "property float sd_mm",
+        "property float quality",
         "end_header",
     ]
     rows = [
         # Nine digits give every 32-bit float back as it was.
-        f"{' '.join(f'{length:.9g}' for length in place)} {channel} {METHOD_CODE[method]} "
-        f"{sd * 1e3 if math.isfinite(sd) else -1.0:.6g}"
+        f"{' '.join(f'{length:.9g}' for length in place)} {channel} {METHOD_CODE[method]} {_ply_sd(sd)} {_ply_sd(sd)}"
         for place, channel, sd in zip(
             np.hstack([taxels.positions, taxels.normals]).tolist(), taxels.channels.tolist(), taxels.sd.tolist(), strict=True
         )
     ]
     return "\n".join([*header, *rows]) + "\n"
+
+
+def _ply_sd(sd: float) -> str:
+    """Format an sd (m) in millimetres."""
+    return f"{sd * 1e3 if math.isfinite(sd) else -1.0:.6g}"
 
 
 JSON_FORMAT = "skincal-calibration/3"
@@ -433,24 +440,33 @@ class _Shape:
 
 
 def write_calibration(
-    calibration: Calibration, format_: ExportFormat | str, path: Path, method: Method, part: str | None = None
+    calibration: Calibration,
+    format_: ExportFormat | str,
+    path: Path,
+    method: Method,
+    options: ExportOptions = NO_OPTIONS,
 ) -> tuple[str, ...]:
     """Write a calibration file; an older one is kept as `.bak`, see `write_atomically`.
 
     Parameters
     ----------
     method : whose estimates a file of one method holds
-    part : name of the skin part for the iCub file; see `skincal.files.icub.skin_part`
 
     Returns
     -------
     Sentences that do not stop the writing: faults, omitted data, the suffix of another format, and the older file's name.
 
-    Raises InputError: the session has no such estimates, or the file cannot be written.
+    Raises InputError: the session has no such estimates, the options do not fit, or the file cannot be written.
     """
     wanted = ExportFormat(format_)
-    content, sentences = calibration_file(calibration, wanted, method, part)
+    if options.into is not None:
+        require_other_file(path, options.into)
+    content, sentences = calibration_file(calibration, wanted, method, options)
     kept = write_atomically(path, content)
+    if options.into is not None:
+        if path.read_bytes() != content:
+            raise InputError(f"{path}: does not have the content that was written; check the disk, and write it again.")
+        sentences += tuple(mesh_sentences(path, options.into))
     sentences += tuple(
         f"{path.name} ends in {path.suffix} and holds the format {wanted.value}; expected the ending {wanted.suffix}: rename "
         f"the file, or choose the format {other.value}."
@@ -461,23 +477,37 @@ def write_calibration(
 
 
 def calibration_file(
-    calibration: Calibration, format_: ExportFormat, method: Method, part: str | None = None
+    calibration: Calibration, format_: ExportFormat, method: Method, options: ExportOptions = NO_OPTIONS
 ) -> tuple[bytes, tuple[str, ...]]:
     """Make a calibration file's bytes and its findings, as `write_calibration`, without writing."""
+    options.require_use(format_)
     # Refuses a method without estimates before the mesh is loaded.
     calibration.estimates_by(method)
     shape = _shape_of(calibration)
     module, _, function = format_.writer.partition(":")
     write = getattr(import_module(module), function)
-    written: str | bytes = write(replace(calibration, part=part, mesh_findings=shape.mesh_findings), method)
+    written: str | bytes = write(replace(calibration, options=options, mesh_findings=shape.mesh_findings), method)
     methods = tuple(calibration.estimates) if format_.holds_all_methods else (method,)
     sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _expected_surface(calibration, each, shape))
         sentences += _left_out(calibration.estimates_by(each), each)
     if format_ is ExportFormat.ICUB:
-        sentences += _icub_traps(calibration, method, part)
-    return written.encode() if isinstance(written, str) else written, tuple(sentences)
+        sentences += _icub_traps(calibration, method, options.part)
+    content = written.encode() if isinstance(written, str) else written
+    if options.into is not None:
+        names, what = _names_of_taxels(replace(calibration, options=options), format_, method)
+        sentences.append(check_robot(options.into, content, names, what))
+    return content, tuple(sentences)
+
+
+def _names_of_taxels(calibration: Calibration, format_: ExportFormat, method: Method) -> tuple[list[str], str]:
+    """List the names that an export adds to a robot, and say what is added."""
+    taxels = placed_taxels(calibration.estimates_by(method))
+    if format_ is ExportFormat.TACTILE_URDF:
+        return [skin_name(calibration)], f"a tactile sensor of {plural(len(taxels.channels), 'taxel')} is"
+    names = [name for name, _, _ in named_poses(calibration, taxels)]
+    return names, "1 taxel is" if len(names) == 1 else f"{len(names)} taxels are"
 
 
 def _shape_of(calibration: Calibration) -> _Shape:

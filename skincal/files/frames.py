@@ -7,69 +7,125 @@ the link's xy plane. That is R = Rz(yaw) Ry(pitch) with
 
 so the roll is 0 in URDF's and SDF's order of fixed angles. The directions of x and y have no meaning: a taxel is round.
 Where the normal is not known the frame stands as the link's. Lengths are metres, angles radians; taxels without a position
-are left out.
+are left out. Every name begins with the link's name, or with the prefix of `ExportOptions`: two skins of one robot share none.
 
-Sources: wiki.ros.org/urdf/XML/joint, sdformat.org/spec (1.9: frame, pose), mujoco.readthedocs.io XMLreference (site, touch).
+Sources: wiki.ros.org/urdf/XML/joint, sdformat.org/spec (1.9: frame, pose), mujoco.readthedocs.io XMLreference (site, touch,
+frame, attach, fusestatic of URDF). `consumers.py` says what each program does with the files; `tests/consumers` tries it.
 """
 
 from __future__ import annotations
 
 import io
 import re
+from typing import cast
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
+from skincal.files.formats import Inertia
+from skincal.files.robot_file import insert_into_robot
 from skincal.geometry import FloatArray
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_words
 
 DEFAULT_TOUCH_SITE_RADIUS_M = 0.0025
 """m. Of a touch site where no layout says how far taxels lie apart: half of the iCub's 5 mm."""
+TINY_MASS_KG = 1e-6
+"""kg, of a taxel's link: 84 of them are 84 mg. Of 0 kg libsdformat 12 refuses the robot."""
+TINY_URDF_INERTIA = 1e-12
+"""kg m^2: 1e-6 kg within 1 mm. MuJoCo refuses 1e-15."""
+TINY_SDF_INERTIA = 1e-9
+"""kg m^2, of the link in SDF, which would be 1 kg m^2 without a word."""
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def urdf_text(calibration: Calibration, method: Method) -> str:
-    """Return URDF: the calibrated link, and for each taxel a link `taxel_CHANNEL` by a fixed joint."""
+def urdf_text(calibration: Calibration, method: Method) -> str | bytes:
+    """Return URDF: a link `PREFIXtaxel_CHANNEL` on a fixed joint of the calibrated link for each taxel.
+
+    With the option `into` it is the robot's file with these links, otherwise a robot of the calibrated link alone.
+    """
     taxels, link = placed_taxels(calibration.estimates_by(method)), xml_name(calibration.scene.link)
-    root = begin_document("robot", {"name": xml_name(calibration.scene.name)}, calibration, method)
-    ET.SubElement(root, "link", name=link)
-    for name, position, angles in named_poses(taxels):
-        ET.SubElement(root, "link", name=name)
-        joint = ET.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
+    elements: list[ET.Element] = []
+    for name, position, angles in named_poses(calibration, taxels):
+        elements.append(_urdf_link(name, calibration.options.inertia))
+        joint = ET.Element("joint", name=f"{name}_joint", type="fixed")
         ET.SubElement(joint, "parent", link=link)
         ET.SubElement(joint, "child", link=name)
         ET.SubElement(joint, "origin", xyz=number_words(position), rpy=number_words(angles))
+        elements.append(joint)
+    if calibration.options.into is not None:
+        return insert_into_robot(calibration.options.into, "robot", link, [*document_comments(calibration, method), *elements])
+    root = begin_document("robot", {"name": xml_name(calibration.scene.name)}, calibration, method)
+    # Otherwise MuJoCo makes one body of all links on fixed joints, without a name or a frame of theirs.
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false")
+    root.append(_urdf_link(link, calibration.options.inertia))
+    root.extend(elements)
     return document_text(root)
 
 
-def sdf_text(calibration: Calibration, method: Method) -> str:
-    """Return SDF 1.9: a model with the calibrated link, and for each taxel a frame `taxel_CHANNEL` attached to it."""
+def _urdf_link(name: str, inertia: Inertia) -> ET.Element:
+    link = ET.Element("link", name=name)
+    if inertia is Inertia.TINY:
+        inertial = ET.SubElement(link, "inertial")
+        ET.SubElement(inertial, "mass", value=f"{TINY_MASS_KG:g}")
+        moments = {f"i{axes}": f"{TINY_URDF_INERTIA if axes[0] == axes[1] else 0:g}" for axes in INERTIA_AXES}
+        ET.SubElement(inertial, "inertia", moments)
+    return link
+
+
+def sdf_text(calibration: Calibration, method: Method) -> str | bytes:
+    """Return SDF: a frame `PREFIXtaxel_CHANNEL`, attached to the calibrated link, for each taxel.
+
+    With the option `into` it is the robot's file with these frames, otherwise a model with the calibrated link (SDF 1.9).
+    """
     taxels, link = placed_taxels(calibration.estimates_by(method)), xml_name(calibration.scene.link)
-    root = begin_document("sdf", {"version": "1.9"}, calibration, method)
-    model = ET.SubElement(root, "model", name=xml_name(calibration.scene.name))
-    ET.SubElement(model, "link", name=link)
-    for name, position, angles in named_poses(taxels):
-        frame = ET.SubElement(model, "frame", name=name, attached_to=link)
+    frames: list[ET.Element] = []
+    for name, position, angles in named_poses(calibration, taxels):
+        frame = ET.Element("frame", name=name, attached_to=link)
         ET.SubElement(frame, "pose", relative_to=link).text = number_words(np.concatenate([position, angles]))
+        frames.append(frame)
+    if calibration.options.into is not None:
+        return insert_into_robot(calibration.options.into, "sdf", link, [*document_comments(calibration, method), *frames])
+    root = begin_document("sdf", {"version": "1.9"}, calibration, method)
+    add_comment(root, f"for a robot that has the link {link}: paste the <frame>s alone into its model")
+    model = ET.SubElement(root, "model", name=skin_name(calibration))
+    inertial = ET.SubElement(ET.SubElement(model, "link", name=link), "inertial")
+    ET.SubElement(inertial, "mass").text = f"{TINY_MASS_KG:g}"
+    moments = ET.SubElement(inertial, "inertia")
+    for axes in INERTIA_AXES:
+        ET.SubElement(moments, f"i{axes}").text = f"{TINY_SDF_INERTIA if axes[0] == axes[1] else 0:g}"
+    model.extend(frames)
     return document_text(root)
+
+
+INERTIA_AXES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def mjcf_text(calibration: Calibration, method: Method) -> str:
-    """Return MJCF: a body with a spherical site for each taxel, and a touch sensor on it.
+    """Return MJCF: a frame with a spherical site for each taxel, and a touch sensor on it.
 
-    A touch sensor adds up the normal forces of the contacts within its site. The sites' radius is half of the layout's
-    spacing, so that neighbours do not feel the same contact.
+    A touch sensor adds up the normal forces of the contacts within its site, of the geoms of the site's own body alone. So the
+    sites must be in the robot's body, and stand in a `<frame>`, which can be attached to one; those of an attached body stay
+    silent. The sites' radius is half of the layout's spacing, so that neighbours do not feel the same contact.
     """
     taxels, radius = placed_taxels(calibration.estimates_by(method)), taxel_radius(calibration)
+    link, skin = xml_name(calibration.scene.link), skin_name(calibration)
     root = begin_document("mujoco", {"model": xml_name(calibration.scene.name)}, calibration, method)
-    body = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=xml_name(calibration.scene.link))
-    sensors = ET.SubElement(root, "sensor")
+    for line in (
+        f"attach the frame {skin} to the robot's body of {link}, so that its geoms press the sites; <include> misplaces them",
+        f'XML: in <asset> <model name="{skin}" file="THIS FILE"/>',
+        f'     in the body <attach model="{skin}" frame="{skin}" prefix=""/>',
+        f'Python: body.attach_frame(MjSpec.from_file("THIS FILE").frame("{skin}"), "", "")',
+        f"if {link} is not the body itself: in a <frame> at the pose of {link} in the body, or set pos and quat of the result",
+    ):
+        add_comment(root, line)
+    body = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=link)
+    frame, sensors = ET.SubElement(body, "frame", name=skin), ET.SubElement(root, "sensor")
     quaternions = quaternions_of(taxels.normals)
-    for (name, position, _), quaternion in zip(named_poses(taxels), quaternions, strict=True):
+    for (name, position, _), quaternion in zip(named_poses(calibration, taxels), quaternions, strict=True):
         shape = {"type": "sphere", "size": f"{radius:.9g}", "pos": number_words(position), "quat": number_words(quaternion)}
-        ET.SubElement(body, "site", {"name": name, **shape})
+        ET.SubElement(frame, "site", {"name": name, **shape})
         ET.SubElement(sensors, "touch", name=name, site=name)
     return document_text(root)
 
@@ -124,29 +180,50 @@ def quaternions_of(normals: FloatArray) -> FloatArray:
     return np.stack([cy * cp, -sy * sp, cy * sp, sy * cp], axis=1)
 
 
-def named_poses(taxels: PlacedTaxels) -> list[tuple[str, FloatArray, FloatArray]]:
+def name_prefix(calibration: Calibration) -> str:
+    """Return the beginning of every name: the operator's prefix, or the link's name and an underscore."""
+    chosen = calibration.options.prefix
+    return f"{xml_name(calibration.scene.link)}_" if chosen is None else chosen
+
+
+def skin_name(calibration: Calibration) -> str:
+    """Return the name of the skin as a whole: of a sensor, a model or a frame."""
+    return f"{name_prefix(calibration)}skin"
+
+
+def named_poses(calibration: Calibration, taxels: PlacedTaxels) -> list[tuple[str, FloatArray, FloatArray]]:
     """Return name, position and angles of each taxel."""
-    names = [f"taxel_{channel}" for channel in taxels.channels.tolist()]
+    prefix = name_prefix(calibration)
+    names = [f"{prefix}taxel_{channel}" for channel in taxels.channels.tolist()]
     return list(zip(names, taxels.positions, angles_of(taxels.normals), strict=True))
 
 
 def begin_document(tag: str, attributes: dict[str, str], calibration: Calibration, method: Method) -> ET.Element:
     """Return the document's root with comments on what it holds."""
     root = ET.Element(tag, attributes)
+    root.extend(document_comments(calibration, method))
+    return root
+
+
+def document_comments(calibration: Calibration, method: Method) -> list[ET.Element]:
+    """Return comments on the content of a file."""
     lines = (
         f"skincal {calibration.version}, {method.value} method, metres and radians in {calibration.scene.link}",
         "z axis of a taxel: its outward normal; the link's own where that is not known",
         *(correction_words(used) for used in calibration.corrections),
         *calibration.verdict_comments(method),
     )
-    for line in lines:
-        add_comment(root, line)
-    return root
+    return [_comment(line) for line in lines]
 
 
 def add_comment(root: ET.Element, line: str) -> None:
-    """Append a comment; replace double hyphens, which XML forbids in it."""
-    root.append(ET.Comment(f" {xml_name(line).replace('--', '- -')} "))
+    """Append a comment."""
+    root.append(_comment(line))
+
+
+def _comment(line: str) -> ET.Element:
+    # XML forbids double hyphens in a comment.
+    return cast("ET.Element", ET.Comment(f" {xml_name(line).replace('--', '- -')} "))
 
 
 def xml_name(text: str) -> str:

@@ -95,7 +95,7 @@ def icub_text(calibration: Calibration, method: Method) -> str:
     rows[taxels.channels] = np.hstack([taxels.positions, taxels.normals])
     mapping = representatives(calibration.scene.skin.layout, width, taxels.channels)
     comments = _comments(calibration, method, estimates)
-    return _text(skin_part(calibration, calibration.part), _word(calibration.scene.link), mapping, rows, comments)
+    return _text(skin_part(calibration, calibration.options.part), _word(calibration.scene.link), mapping, rows, comments)
 
 
 def positions_text(part: str, rows: FloatArray, comment: str) -> str:

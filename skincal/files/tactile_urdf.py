@@ -1,9 +1,12 @@
 """Taxels as a tactile sensor of a robot's URDF, in the extension of tactile_toolbox; written, and read as known positions.
 
-    <sensor name><parent link/><origin/><tactile channel><taxel idx xyz rpy><geometry/></taxel>...</tactile></sensor>
+    <sensor name type="tactile">
+        <parent link/><origin/><tactile channel><taxel idx xyz rpy><geometry/></taxel>...</tactile>
+    </sensor>
 
 The z axis of a taxel is its normal; `idx` is its place in the data of the channel (`tactile_msgs/TactileState`). The sensor's
-origin is that of the link, since its composition with a taxel's pose differs between versions of the reader.
+origin is that of the link, since its composition with a taxel's pose differs between versions of the reader. That
+reader needs no `type`; iDynTree reports an error for a sensor without.
 
 Source: github.com/ubi-agni/tactile_toolbox, `urdf_tactile/README.md` and `urdf_tactile/src/parser.cpp`.
 """
@@ -15,7 +18,18 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 from skincal.files.calibration import Calibration, placed_taxels
-from skincal.files.frames import add_comment, begin_document, document_text, named_poses, number_words, taxel_radius, xml_name
+from skincal.files.frames import (
+    add_comment,
+    begin_document,
+    document_comments,
+    document_text,
+    named_poses,
+    number_words,
+    skin_name,
+    taxel_radius,
+    xml_name,
+)
+from skincal.files.robot_file import insert_into_robot
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.given import read_regular
@@ -26,22 +40,30 @@ DRAWN_TAXEL_HEIGHT_M = 0.001
 """m, of the drawn taxels."""
 
 
-def tactile_urdf_text(calibration: Calibration, method: Method) -> str:
-    """Write a URDF with the calibrated link and one `<sensor>`, which can be pasted into the robot's URDF."""
-    taxels, link = placed_taxels(calibration.estimates_by(method)), xml_name(calibration.scene.link)
-    name = xml_name(calibration.scene.name)
-    root = begin_document("robot", {"name": name}, calibration, method)
+def tactile_urdf_text(calibration: Calibration, method: Method) -> str | bytes:
+    """Return URDF with one `<sensor>`: the robot's file with it (option `into`), or a robot of the calibrated link alone."""
+    link = xml_name(calibration.scene.link)
+    sensor = _sensor(calibration, method)
+    if calibration.options.into is not None:
+        return insert_into_robot(calibration.options.into, "robot", link, [*document_comments(calibration, method), sensor])
+    root = begin_document("robot", {"name": xml_name(calibration.scene.name)}, calibration, method)
     add_comment(root, f"for a whole robot: paste the <sensor> into its URDF, which has the link {link}")
     ET.SubElement(root, "link", name=link)
-    sensor = ET.SubElement(root, "sensor", name=name)
-    ET.SubElement(sensor, "parent", link=link)
+    root.append(sensor)
+    return document_text(root)
+
+
+def _sensor(calibration: Calibration, method: Method) -> ET.Element:
+    taxels, name = placed_taxels(calibration.estimates_by(method)), skin_name(calibration)
+    sensor = ET.Element("sensor", name=name, type="tactile")
+    ET.SubElement(sensor, "parent", link=xml_name(calibration.scene.link))
     ET.SubElement(sensor, "origin", xyz="0 0 0", rpy="0 0 0")
     tactile = ET.SubElement(sensor, "tactile", channel=name)
     size = {"radius": f"{taxel_radius(calibration):.9g}", "length": f"{DRAWN_TAXEL_HEIGHT_M:g}"}
-    for channel, (_, position, angles) in zip(taxels.channels.tolist(), named_poses(taxels), strict=True):
+    for channel, (_, position, angles) in zip(taxels.channels.tolist(), named_poses(calibration, taxels), strict=True):
         taxel = ET.SubElement(tactile, "taxel", idx=str(channel), xyz=number_words(position), rpy=number_words(angles))
         ET.SubElement(ET.SubElement(taxel, "geometry"), "cylinder", size)
-    return document_text(root)
+    return sensor
 
 
 class TactileSensor(NamedTuple):

@@ -9,6 +9,7 @@ import pytest
 
 from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS, json_text, ply_text, write_calibration
+from skincal.files.formats import ExportOptions
 from skincal.files.frames import mjcf_text, sdf_text, urdf_text
 from skincal.files.icub import icub_text
 from skincal.mesh.load import load_surface
@@ -172,14 +173,14 @@ def test_ply_holds_the_known_taxels(part, tmp_path):
     rows = np.loadtxt((tmp_path / "c.ply").read_text().partition("end_header\n")[2].splitlines())
     np.testing.assert_allclose(rows[:, 3:6], part.normals[known], atol=1e-7)
     np.testing.assert_array_equal(rows[:, 6], known)
-    np.testing.assert_array_equal(rows[:, 7:], [[1, 1.0]] * len(known))
+    np.testing.assert_array_equal(rows[:, 7:], [[1, 1.0, 1.0]] * len(known))
 
 
 def test_ply_of_a_taxel_without_normal_and_sd(part, tmp_path):
     bare = Estimate(0, Method.FREE, State.ESTIMATED, 2, position=np.array([0.1, 0.2, 0.3]))
     calibration = replace(make_calibration(part), estimates={Method.FREE: (bare,)})
     write_calibration(calibration, "ply", tmp_path / "c.ply", Method.FREE)
-    assert (tmp_path / "c.ply").read_text().splitlines()[-1] == "0.1 0.2 0.3 0 0 0 0 0 -1"
+    assert (tmp_path / "c.ply").read_text().splitlines()[-1] == "0.1 0.2 0.3 0 0 0 0 0 -1 -1"
 
 
 def test_icub_says_what_is_left_out_and_the_last_row(part, tmp_path):
@@ -192,7 +193,7 @@ def test_icub_says_what_is_left_out_and_the_last_row(part, tmp_path):
 
 
 def test_a_part_that_the_robot_does_not_know_is_said(part, tmp_path):
-    said = write_calibration(make_calibration(part), "icub", tmp_path / "p.txt", Method.FREE, part="elbow")
+    said = write_calibration(make_calibration(part), "icub", tmp_path / "p.txt", Method.FREE, ExportOptions(part="elbow"))
     assert any(approved("export.unknown_part", part="elbow") in sentence for sentence in said)
 
 

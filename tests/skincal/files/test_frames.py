@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.files.export import write_calibration
-from skincal.files.formats import ExportFormat
+from skincal.files.formats import ExportFormat, ExportOptions, Inertia
 from skincal.files.frames import mjcf_text, npz_bytes, quaternions_of, sdf_text, urdf_text
 from skincal.files.reference import load_reference, read_place_sets
 from skincal.files.tactile_urdf import tactile_urdf_text
@@ -19,6 +19,7 @@ from tests.skincal.files.files_support import estimate, make_calibration
 
 OF_ONE = (ExportFormat.URDF, ExportFormat.TACTILE_URDF, ExportFormat.SDF, ExportFormat.MJCF, ExportFormat.NPZ)
 LEFT_OUT = (5, 13)
+LINK = "r_forearm_dh_frame"
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +69,9 @@ def mjcf_poses(text: str) -> dict[str, tuple[list[float], Rotation]]:
 def test_each_taxel_has_a_frame_at_its_place_with_z_outward(part, calibration, text_of, poses_of):
     poses = poses_of(text_of(calibration, Method.SURFACE))
     placed = [channel for channel in calibration.channels.tolist() if channel not in LEFT_OUT]
-    assert list(poses) == [f"taxel_{channel}" for channel in placed]
+    assert list(poses) == [f"{LINK}_taxel_{channel}" for channel in placed]
     for channel in placed:
-        position, turn = poses[f"taxel_{channel}"]
+        position, turn = poses[f"{LINK}_taxel_{channel}"]
         assert np.allclose(position, part.places[channel], atol=1e-9)
         assert np.allclose(turn.apply([0.0, 0.0, 1.0]), part.normals[channel], atol=1e-8)
 
@@ -93,7 +94,7 @@ def test_frames_are_the_same_in_every_format_for_normals_all_around(calibration)
             assert (first[name][1].inv() * other[name][1]).magnitude() < 1e-7
         expected = [0.0, 0.0, 1.0] if normal is None else normal
         assert np.allclose(first[name][1].apply([0.0, 0.0, 1.0]), expected, atol=1e-8)
-    assert first[f"taxel_{channels[-1]}"][1].magnitude() == 0.0
+    assert first[f"{LINK}_taxel_{channels[-1]}"][1].magnitude() == 0.0
 
 
 def test_a_touch_site_ends_half_way_to_its_neighbour(part, calibration):
@@ -158,7 +159,8 @@ def test_a_tactile_sensor_has_every_taxel_and_is_read_as_known_positions(part, c
     write_calibration(calibration, "tactile-urdf", path, Method.SURFACE)
     (sensor,) = ET.parse(path).getroot().findall("sensor")
     assert sensor.find("parent").get("link") == "r_forearm_dh_frame"
-    assert sensor.find("tactile").get("channel") == sensor.get("name") == calibration.scene.name
+    assert sensor.find("tactile").get("channel") == sensor.get("name") == f"{LINK}_skin"
+    assert sensor.get("type") == "tactile", "iDynTree reports an error for a sensor without"
     for taxel in sensor.iter("taxel"):
         outward = Rotation.from_euler("xyz", numbers(taxel.get("rpy"))).apply([0.0, 0.0, 1.0])
         assert np.allclose(outward, part.normals[int(taxel.get("idx"))], atol=1e-8)
@@ -198,3 +200,77 @@ def test_a_damaged_tactile_sensor_is_refused(tmp_path, text, words):
     (tmp_path / "a.urdf").write_text(f"<robot>{text}</robot>" if text.startswith("<sensor") else text)
     with pytest.raises(InputError, match=words):
         read_place_sets(tmp_path / "a.urdf")
+
+
+def names_of(text: str | bytes) -> set[str]:
+    """Names of everything but joints, which have those of their links."""
+    return {each.get("name") for each in ET.fromstring(text).iter() if each.get("name") and each.tag not in ("joint", "touch")}
+
+
+@pytest.mark.parametrize("text_of", [urdf_text, sdf_text, mjcf_text, tactile_urdf_text])
+def test_two_skins_of_one_robot_share_no_name(calibration, text_of):
+    other = replace(calibration, scene=replace(calibration.scene, link="l_forearm_dh_frame"))
+    shared = names_of(text_of(calibration, Method.FREE)) & names_of(text_of(other, Method.FREE))
+    assert shared <= {calibration.scene.name}, "the name of the document alone"
+
+
+@pytest.mark.parametrize("prefix", ["", "left_", "a/b.c-"])
+@pytest.mark.parametrize("text_of", [urdf_text, sdf_text, mjcf_text, tactile_urdf_text])
+def test_a_prefix_begins_every_name(calibration, text_of, prefix):
+    chosen = replace(calibration, options=ExportOptions(prefix=prefix))
+    found = names_of(text_of(chosen, Method.FREE)) - {calibration.scene.name, LINK}
+    expected = {f"{prefix}taxel_{channel}" for channel in calibration.channels.tolist() if channel not in LEFT_OUT}
+    skin = {f"{prefix}skin"}
+    of_format = {urdf_text: expected, sdf_text: expected | skin, mjcf_text: expected | skin, tactile_urdf_text: skin}
+    assert found == of_format[text_of]
+
+
+@pytest.mark.parametrize("prefix", ["a b", "/arm", "::", "a\n", "<", "a&"])
+def test_a_prefix_that_cannot_begin_a_name_is_refused(calibration, prefix, tmp_path):
+    with pytest.raises(InputError, match=r"^--prefix is .*; expected letters, digits"):
+        write_calibration(calibration, "urdf", tmp_path / "a.urdf", Method.FREE, ExportOptions(prefix=prefix))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("format_", list(ExportFormat))
+def test_an_option_that_a_format_does_not_know_is_refused_and_named(calibration, format_, tmp_path):
+    every = ExportOptions("chest", "left_", Inertia.TINY, tmp_path / "robot.urdf")
+    for name in ("part", "prefix", "inertia", "into"):
+        one = replace(ExportOptions(), **{name: getattr(every, name)})
+        if name in format_.features:
+            one.require_use(format_)
+            assert one.for_format(format_) == one
+            continue
+        with pytest.raises(InputError, match=rf"^--{name} .*; expected --format .*, not {format_.value}"):
+            write_calibration(calibration, format_, tmp_path / "file", Method.FREE, one)
+        assert one.for_format(format_) == ExportOptions()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_link_of_urdf_has_a_mass_only_if_that_is_wanted(calibration):
+    bare = ET.fromstring(urdf_text(calibration, Method.FREE))
+    assert bare.find(".//inertial") is None
+    assert bare.find("mujoco/compiler").get("fusestatic") == "false", "otherwise MuJoCo keeps no taxel"
+    tiny = ET.fromstring(urdf_text(replace(calibration, options=ExportOptions(inertia=Inertia.TINY)), Method.FREE))
+    links = tiny.findall("link")
+    assert len(links) == len(bare.findall("link")) > 1
+    for link in links:
+        assert float(link.find("inertial/mass").get("value")) == 1e-6
+        moments = {name: float(text) for name, text in link.find("inertial/inertia").attrib.items()}
+        assert moments == {"ixx": 1e-12, "ixy": 0, "ixz": 0, "iyy": 1e-12, "iyz": 0, "izz": 1e-12}
+
+
+def test_the_link_of_sdf_has_almost_no_mass(calibration):
+    """Without `<inertial>` SDFormat means 1 kg and 1 kg m^2."""
+    inertial = ET.fromstring(sdf_text(calibration, Method.FREE)).find("model/link/inertial")
+    assert float(inertial.findtext("mass")) == 1e-6
+    moments = {each.tag: float(each.text) for each in inertial.find("inertia")}
+    assert moments == {"ixx": 1e-9, "ixy": 0, "ixz": 0, "iyy": 1e-9, "iyz": 0, "izz": 1e-9}
+
+
+def test_the_sites_stand_in_a_frame_that_can_be_attached(calibration):
+    text = mjcf_text(calibration, Method.FREE)
+    body = ET.fromstring(text).find("worldbody/body")
+    assert [(each.tag, each.get("name")) for each in body] == [("frame", f"{LINK}_skin")]
+    assert {each.tag for each in body.find("frame")} == {"site"}
+    assert f'<attach model="{LINK}_skin" frame="{LINK}_skin" prefix=""/>' in text
