@@ -332,7 +332,7 @@ def export(
         Path | None,
         typer.Option(
             help="Robot's own file (.urdf for urdf and tactile-urdf, .sdf for sdf): the whole robot with the taxels is "
-            "written to --out, and this file stays as it is.",
+            "written to --out, and this file stays unchanged.",
             show_default=False,
         ),
     ] = None,

@@ -144,7 +144,9 @@ class ExportOptions:
         for option in (name for name, is_given in given.items() if is_given and name not in format_.features):
             known = " or ".join(each.value for each in ExportFormat if option in each.features)
             advice = "; in MuJoCo attach the file to the robot, as its comment says" if format_ is ExportFormat.MJCF else ""
-            raise InputError(f"--{option} {_PURPOSES[option]}; expected --format {known}, not {format_.value}{advice}.")
+            raise InputError(
+                f"--{option} {_PURPOSE_OF_OPTION[option]}; expected --format {known}, not {format_.value}{advice}."
+            )
         if self.prefix is not None and not _PREFIX_RE.fullmatch(self.prefix):
             raise InputError(
                 f"--prefix is {self.prefix!r}; expected letters, digits and _ . - /, not / at the beginning, such as left_arm_."
@@ -153,7 +155,7 @@ class ExportOptions:
 
 NO_OPTIONS = ExportOptions()
 _PREFIX_RE = re.compile(r"([\w.-][\w./-]*)?")
-_PURPOSES = {
+_PURPOSE_OF_OPTION = {
     "part": "names the skin part in an iCub file",
     "prefix": "begins the names of taxels",
     "inertia": "gives each taxel's link a mass",

@@ -1,4 +1,4 @@
-"""A robot's own file (URDF, SDF) with the taxels in it: everything else stays as it is, to the last byte.
+"""A robot's own file (URDF, SDF) with the taxels in it: every other byte stays unchanged.
 
 The taxels are put before the end tag of `<robot>`, or of the `<model>` that has the calibrated link. Before the file is
 written, robot and result are read again and compared: masses and joints must be the same, and every new name must be there.
@@ -23,7 +23,6 @@ from skincal.model.urdf import MAX_URDF_BYTES, parse_xml
 
 SDF_MIN_VERSION = (1, 7)
 """Older ones have no frames that are attached to a link."""
-_INDENT = "  "
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +104,7 @@ def check_robot(path: Path, content: bytes, names: Sequence[str], what: str) -> 
 
 
 def mesh_sentences(out: Path, into: Path) -> list[str]:
-    """Say that meshes are not found from the folder of `out`; empty if they are."""
+    """Return a warning if meshes are not found from the folder of `out`."""
     here, there = out.resolve().parent, into.resolve().parent
     count = _content(parse_xml(read_regular(into, MAX_URDF_BYTES), into)).relative_meshes
     if here == there or not count:
@@ -119,7 +118,9 @@ def mesh_sentences(out: Path, into: Path) -> list[str]:
 def require_other_file(out: Path, into: Path) -> None:
     """Raise InputError if the robot's own file would be replaced."""
     if out.exists() and into.exists() and out.samefile(into):
-        raise InputError(f"{out}: is the robot's own file, which stays as it is; choose another name for the file with taxels.")
+        raise InputError(
+            f"{out}: is the robot's own file, which stays unchanged; choose another name for the file with taxels."
+        )
 
 
 def _read_robot(path: Path, tag: str) -> tuple[bytes, ET.Element]:
@@ -205,7 +206,7 @@ def _indented(elements: Sequence[ET.Element]) -> str:
     """Write elements as children of a document's root."""
     parent = ET.Element("parent")
     parent.extend(elements)
-    ET.indent(parent, _INDENT)
+    ET.indent(parent)
     lines = ET.tostring(parent, encoding="unicode").splitlines()
     return "\n".join(lines[1:-1])
 
