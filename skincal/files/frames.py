@@ -106,7 +106,8 @@ def mjcf_text(calibration: Calibration, method: Method) -> str:
     """Return MJCF: a frame with a spherical site for each taxel, and a touch sensor on it.
 
     A touch sensor adds up the normal forces of the contacts within its site, of the geoms of the site's own body alone. So the
-    sites have a `<frame>`, which can be attached to the robot's body. Those of an attached body stay silent. The sites' radius is half of the layout's spacing, so that neighbours do not feel the same contact.
+    sites have a `<frame>`, which can be attached to the robot's body. Those of an attached body stay silent. The sites' radius
+    is half of the layout's spacing, so that neighbours do not feel the same contact.
     """
     taxels, radius = placed_taxels(calibration.estimates_by(method)), taxel_radius(calibration)
     link, skin = xml_name(calibration.scene.link), skin_name(calibration)
