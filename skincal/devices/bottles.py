@@ -7,6 +7,7 @@ measure with a stamp of its own; of `stateExt:o` the first element is the joints
 from __future__ import annotations
 
 import math
+import re
 from typing import TypeAlias
 
 import numpy as np
@@ -22,6 +23,19 @@ MEASURES_WRENCH, MEASURES_SKIN, MEASURES_LISTS = 5, 8, 10
 """Index of the six-axis sensors and of the skin patches in the groups of `measures:o`; fewest groups (newer versions: 12)."""
 STATE_EXT_LENGTHS = (22, 24)
 """Elements of `stateExt:o`, of 3.x and of 4.0."""
+_NAN_RE = re.compile(rb"(?<![\w.#])[+-]?(?:nan(?:\(\w*\))?|1\.#(?:QNAN|SNAN|NAN|IND)\d*)(?:\.0)?(?![\w.#(])", re.IGNORECASE)
+_INFINITY_RE = re.compile(rb"(?<![\w.#])([+-]?)(?:inf(?:inity)?|1\.#INF\d*)(?:\.0)?(?![\w.#])", re.IGNORECASE)
+_NOT_FINITE_MARKS = (b"nan", b"inf", b"#")
+
+
+def plain_not_finite(text: bytes) -> bytes:
+    """Replace the texts of NaN and infinity that C libraries and YARP write (`-nan.0`, `-nan(ind)`, `1.#INF`) by `nan`, `inf`.
+
+    YARP ends a number without a point with `.0`, and a negative NaN is one of these.
+    """
+    if not any(mark in text for mark in _NOT_FINITE_MARKS):
+        return text
+    return _INFINITY_RE.sub(rb"\1inf", _NAN_RE.sub(b"nan", text))
 
 
 def as_vector(value: Value) -> FloatArray | None:

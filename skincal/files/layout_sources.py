@@ -27,6 +27,10 @@ LAYOUT_ENDINGS = ("*.toml", "*.ini", "*.csv", "*.tsv", "*.txt")
 _INI_KINDS = {"triangle": "triangle_12", **{name: name for name in KINDS}}
 """Kinds of modules in skinGui files, by their name there."""
 _FIELD_SEPARATORS = re.compile(r"[,;\t ]+")
+_INI_COMMENT_RE = re.compile(r"//.*|(?<!\S)#.*")
+"""Comment of a YARP file: `//` anywhere, `#` at the begin of a word."""
+INI_FIELDS_MIN, INI_FIELDS = 5, 7
+"""Fields of a line that are needed, and all of them; YARP takes a missing one (gain, mirror) as 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,21 +98,26 @@ def parse_layout(text: str, path: Path) -> Layout:
 def text_of_ini(text: str, path: Path) -> str:
     """Convert a layout of iCub's skinGui (`icub-main/app/skinGui/conf/skinGui/*.ini`).
 
-    A line is: kind, number, x, y, orientation, gain, mirror. The channels of module k begin at 12 k.
+    A line is: kind, number, x, y, orientation, gain, mirror. A missing gain or mirror is 0. The channels of module k begin
+    at 12 k.
 
     Raises InputError: it has no modules, a line is not readable, or a kind is unknown.
     """
     modules: list[str] = []
     seen: set[int] = set()
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith(("#", "[")) or words[0] not in _INI_KINDS:
-            if words and len(words) >= 6 and not words[0].startswith("#") and _are_numbers(words[1:6]):
+        words = _INI_COMMENT_RE.sub("", line).split()
+        if not words or words[0].startswith("[") or words[0] not in _INI_KINDS:
+            if len(words) > INI_FIELDS_MIN and _are_numbers(words[1 : INI_FIELDS_MIN + 1]):
                 raise InputError(f"{path}: line {number} has a module {words[0]!r}; expected {', '.join(_INI_KINDS)}.")
             continue
-        if len(words) < 7 or not _are_numbers(words[1:7]):
-            raise InputError(f"{path}: line {number} is {line.strip()!r}; expected kind, number, x, y, angle, gain, mirror.")
-        module, x, y, angle, _, mirror = (float(word) for word in words[1:7])
+        fields = [*words[1:INI_FIELDS], *["0"] * (INI_FIELDS - len(words))]
+        if len(words) < INI_FIELDS_MIN or not _are_numbers(fields):
+            raise InputError(
+                f"{path}: line {number} is {line.strip()!r}; expected kind, number, x, y, angle, gain, mirror "
+                "(the last two may be missing)."
+            )
+        module, x, y, angle, _, mirror = map(float, fields)
         if int(module) in seen:
             raise InputError(f"{path}: line {number} repeats module {int(module)}; each module has one place: correct it.")
         seen.add(int(module))

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, plural
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
 
+FILE_SCHEME = "file:"
 CHARS_KEPT_FOR_NEXT_SENTENCE = 30
 """Characters kept free for the sentence that follows: `"No session was made."`."""
 
@@ -31,10 +32,19 @@ def _why_silent(link: LinkHealth, *, brief: bool) -> str:
     if link.text:  # the device's own error text says more than its bytes
         # The advice in it was shown when the link failed.
         return link.text.partition(";")[0] if brief else link.text
+    if link.address.startswith(FILE_SCHEME):
+        return _why_unread(link)
     if not link.last_host_ns:
         return "nothing arrived. Check the power, the cable and the baud rate of the device"
     expected = " and ".join(STREAM_NAMES[stream] for stream in link.carries)
     return f"data arrived, but no readings of the {expected}. Check the baud rate and the format of the device"
+
+
+def _why_unread(link: LinkHealth) -> str:
+    """Say why a file gives no readings; no cable or baud rate is to blame."""
+    losses = ", ".join(f"{count} {loss.value}" for loss, count in sorted(link.losses.items(), key=lambda each: -each[1]))
+    lines = f"its lines hold none ({losses})" if losses else "it holds none"
+    return f"{lines}. Check which file is named for it, and the columns and format of that file"
 
 
 STREAM_NAMES = {Stream.WRENCH: "force/torque sensor", Stream.SKIN: "skin", Stream.JOINTS: "joints", Stream.TIP: "tip"}

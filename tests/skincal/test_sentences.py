@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.model.errors import InputError
-from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Stream
+from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Stream
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
@@ -31,6 +31,16 @@ def test_of_three_links_that_are_silent_each_is_named_and_nothing_is_cut(count, 
     assert "\N{HORIZONTAL ELLIPSIS}" not in said
     assert all(approved("links.nothing_usable_no_port", link=STREAM_NAMES[each], port="/dev/pts/0") in said for each in streams)
     assert (why in said) is told
+
+
+def test_a_file_without_readings_has_no_baud_rate():
+    losses = {Loss.MISSING: 2, Loss.UNREADABLE: 6}
+    link = LinkHealth("skin", LinkState.ENDED, "", (Stream.SKIN,), "CSV", 0, 0.0, 1, losses, address="file:/data/skin.csv")
+    assert silent_links([link]) == (
+        "No usable readings from the skin: its lines hold none (6 not a record of this format, 2 numbers missing in the "
+        "sequence). Check which file is named for it, and the columns and format of that file."
+    )
+    assert "it holds none. Check" in silent_links([replace(link, losses={}, last_host_ns=0)])
 
 
 STATES = (

@@ -41,6 +41,10 @@ ROWS_READ_AT_ONCE = 4096
 RADIANS_ROOT = "robot_logger_device"
 """Group of YarpRobotLoggerDevice, whose angles are radians; telemetryDeviceDumper logs degrees."""
 CHANNELS_LISTED_MAX = 8
+UNPAIRED_ROWS_MAX = 10
+"""Rows without a time, or times without a row, that a log may end with: its logger was stopped between the two..."""
+UNPAIRED_MAX_SHARE = 0.05
+"""...but no more than this share of them; one is always allowed."""
 READ_ERRORS = (OSError, RuntimeError, MemoryError, OverflowError)
 """What h5py raises where a file is damaged."""
 _SKIN_RE = re.compile(r"skin|tactile|taxel|touch", re.IGNORECASE)
@@ -56,6 +60,11 @@ class _Channel:
     group: str
     """Path of its group in the file."""
     rows: int
+    """Rows that have a time."""
+    data_rows: int
+    """Rows of its data; 0 if it holds no numbers."""
+    times: int
+    """Number of its times."""
     width: int
     has_rows_first: bool
     """The first axis of the data is time, as the loggers write it; else the last one is."""
@@ -74,7 +83,7 @@ def guess_streams(path: Path) -> list[StreamGuess]:
     guesses = [
         StreamGuess(RecordedPlace(path, name), stream, channel.width)
         for name, channel in channels.items()
-        if (stream := _stream_of(channel)) is not None
+        if channel.rows and (stream := _stream_of(channel)) is not None
     ]
     if not guesses:
         raise InputError(f"{path}: no channel of a force/torque sensor, skin or joints; it has {_list_names(channels)}.")
@@ -123,7 +132,7 @@ def open_recording(
         columns, names = _columns(path, channel, stream, joints)
         factor, unit_finding = _factor(channel, stream, root)
         findings += [f"{stream.value}: channel {channel.name}.", *timeline.sentences()]
-        findings += [f"{stream.value}: {sentence}" for sentence in (names, unit_finding) if sentence]
+        findings += [f"{stream.value}: {sentence}" for sentence in (_unpaired(channel), names, unit_finding) if sentence]
         links.append(LinkSpec(stream.value, f"file:{path}::{channel.name}", (stream,), "records"))
         timelines.append(timeline)
         sources.append(partial(_lines, path, channel, stamps, columns, factor))
@@ -142,6 +151,14 @@ def _find_channel(path: Path, channels: Mapping[str, _Channel], stream: Stream, 
     channel = channels.get(name)
     if channel is None:
         raise InputError(f"{path}: has no channel {name}; it has {_list_names(channels)}.")
+    if not channel.data_rows or not channel.times:
+        seen = "times" if channel.data_rows else "numbers"
+        raise InputError(f"{path}: channel {name} has no {seen}; choose another channel: it has {_list_names(channels)}.")
+    if not _can_be_paired(channel.data_rows, channel.times):
+        raise InputError(
+            f"{path}: channel {name} has {plural(channel.data_rows, 'row')} and {plural(channel.times, 'time')}; expected one "
+            "time a row: which belong together is unknown. Record it again, or choose another channel."
+        )
     if channel.rows > ROWS_PER_CHANNEL_MAX or channel.width > VALUES_PER_ROW_MAX:
         raise InputError(
             f"{path}: channel {name} announces {channel.rows} rows of {plural(channel.width, 'value')}; expected at most "
@@ -150,6 +167,20 @@ def _find_channel(path: Path, channels: Mapping[str, _Channel], stream: Stream, 
     if stream is Stream.WRENCH and channel.width != WRENCH_VALUES:
         raise InputError(f"{path}: channel {name} has {plural(channel.width, 'value')}; expected six, fx fy fz mx my mz.")
     return channel
+
+
+def _can_be_paired(rows: int, times: int) -> bool:
+    return abs(rows - times) <= max(1, min(UNPAIRED_ROWS_MAX, UNPAIRED_MAX_SHARE * min(rows, times)))
+
+
+def _unpaired(channel: _Channel) -> str:
+    """Say that a channel has more times than rows, or fewer; empty if it has as many."""
+    if channel.data_rows == channel.times:
+        return ""
+    return (
+        f"channel {channel.name} has {plural(channel.data_rows, 'row')} and {plural(channel.times, 'time')}; "
+        f"the first {channel.rows} of both are read, and the rest is left out."
+    )
 
 
 def _columns(path: Path, channel: _Channel, stream: Stream, joints: Sequence[str]) -> tuple[list[int], str]:
@@ -183,7 +214,7 @@ def _read_stamps(path: Path, channel: _Channel) -> FloatArray:
     """Read the times of a channel, (rows,) seconds. Raises InputError: they cannot be read, or are no times."""
     with _open(path) as file:
         try:
-            stamps = np.asarray(file[channel.group]["timestamps"], np.float64).ravel()
+            stamps = np.asarray(file[channel.group]["timestamps"], np.float64).ravel()[: channel.rows]
         except READ_ERRORS as error:
             raise InputError(f"{path}: the times of channel {channel.name} cannot be read ({error}).") from None
     if not np.isfinite(stamps).all():
@@ -241,7 +272,7 @@ def _read_channels(path: Path) -> tuple[dict[str, _Channel], str]:
             roots = [name for name in file if name != "#refs#" and hasattr(file[name], "items")]
             root = RADIANS_ROOT if RADIANS_ROOT in roots else roots[0] if roots else ""
             found = [_channel(file, name, group) for name, group in (_walk(file[root]) if root else ())]
-            channels = {channel.name: channel for channel in found if channel is not None}
+            channels = {channel.name: channel for channel in found}
             description = _texts(file, file[root].get("description_list")) if root else ()
         except (*READ_ERRORS, ArithmeticError, LookupError, ValueError, TypeError, AttributeError) as error:
             raise InputError(f"{path}: its channels cannot be read ({error}); the file is damaged.") from None
@@ -281,17 +312,19 @@ def _walk(root: Any) -> Iterator[tuple[str, Any]]:
         waiting += reversed(inner)
 
 
-def _channel(file: Any, name: str, group: Any) -> _Channel | None:
-    """Describe a channel; `None` if it holds no numbers, or not as many rows as times."""
-    data, stamps = group["data"], group["timestamps"]
-    if not hasattr(data, "shape") or data.dtype.kind not in "iuf" or not getattr(stamps, "size", 0):
-        return None
-    rows = int(stamps.size)
-    has_rows_first = bool(data.shape) and data.shape[0] == rows
-    if not has_rows_first and (not data.shape or data.shape[-1] != rows):
-        return None
+def _channel(file: Any, name: str, group: Any) -> _Channel:
+    """Describe a channel. The axis of time is the first one, or the last where that alone has as many rows as there are times."""
+    data, times = group["data"], int(getattr(group["timestamps"], "size", 0) or 0)
     names, units = _texts(file, group.get("elements_names")), _texts(file, group.get("units_of_measure"))
-    return _Channel(name, group.name, rows, data.size // rows, has_rows_first, names, units[0] if units else "")
+    unit = units[0] if units else ""
+    shape: tuple[int, ...] = getattr(data, "shape", None) or ()
+    if not shape or not data.size or data.dtype.kind not in "iuf":
+        return _Channel(name, group.name, 0, 0, times, 0, has_rows_first=True, elements=names, unit=unit)
+    fits_last = shape[-1] == times != shape[0] or (_can_be_paired(shape[-1], times) and not _can_be_paired(shape[0], times))
+    has_rows_first = not fits_last
+    data_rows = shape[0] if has_rows_first else shape[-1]
+    rows = min(data_rows, times)
+    return _Channel(name, group.name, rows, data_rows, times, data.size // data_rows, has_rows_first, names, unit)
 
 
 def _texts(file: Any, dataset: Any) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 A folder holds `data.log`, one message a line, and `info.log`, whose `Stamp:` line says which times it has. Old
 dumpers wrote no `Stamp:` line: then a log has two stamps where its third column is a time within seconds of the second.
 A sender without an envelope leaves its stamp 0: a log with such lines is read by the receiver's stamps, all of it, since the
-two clocks may differ.
+two clocks may differ. The dumper then writes the receiver's stamp as a second one, also where `info.log` says `Stamp: tx;`.
 Source: robotology/yarp `src/yarpdatadumper/main.cpp` (and `src/commands/yarpdatadumper` later).
 """
 
@@ -206,7 +206,7 @@ def _grammar(path: Path) -> tuple[int, str, list[str]]:
     if found is not None:
         clocks = found.group(1).split("+")
         if len(clocks) in FORMAT_BY_STAMPS and set(clocks) <= {"tx", "rx"}:
-            return len(clocks), clocks[-1], []
+            return (2, "rx", []) if clocks == ["tx"] and _lacks_sender_stamps(path) else (len(clocks), clocks[-1], [])
         raise InputError(f"{path.with_name(INFO)}: Stamp is {found.group(1)!r}; expected tx, rx or tx+rx.")
     head = _first_lines(path, 2)
     # No Stamp line: if most of the first lines have a second time, all lines have.
@@ -225,6 +225,14 @@ def _read_info(path: Path) -> str:
 def _has_two_stamps(line: LogLine) -> bool:
     tx, rx = line.stamps
     return rx > UNIX_TIME_MIN_S and (tx == 0 or abs(rx - tx) < SENDER_TO_RECEIVER_CLOCK_MAX_S)
+
+
+def _lacks_sender_stamps(path: Path) -> bool:
+    """Check whether the first lines have a sender's stamp of 0 and a time that runs after it."""
+    stamps = np.array([line.stamps for line in _first_lines(path, 2)]).reshape(-1, 2)
+    return (
+        len(stamps) > 1 and not stamps[:, 0].any() and bool((np.diff(stamps[:, 1]) >= 0).all() and stamps[-1, 1] > stamps[0, 1])
+    )
 
 
 def _whole_lines(path: Path) -> Iterator[list[bytes]]:

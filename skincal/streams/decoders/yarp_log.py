@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.devices.bottles import Value, is_measures, values_of
+from skincal.devices.bottles import Value, is_measures, plain_not_finite, values_of
 from skincal.devices.decoding import SEQ_MAX, TIME_STAMP_MAX_S, FrameDecoder, FrameSplitter, MarkSplitter
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
@@ -247,7 +247,7 @@ class YarpDecoder(FrameDecoder):
             or not all(0 < len(chunk) <= LINE_MAX and chunk.endswith(b"\n") for chunk in chunks)
         ):
             return None
-        table = read_table(b"".join(chunks))
+        table = read_table(plain_not_finite(b"".join(chunks)))
         if table is None:
             return None
         numbers, values = table["number"], table["values"]
@@ -269,7 +269,7 @@ class YarpDecoder(FrameDecoder):
             return None if is_header(frame) else Loss.UNREADABLE
         self._count_gap(line.seq)
         try:
-            values = self._numbers(line.payload)
+            values = self._numbers(plain_not_finite(line.payload))
         except ValueError:
             return Loss.UNREADABLE
         if not values:

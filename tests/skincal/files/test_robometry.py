@@ -99,6 +99,48 @@ def test_likely_channels_are_proposed(tmp_path):
     assert RecordedPlace.parse(str(found.wrench)) == found.wrench
 
 
+@pytest.mark.parametrize(("more", "axis"), [(1, 0), (-1, 0), (3, -1), (-10, -1)])
+def test_a_log_with_other_times_than_rows_is_read_to_their_common_end(tmp_path, more, axis):
+    """A logger that is stopped between a time and its row writes one more of either."""
+    log = MatFile(tmp_path / "log.mat")
+    rows, n = np.arange(ROWS, dtype=float)[:, None], min(ROWS, ROWS + more)
+    times = np.append(TIMES, TIMES[-1] + 0.01 * np.arange(1, 11))[: ROWS + more]
+    for name, values in (("FTs::arm", rows + np.arange(6)), ("skins::patch", rows + np.arange(24))):
+        log.channel(name, values, times=times)
+        if axis:
+            group = log.root["/".join(name.split("::"))]
+            del group["data"]
+            group["data"] = values.T
+    path = log.close()
+    assert [place.topic for place in guess_streams([path]).places.values()] == ["FTs::arm", "skins::patch"]
+    places = {Stream.WRENCH: RecordedPlace(path, "FTs::arm"), Stream.SKIN: RecordedPlace(path, "skins::patch")}
+    opened = importer_of(path).open_recording(places)
+    values, losses = readings(opened)
+    assert losses == {}
+    np.testing.assert_array_equal(values["wrench"][1], rows[:n] + np.arange(6))
+    np.testing.assert_array_equal(values["skin"][1], rows[:n] + np.arange(24))
+    np.testing.assert_allclose(values["skin"][0], TIMES[:n], atol=1e-6)
+    said = f"channel FTs::arm has {ROWS} rows and {ROWS + more} times; the first {n} of both are read"
+    assert any(said in sentence for sentence in opened.findings)
+
+
+def test_a_channel_that_cannot_be_read_stays_in_the_list_and_is_refused_by_its_lengths(tmp_path):
+    log = MatFile(tmp_path / "log.mat")
+    log.channel("FTs::short", np.zeros((ROWS, 6)), times=TIMES[:-11])
+    log.channel("skins::few", np.zeros((ROWS, 16)), times=TIMES[:10])
+    log.channel("skins::untimed", np.zeros((ROWS, 16)), times=TIMES[:0])
+    path = log.close()
+    for name, words in (
+        ("FTs::short", f"channel FTs::short has {ROWS} rows and {ROWS - 11} times; expected one time a row"),
+        ("skins::few", f"channel skins::few has {ROWS} rows and 10 times"),
+        ("skins::untimed", "channel skins::untimed has no times; choose another channel: it has FTs::short, skins::few, skins"),
+        ("gone", "has no channel gone; it has FTs::short, skins::few, skins::untimed."),
+    ):
+        with pytest.raises(InputError) as refusal:
+            importer_of(path).open_recording({Stream.SKIN: RecordedPlace(path, name)})
+        assert words in str(refusal.value)
+
+
 def test_groups_that_link_to_themselves_and_other_files_are_walked_once(tmp_path):
     log = MatFile(tmp_path / "log.mat")
     for k in range(20):

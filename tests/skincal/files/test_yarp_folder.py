@@ -131,6 +131,10 @@ def test_a_log_of_pokes_pairs_each_frame_with_its_wrench(tmp_path):
         assert sample.angles is not None
 
 
+def lines_of(folder: Path) -> list[str]:
+    return (folder / "data.log").read_text().splitlines()
+
+
 def without_sender_times(folder, lines=None):
     """Make the sender's stamps 0, as the dumper writes them of a sender without an envelope; of all lines, or of some."""
     path = folder / "data.log"
@@ -161,6 +165,58 @@ def test_lines_without_a_time_of_the_sender_are_placed_by_the_receivers(tmp_path
     for sample, other in zip(samples, expected, strict=True):
         assert sample.host_s == pytest.approx(other.host_s, abs=1e-6)
         np.testing.assert_array_equal(sample.skin, other.skin)
+
+
+@pytest.mark.parametrize("rx", [0.0, 0.004])
+def test_a_log_by_the_senders_time_that_it_never_gave_has_the_receivers_as_well(tmp_path, rx):
+    """yarpdatadumper --txTime writes both stamps where a message has no envelope, though info.log says tx alone."""
+    folders = recording(tmp_path, rx=rx, info="Type: Bottle;\nStamp: rx;\n")
+    (folders["skin"] / "info.log").write_text("Type: Bottle;\nStamp: tx;\n")
+    expected = samples_of(recording(tmp_path / "right"))
+    without_sender_times(folders["skin"])
+    for name in ("wrench", "joints"):
+        folders[name] = tmp_path / "right" / name
+    samples = samples_of(folders)
+    assert len(samples) == len(expected) > 140
+    for sample, other in zip(samples, expected, strict=True):
+        assert sample.host_s == pytest.approx(other.host_s + rx, abs=1e-6)
+        np.testing.assert_array_equal(sample.skin, other.skin)
+
+
+@pytest.mark.parametrize(
+    "word", ["-nan.0", "nan.0", "-nan", "nan", "-nan(ind)", "-nan(ind).0", "1.#QNAN", "-1.#IND", "-1.#IND00"]
+)
+@pytest.mark.parametrize("form", ["{}", "({})"], ids=["plain", "in a list"])
+@pytest.mark.parametrize("step", [1, 7], ids=["each line", "some lines"])
+def test_every_text_of_a_number_that_is_none_is_a_dead_taxel(tmp_path, word, form, step):
+    """YARP writes a negative NaN, 0/0 on x86, as -nan.0; C libraries of Windows have others."""
+    folders = recording(tmp_path)
+    rows = [
+        [int(seq), float(stamp), payload] for seq, stamp, payload in (line.split(" ", 2) for line in lines_of(folders["skin"]))
+    ]
+    for k, row in enumerate(rows):
+        words = row[2].split()
+        row[2] = form.format(" ".join([word, *words[1:]] if k % step == 0 else words))
+    write_log(folders["skin"], rows)
+    links, chunks, _ = read_recording("yarp", folders["wrench"], folders["skin"])
+    batches, counts = decode(links, chunks)
+    values = np.vstack([batch.values for batch in batches["skin"]])
+    assert counts["skin"] == {Loss.NOT_A_NUMBER: len(range(0, 150, step))}
+    assert np.isnan(values[:, 0]).tolist() == [k % step == 0 for k in range(150)]
+    np.testing.assert_array_equal(values[:, 1:], [values_at(k / 50)[1][1:] for k in range(150)])
+
+
+def test_an_infinite_value_is_no_number_and_words_are_still_none(tmp_path):
+    folder = write_log(
+        tmp_path / "skin", [(0, EPOCH, "1 inf.0 -1.#INF"), (1, EPOCH + 0.1, "1 nano 2"), (2, EPOCH + 0.2, "1 2 3")]
+    )
+    wrench = recording(tmp_path / "other")["wrench"]
+    links, chunks, _ = read_recording("yarp", wrench, folder)
+    decoder = make_decoder("yarp", 3, (Stream.SKIN,))
+    values = [batch.values for chunk in chunks if chunk.link == "skin" for batch in decoder.feed(chunk.data)]
+    assert links[1].format == "yarp"
+    assert decoder.counts == {Loss.NOT_A_NUMBER: 1, Loss.UNREADABLE: 1}
+    np.testing.assert_array_equal(np.vstack(values), [[1, np.nan, np.nan], [1, 2, 3]])
 
 
 def test_a_log_of_a_sender_without_times_and_of_nothing_else_is_refused(tmp_path):

@@ -199,6 +199,17 @@ def test_an_ini_of_skingui_is_read(tmp_path):
     assert len(layout.channels) == 20
 
 
+@pytest.mark.parametrize("end", ["5 0", "5", "", "5 0 // second board", "5// no mirror", "5 0 # kept"])
+def test_missing_fields_of_an_ini_are_zero_and_yarp_comments_are_left_out(tmp_path, end):
+    """YARP reads a missing gain or mirror as 0; `//` begins a comment anywhere, `#` before a word."""
+    path = tmp_path / "arm.ini"
+    path.write_text(f"// triangle_10pad 3 1 2 3\n{INI}//triangle_10pad 13 0 0 0 5 1\ntriangle_10pad 14 52 -4.57 60 {end}\n")
+    layout = parse_layout(read_layout_file(path), path)
+    assert [(m.id, m.mirror) for m in layout.modules] == [(0, True), (12, False), (14, False)]
+    assert layout.modules[2].place == pytest.approx([0.052, -0.00457])
+    assert np.degrees(layout.modules[2].angle) == pytest.approx(60)
+
+
 @pytest.mark.parametrize(
     "text", ["channel,x,y\n0,0,0\n2,5,0\n1,0,5\n", "0 0 0\n2 5 0\n1 0 5", "x_m;y_m\n0;0\n0;0.005\n0.005;0"]
 )
