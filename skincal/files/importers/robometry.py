@@ -313,7 +313,7 @@ def _walk(root: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _channel(file: Any, name: str, group: Any) -> _Channel:
-    """Describe a channel. The axis of time is the first one, or the last where that alone has as many rows as there are times."""
+    """Describe a channel. The axis of time is the last one if that alone is as long as the times, else the first."""
     data, times = group["data"], int(getattr(group["timestamps"], "size", 0) or 0)
     names, units = _texts(file, group.get("elements_names")), _texts(file, group.get("units_of_measure"))
     unit = units[0] if units else ""
