@@ -174,7 +174,7 @@ def _can_be_paired(rows: int, times: int) -> bool:
 
 
 def _unpaired(channel: _Channel) -> str:
-    """Say that a channel has more times than rows, or fewer; empty if it has as many."""
+    """Compare the numbers of rows and times in a sentence; empty if they are equal."""
     if channel.data_rows == channel.times:
         return ""
     return (
