@@ -32,8 +32,9 @@ from skincal.files.frames import named_poses, skin_name
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, skin_part
 from skincal.files.robot_file import check_robot, mesh_sentences, require_other_file
 from skincal.geometry import FloatArray, IntArray, cross_matrix
+from skincal.mesh.findings import MeshFinding
 from skincal.mesh.lay import PlacedLayout, place_layout
-from skincal.mesh.load import MeshFinding, load_surface
+from skincal.mesh.load import load_surface
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError, list_channels, plural

@@ -17,68 +17,37 @@ wound component inside the box of a larger one is the inner wall of a cover and 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
+from skincal.mesh.findings import (
+    MIN_TRIANGLE_HEIGHT_M,
+    VERTEX_MERGE_DISTANCE_M,
+    FindingKind,
+    MeshFinding,
+    count_finding,
+    words_finding,
+)
 from skincal.mesh.readers import read_mesh, reader_of
 from skincal.mesh.search import surface_in_solver
-from skincal.mesh.surface import (
-    SLIVER_MIN_LENGTH_OVER_HEIGHT,
-    Surface,
-    find_edges,
-    make_surface,
-    pairs_within,
-    triangle_heights,
-)
+from skincal.mesh.surface import Surface, find_edges, make_surface, pairs_within, triangle_heights
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec
 
 MIN_DIAGONAL_M, MAX_DIAGONAL_M = 0.005, 3.0
 """Of the box of a robot part: a fingertip to a whole torso. Millimetres taken for metres miss it by a thousand."""
-VERTEX_MERGE_DISTANCE_M = 1e-6
-"""Vertices this near are one: a hundredth of a cover's tolerance, far above the rounding of a 32-bit file."""
 MAX_VERTEX_PAIRS_COMPARED = 30_000_000
 """Pairs of vertices: 3 s. A million vertices of a cover make a tenth; 20,000 vertices in one micrometre make 200 million."""
-MIN_TRIANGLE_HEIGHT_M = 1e-7
-"""A flatter triangle has no direction: a 32-bit file in millimetres rounds 0.5 m to 3e-8 m."""
 MIN_INSIDE_OUTSIDE_SCORE = 0.1
 """Smallest |s| that separates inside from outside: chance reaches it on a rough flat sheet of 100 triangles."""
 FLAT_COMPONENT_MAX_HEIGHT_M = 1e-6
 """A component with smaller heights (rms) is flat."""
 MAX_OUTER_WALL_CANDIDATES = 32
 """Largest components that are compared as outer walls."""
-
-
-class FindingKind(Enum):
-    """Finding in a mesh; the value is its sentence, with a gap for the count."""
-
-    SIZE = "The part is {}."
-    MERGED = f"Vertices within {VERTEX_MERGE_DISTANCE_M * 1e6:.0f} um of another, merged: {{}}."
-    ZERO_AREA = f"Triangles without area (flatter than {MIN_TRIANGLE_HEIGHT_M * 1e9:.0f} nm), dropped: {{}}."
-    DUPLICATES = "Triangles that were there twice, dropped: {}."
-    SLIVERS = f"Slivers (over {SLIVER_MIN_LENGTH_OVER_HEIGHT:.0f} times as long as high), used unchanged: {{}}."
-    OPEN_EDGES = "The mesh has open rims, as covers have ({} edges); it is used unchanged."
-    NON_MANIFOLD = "Edges shared by three or more triangles, across which no pad is laid: {}."
-    COMPONENTS = "Pieces that share no edge: {}."
-    WINDING = "Triangles wound against their neighbours, turned: {}."
-    TURNED = "Triangles that pointed inward, by the shape of the part, turned: {}."
-    ONE_SIDED = "Pieces with one side only, normals as in the file: {}."
-    FLAT = "Pieces whose shape does not tell inside from outside, normals as in the file: {}."
-
-
-@dataclass(frozen=True, slots=True)
-class MeshFinding:
-    """One finding in a mesh, with what was done about it."""
-
-    kind: FindingKind
-    count: int
-    sentence: str
 
 
 def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
@@ -89,7 +58,8 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
     """
     reader_of(spec.path)  # a file with another suffix is not even opened
     data = read_regular(spec.path, MAX_MESH_BYTES, what="mesh file", advice="check [surface] mesh in the scene")
-    vertices, triangles = read_mesh(spec.path, data)
+    mesh = read_mesh(spec.path, data)
+    vertices, triangles = mesh.vertices, mesh.triangles
     if len(triangles) == 0:
         raise InputError(f"{spec.path}: the mesh is empty ({len(vertices)} vertices, no triangle); export the part again.")
     _check_finite(spec.path, vertices)
@@ -111,8 +81,8 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
         FindingKind.NON_MANIFOLD: edges.non_manifold,
         **wound,
     }
-    found = [MeshFinding(kind, count, kind.value.format(count)) for kind, count in counts.items() if count]
-    return surface, (size, *found)
+    found = [count_finding(kind, count) for kind, count in counts.items() if count]
+    return surface, (size, *mesh.findings, *found)
 
 
 def _check_finite(path: Path, vertices: FloatArray) -> None:
@@ -136,7 +106,7 @@ def _check_size(spec: SurfaceSpec, corners: FloatArray) -> MeshFinding:
     if MIN_DIAGONAL_M <= diagonal <= MAX_DIAGONAL_M:
         sides = " x ".join(f"{side * spec.scale * 1e3:.4g}" for side in box)
         words = f"{sides} mm (diagonal {_length(diagonal)}, unit {unit}); check that it is so"
-        return MeshFinding(FindingKind.SIZE, 0, FindingKind.SIZE.value.format(words))
+        return words_finding(FindingKind.SIZE, words)
     fitting = {name: raw * scale for name, scale in UNITS.items() if MIN_DIAGONAL_M <= raw * scale <= MAX_DIAGONAL_M}
     likely = "; ".join(f"unit {name} would give {_length(size)}" for name, size in fitting.items())
     raise InputError(

@@ -1,13 +1,14 @@
 """Vertices and faces of a mesh file: STL (binary, ASCII), OBJ, PLY, OFF.
 
-Own small readers: importing a mesh library takes longer than reading the mesh (trimesh with scipy about a second, most of it
-holding the interpreter's lock). Only geometry is read; polygons are cut into fans of triangles. Nothing is repaired here.
+Own small readers: a mesh library takes longer to import than the mesh to read, and loses damage without a word
+(docs/decisions/mesh-readers.md). Only geometry is read. Nothing is repaired here.
 
 PLY: G. Turk, "The PLY polygon file format", 1994; elements other than `vertex` and `face` are skipped.
 """
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,10 +19,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
+from skincal.mesh.findings import FindingKind, MeshFinding, count_finding, words_finding
+from skincal.mesh.polygons import cut_polygons
 from skincal.model.errors import InputError
 
-Mesh = tuple[FloatArray, IntArray]
-"""Vertices (nv, 3) in the file's unit, triangles (nt, 3)."""
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FileMesh:
+    """Mesh as a file has it."""
+
+    vertices: FloatArray
+    """(nv, 3) float, in the file's unit."""
+    triangles: IntArray
+    """(nt, 3) int."""
+    findings: tuple[MeshFinding, ...] = ()
+    """Remarks about the file."""
+
+
+class Polygons(NamedTuple):
+    """Content of a file, before its polygons are cut."""
+
+    vertices: FloatArray
+    """(nv, 3) float, in the file's unit."""
+    corners: IntArray
+    """(k,) int: the vertices of all polygons in turn."""
+    sizes: IntArray
+    """(n,) int: corners of each polygon."""
+    findings: tuple[MeshFinding, ...] = ()
+
 
 _STL_HEADER_BYTES = 84
 _STL_RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -31,31 +56,38 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
+OFF_KINDS = rb"(ST|C|N)*OFF"
+"""First word of OFF files whose lines begin with three coordinates; texture, colours and normals follow them."""
 MAX_TEXT_MESH_BYTES = 64 << 20
 """Largest mesh in text: a word of some bytes takes forty while it is read. A million triangles of OBJ are 60 MB."""
 NUMBER_TEXT_MAX_CHARS = 64
 """Longest number in text: a double needs 24. An array of words is as wide as the longest of them."""
 
 
-def read_mesh(path: Path, data: bytes) -> Mesh:
+def read_mesh(path: Path, data: bytes) -> FileMesh:
     """Read a mesh file's bytes; the suffix of `path` names the format.
 
     Raises InputError: the suffix is unknown, or the content is not of that format.
     """
     reader = reader_of(path)
     try:
-        vertices, triangles = reader(data)
+        vertices, corners, sizes, findings = reader(data)
+        if sizes.min(initial=3) < 3:
+            raise ValueError(f"a face with {sizes.min()} corners")
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise InputError(f"{path}: not a readable {path.suffix[1:].upper()} mesh ({error}); export the mesh again.") from None
-    if triangles.size and (triangles.min() < 0 or triangles.max() >= len(vertices)):
+    if corners.size and (corners.min() < 0 or corners.max() >= len(vertices)):
         raise InputError(
-            f"{path}: triangles name vertices {int(triangles.min())} to {int(triangles.max())}, and there are {len(vertices)}; "
+            f"{path}: triangles name vertices {int(corners.min())} to {int(corners.max())}, and there are {len(vertices)}; "
             "the file is damaged: export the mesh again."
         )
-    return vertices, triangles
+    cut = cut_polygons(vertices, corners, sizes)
+    counts = {FindingKind.NOT_FLAT: cut.not_flat, FindingKind.CROSSING: cut.crossing}
+    found = (count_finding(kind, count) for kind, count in counts.items() if count)
+    return FileMesh(vertices, cut.triangles, (*findings, *found))
 
 
-def reader_of(path: Path) -> Callable[[bytes], Mesh]:
+def reader_of(path: Path) -> Callable[[bytes], Polygons]:
     """Find the reader for a suffix. Raises InputError: it is unknown."""
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
@@ -64,94 +96,138 @@ def reader_of(path: Path) -> Callable[[bytes], Mesh]:
     return reader
 
 
-def triangulate(corners: Sequence[int], sizes: Sequence[int]) -> IntArray:
-    """Cut polygons into fans of triangles, (nt, 3) int, in their order.
-
-    `corners` holds the vertices of all polygons in turn, `sizes` their counts.
-    """
-    flat, size = np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64)
-    if size.min(initial=3) < 3:
-        raise ValueError(f"a face with {size.min()} corners")
-    first = np.cumsum(size) - size
-    polygon = np.repeat(np.arange(len(size)), size - 2)
-    step = np.arange(len(polygon)) - np.repeat(np.cumsum(size - 2) - (size - 2), size - 2)
-    second = first[polygon] + step + 1
-    return np.stack([flat[first[polygon]], flat[second], flat[second + 1]], axis=1)
+def _polygons(
+    vertices: FloatArray, corners: Sequence[int], sizes: Sequence[int], findings: tuple[MeshFinding, ...] = ()
+) -> Polygons:
+    return Polygons(vertices, np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64), findings)
 
 
-def _read_stl(data: bytes) -> Mesh:
+def _triangles(vertices: FloatArray, corners: IntArray, findings: tuple[MeshFinding, ...] = ()) -> Polygons:
+    return Polygons(vertices, corners.ravel(), np.full(corners.size // 3, 3), findings)
+
+
+EMPTY = _polygons(np.empty((0, 3)), [], [])
+
+
+def _read_stl(data: bytes) -> Polygons:
     count = int.from_bytes(data[80:_STL_HEADER_BYTES], "little") if len(data) >= _STL_HEADER_BYTES else -1
-    size = _STL_HEADER_BYTES + count * _STL_RECORD.itemsize
-    # By the size and not by the first word: there are binary files that begin with "solid".
-    if count >= 0 and len(data) == size:
+    after = len(data) - _STL_HEADER_BYTES - count * _STL_RECORD.itemsize
+    # By the size and not by the first word: there are binary files that begin with "solid". The count of a text is enormous.
+    if count >= 0 and after >= 0:
+        if count == 0 and after >= _STL_RECORD.itemsize:
+            raise ValueError(f"no triangle is announced, and {after} bytes follow")
         corners = np.frombuffer(data, _STL_RECORD, count, _STL_HEADER_BYTES)["corners"].astype(float).reshape(-1, 3)
-    elif data.lstrip()[:5].lower() == b"solid":
-        words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", _check_text_size(data))
-        corners = _numbers([word for point in words for word in point]).reshape(-1, 3)
-        if len(corners) % 3:
-            raise ValueError(f"{len(corners)} corners do not make whole triangles")
-    elif not data:
-        corners = np.empty((0, 3))
-    else:
-        raise ValueError(f"{len(data)} bytes; {size} expected for the {count} triangles announced")
-    return corners, np.arange(len(corners)).reshape(-1, 3)
+        return _soup(corners, (count_finding(FindingKind.BYTES_AFTER_END, after),) if after else ())
+    if not data:
+        return EMPTY
+    text = _decode_text(data).lstrip()
+    if text[:5].lower() != b"solid":
+        raise ValueError(f"{len(data)} bytes; {len(data) - after} expected for the {max(count, 0)} triangles announced")
+    words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", text, re.IGNORECASE)
+    corners = parse_numbers([word for point in words for word in point]).reshape(-1, 3)
+    loops = len(re.findall(rb"\bendloop\b", text, re.IGNORECASE))
+    if len(corners) != 3 * loops:
+        raise ValueError(f"{len(corners)} corners in {loops} triangles")
+    has_end = re.search(rb"\bendsolid\b", text, re.IGNORECASE) is not None
+    return _soup(corners, () if has_end or not loops else (words_finding(FindingKind.NO_END, ""),))
 
 
-def _check_text_size(data: bytes) -> bytes:
+def _soup(corners: FloatArray, findings: tuple[MeshFinding, ...]) -> Polygons:
+    return _triangles(corners, np.arange(len(corners)), findings)
+
+
+def _decode_text(data: bytes) -> bytes:
+    """Return a text without its byte order mark, in UTF-8 or an encoding that extends ASCII."""
     if len(data) > MAX_TEXT_MESH_BYTES:
         raise ValueError(f"{len(data)} bytes of text; {MAX_TEXT_MESH_BYTES} at most were expected: write it as a binary file")
-    return data
+    return _drop_mark(data)
 
 
-def _numbers(words: list[bytes]) -> FloatArray:
+def _drop_mark(data: bytes) -> bytes:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16").encode()
+    return data.removeprefix(codecs.BOM_UTF8)
+
+
+def parse_numbers(words: list[bytes]) -> FloatArray:
+    """Read numbers in text."""
     longest = max(map(len, words), default=0)
     if longest > NUMBER_TEXT_MAX_CHARS:
         raise ValueError(f"a number of {longest} letters")
-    return np.array(words, dtype="S").astype(float)
+    try:
+        return np.array(words, dtype="S").astype(float)
+    except ValueError:
+        for word in words:
+            _number(word)
+        raise
+
+
+def _show(word: bytes) -> str:
+    return word[:NUMBER_TEXT_MAX_CHARS].decode("utf-8", "replace")
+
+
+def _whole(word: bytes) -> int:
+    try:
+        return int(word)
+    except ValueError:
+        raise ValueError(f"{_show(word)!r} is no whole number") from None
+
+
+def _number(word: bytes) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        seen = _show(word)
+        if re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", seen):
+            raise ValueError(f"the number {seen} has a decimal comma, where a point was expected") from None
+        raise ValueError(f"{seen!r} is no number") from None
 
 
 def _point(words: list[bytes]) -> tuple[float, float, float]:
-    # A fourth number (w) or colours may follow.
+    # A fourth number (w), colours or a normal may follow.
     if len(words) < 3:
         raise ValueError("a vertex with fewer than 3 numbers")
-    return float(words[0]), float(words[1]), float(words[2])
+    return _number(words[0]), _number(words[1]), _number(words[2])
 
 
 def _vertices(numbers: list[float]) -> FloatArray:
     return np.array(numbers, dtype=float).reshape(-1, 3)
 
 
-def _read_obj(data: bytes) -> Mesh:
+def _read_obj(data: bytes) -> Polygons:
     # Word by word into flat lists: so the reading thread lets the window's run. One call for all, or many small lists for the
     # garbage collector, would block it.
     points: list[float] = []
     corners: list[int] = []
     sizes: list[int] = []
-    for line in _check_text_size(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+    for line in _decode_text(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
         words = line.split()
         if words and words[0] == b"v":
             points.extend(_point(words[1:]))
         elif words and words[0] == b"f":
             known = len(points) // 3
-            indices = [int(word.partition(b"/")[0]) for word in words[1:]]
+            indices = [_whole(word.partition(b"/")[0]) for word in words[1:]]
             # Indices count from 1; a negative one counts back from the last vertex read so far.
             corners.extend([i - 1 if i > 0 else known + i for i in indices])
             sizes.append(len(indices))
     if data and not points and not sizes:
         raise ValueError("no line starts with v or f")
-    return _vertices(points), triangulate(corners, sizes)
+    return _polygons(_vertices(points), corners, sizes)
 
 
-def _read_off(data: bytes) -> Mesh:
-    lines = [line for line in re.sub(rb"#[^\n]*", b"", _check_text_size(data)).splitlines() if line.strip()]
+def _read_off(data: bytes) -> Polygons:
+    lines = [line for line in re.sub(rb"#[^\n]*", b"", _decode_text(data)).splitlines() if line.strip()]
     if not lines:
-        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
-    if lines[0].split()[0] != b"OFF":
-        raise ValueError("the first word is not OFF")
+        return EMPTY
+    kind, rest = [*lines[0].split(None, 1), b""][:2]
+    if not re.fullmatch(OFF_KINDS, kind):
+        raise ValueError(f"the first word is {_show(kind)!r}; OFF was expected, with or without ST, C and N before it")
+    if rest.split()[:1] == [b"BINARY"]:
+        raise ValueError("it is binary; OFF in text was expected")
     # The counts may stand on the line of the first word.
-    lines = [*([lines[0].strip()[3:]] if lines[0].strip() != b"OFF" else []), *lines[1:]]
-    vertex_count, face_count = (int(word) for word in lines[0].split()[:2])
-    if len(lines) < 1 + vertex_count + face_count:
+    lines = [*([rest] if rest.strip() else []), *lines[1:]]
+    vertex_count, face_count = (_whole(word) for word in [*lines[0].split(), b"", b""][:2])
+    if min(vertex_count, face_count) < 0 or len(lines) < 1 + vertex_count + face_count:
         raise ValueError(f"{len(lines) - 1} lines; {vertex_count} vertices and {face_count} faces announced")
     points: list[float] = []
     for line in lines[1 : 1 + vertex_count]:
@@ -160,12 +236,12 @@ def _read_off(data: bytes) -> Mesh:
     sizes: list[int] = []
     for line in lines[1 + vertex_count : 1 + vertex_count + face_count]:
         words = line.split()
-        size = int(words[0])
+        size = _whole(words[0])
         if len(words) <= size:
             raise ValueError(f"a face of {size} corners with {len(words) - 1} indices")
-        corners.extend([int(word) for word in words[1 : 1 + size]])
+        corners.extend([_whole(word) for word in words[1 : 1 + size]])
         sizes.append(size)
-    return _vertices(points), triangulate(corners, sizes)
+    return _polygons(_vertices(points), corners, sizes)
 
 
 class _Property(NamedTuple):
@@ -183,11 +259,11 @@ class _Element:
     properties: list[_Property]
 
 
-def _read_ply(data: bytes) -> Mesh:
+def _read_ply(data: bytes) -> Polygons:
     if not data:
-        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+        return EMPTY
     elements, body = _read_header(data)
-    vertices, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+    vertices, faces = EMPTY.vertices, EMPTY
     for element in elements:
         # Each record has at least a byte: a larger count is wrong.
         if not 0 <= element.count <= (body.left if element.properties else 0):
@@ -198,15 +274,15 @@ def _read_ply(data: bytes) -> Mesh:
                 raise ValueError(f"the file ends before its {element.count} vertices")
             vertices = np.stack([records[axis][:, 0] for axis in "xyz"]).astype(float).T
         elif element.name == "face":
-            triangles = _ply_faces(element, body)
+            faces = _ply_faces(element, body)
         else:
             for _ in range(element.count):
                 body.row(element)
-    return vertices, triangles
+    return faces._replace(vertices=vertices)
 
 
 def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
-    head, mark, body = data.partition(b"end_header")
+    head, mark, body = _drop_mark(data).partition(b"end_header")
     # Latin-1 takes every byte: comments in the header come in any encoding.
     lines = [line.split() for line in head.decode("latin-1").splitlines()]
     if not mark or not lines or lines[0] != ["ply"]:
@@ -229,7 +305,7 @@ def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
         # One line end and no more: a binary body may begin with the same bytes.
         return elements, _Body(body[2:] if body[:2] == b"\r\n" else body[1:], order)
     # Words become doubles, so that both kinds of body are read alike.
-    return elements, _Body(_numbers(_check_text_size(body).split()).astype("<f8").tobytes(), "<")
+    return elements, _Body(parse_numbers(_decode_text(body).split()).astype("<f8").tobytes(), "<")
 
 
 class _Body:
@@ -275,18 +351,19 @@ class _Body:
         return records
 
 
-def _ply_faces(element: _Element, body: _Body) -> IntArray:
+def _ply_faces(element: _Element, body: _Body) -> Polygons:
     names = [item.name if item.count_kind else "" for item in element.properties]
     named = next((name for name in names if name in _FACE_LISTS), None)
     if named is None:
         raise ValueError("faces without vertex_indices; triangle strips are not read")
     records = body.table(element)
     if records is not None:
-        return records[named].astype(np.int64)
+        return _triangles(EMPTY.vertices, records[named].astype(np.int64))
     polygons = [[int(index) for index in body.row(element)[names.index(named)]] for _ in range(element.count)]
-    return triangulate([corner for polygon in polygons for corner in polygon], [len(polygon) for polygon in polygons])
+    corners = [corner for polygon in polygons for corner in polygon]
+    return _polygons(EMPTY.vertices, corners, [len(polygon) for polygon in polygons])
 
 
-_READERS: dict[str, Callable[[bytes], Mesh]] = {".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off}
+_READERS: dict[str, Callable[[bytes], Polygons]] = {".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off}
 MESH_SUFFIXES = tuple(_READERS)
 """Endings of mesh files that are read."""

@@ -14,8 +14,9 @@ import numpy as np
 
 from skincal.files.layout_sources import parse_layout
 from skincal.geometry import Arm, FloatArray
+from skincal.mesh.findings import FindingKind
 from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
-from skincal.mesh.load import FindingKind, load_surface
+from skincal.mesh.load import load_surface
 from skincal.mesh.readers import read_mesh
 from skincal.mesh.surface import Surface, entry_points
 from skincal.model.errors import InputError
@@ -110,10 +111,10 @@ def mesh_sides(path: Path) -> FloatArray:
 
     Raises InputError: it cannot be read, or is empty.
     """
-    vertices, triangles = read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
-    if not len(triangles) or not np.isfinite(vertices).all():
+    mesh = read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
+    if not len(mesh.triangles) or not np.isfinite(mesh.vertices).all():
         raise InputError(f"{path}: the mesh is empty or not finite; export the part again.")
-    return np.ptp(vertices[triangles.ravel()], axis=0)
+    return np.ptp(mesh.vertices[mesh.triangles.ravel()], axis=0)
 
 
 class PartPreviewer:

@@ -47,10 +47,11 @@ def load_robot_shape(robot: Robot, packages: Mapping[str, Path]) -> RobotShape:
     for link, mesh in robot.meshes.items():
         try:
             path = find_mesh(robot, mesh, packages)
-            points, faces = read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
+            read = read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
         except InputError as error:
             missing.append(str(error))
             continue
+        points, faces = read.vertices, read.triangles
         total += len(faces)
         if total > DRAWN_ROBOT_MAX_TRIANGLES or not len(faces) or not np.isfinite(points).all():
             missing.append(f"{path}: is too large, empty or not finite")

@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_support import tube
 
+from skincal.mesh.findings import FindingKind
 from skincal.mesh.geodesics import geodesics_of
-from skincal.mesh.load import FindingKind, load_surface
+from skincal.mesh.load import load_surface
 from skincal.mesh.readers import read_mesh
 from skincal.mesh.search import surface_in_solver
 from skincal.mesh.surface import make_surface
@@ -272,8 +273,9 @@ def exported(vertices, triangles, kind, **options):
 )  # fmt: skip
 def test_reads_what_another_program_writes(tmp_path, suffix, kind, options):
     vertices, triangles = tube_mesh()
-    own, faces = read_mesh(tmp_path / f"part{suffix}", exported(vertices, triangles, kind, **options))
-    np.testing.assert_allclose(own[faces], vertices[triangles], atol=2e-5)
+    mesh = read_mesh(tmp_path / f"part{suffix}", exported(vertices, triangles, kind, **options))
+    np.testing.assert_allclose(mesh.vertices[mesh.triangles], vertices[triangles], atol=2e-5)
+    assert mesh.findings == ()
 
 
 def test_obj_polygons_negative_indices_textures_and_groups(tmp_path):
@@ -293,16 +295,16 @@ g other
 v 0 0 5
 f -1 -2 -3
 """
-    vertices, triangles = read_mesh(tmp_path / "part.obj", text)
-    assert vertices.shape == (5, 3)
-    assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [4, 3, 2]]
+    mesh = read_mesh(tmp_path / "part.obj", text)
+    assert mesh.vertices.shape == (5, 3)
+    assert mesh.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [4, 3, 2]]
 
 
 def test_off_polygons_comments_and_counts_on_the_first_line(tmp_path):
     text = b"# made by hand\nOFF 5 2 0\n0 0 0\n10 0 0 # a corner\n\n15 5 0\n10 10 0\n0 10 0\n5 0 1 2 3 4 255 0 0\n3 4 1 0\n"
-    vertices, triangles = read_mesh(tmp_path / "part.off", text)
-    assert vertices[2].tolist() == [15, 5, 0]
-    assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [4, 1, 0]]
+    mesh = read_mesh(tmp_path / "part.off", text)
+    assert mesh.vertices[2].tolist() == [15, 5, 0]
+    assert mesh.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [4, 1, 0]]
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
@@ -321,9 +323,9 @@ def test_ply_polygons_other_elements_and_both_byte_orders(tmp_path, order):
         mark = "<" if "little" in order else ">"
         body = b"".join(struct.pack(mark + "Bdff", 9, *p) for p in points) + struct.pack(mark + "iBii", 7, 2, 5, 6)
         body += b"".join(struct.pack(f"{mark}B{len(f)}iB", len(f), *f, 1) for f in faces)
-    vertices, triangles = read_mesh(tmp_path / "part.ply", head.encode() + body)
-    np.testing.assert_array_equal(vertices, points)
-    assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [3, 1, 0]]
+    mesh = read_mesh(tmp_path / "part.ply", head.encode() + body)
+    np.testing.assert_array_equal(mesh.vertices, points)
+    assert mesh.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [3, 1, 0]]
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj"])
