@@ -1,4 +1,4 @@
-"""Findings in a mesh: what was seen, and what was done about it."""
+"""Findings in a mesh file, with their sentences."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ class _Ears:
         self._is_reflex = self._turn <= EAR_ROUNDING
 
     def cut(self, max_tests: int) -> tuple[IntArray | None, int]:
-        """Cut until three corners are left, and count the corners tried; `None` if none is an ear."""
+        """Cut until three corners are left, and count the corners tried; `None` without an ear."""
         ears: list[tuple[int, int, int]] = []
         left, at, without_ear = len(self._points), 0, 0
         for tests in range(max_tests):

@@ -106,7 +106,7 @@ def _triangles(vertices: FloatArray, corners: IntArray, findings: tuple[MeshFind
     return Polygons(vertices, corners.ravel(), np.full(corners.size // 3, 3), findings)
 
 
-EMPTY = _polygons(np.empty((0, 3)), [], [])
+NO_POLYGONS = _polygons(np.empty((0, 3)), [], [])
 
 
 def _read_stl(data: bytes) -> Polygons:
@@ -119,7 +119,7 @@ def _read_stl(data: bytes) -> Polygons:
         corners = np.frombuffer(data, _STL_RECORD, count, _STL_HEADER_BYTES)["corners"].astype(float).reshape(-1, 3)
         return _soup(corners, (count_finding(FindingKind.BYTES_AFTER_END, after),) if after else ())
     if not data:
-        return EMPTY
+        return NO_POLYGONS
     text = _decode_text(data).lstrip()
     if text[:5].lower() != b"solid":
         raise ValueError(f"{len(data)} bytes; {len(data) - after} expected for the {max(count, 0)} triangles announced")
@@ -218,7 +218,7 @@ def _read_obj(data: bytes) -> Polygons:
 def _read_off(data: bytes) -> Polygons:
     lines = [line for line in re.sub(rb"#[^\n]*", b"", _decode_text(data)).splitlines() if line.strip()]
     if not lines:
-        return EMPTY
+        return NO_POLYGONS
     kind, rest = [*lines[0].split(None, 1), b""][:2]
     if not re.fullmatch(OFF_KINDS, kind):
         raise ValueError(f"the first word is {_show(kind)!r}; OFF was expected, with or without ST, C and N before it")
@@ -261,9 +261,9 @@ class _Element:
 
 def _read_ply(data: bytes) -> Polygons:
     if not data:
-        return EMPTY
+        return NO_POLYGONS
     elements, body = _read_header(data)
-    vertices, faces = EMPTY.vertices, EMPTY
+    vertices, faces = NO_POLYGONS.vertices, NO_POLYGONS
     for element in elements:
         # Each record has at least a byte: a larger count is wrong.
         if not 0 <= element.count <= (body.left if element.properties else 0):
@@ -358,10 +358,10 @@ def _ply_faces(element: _Element, body: _Body) -> Polygons:
         raise ValueError("faces without vertex_indices; triangle strips are not read")
     records = body.table(element)
     if records is not None:
-        return _triangles(EMPTY.vertices, records[named].astype(np.int64))
+        return _triangles(NO_POLYGONS.vertices, records[named].astype(np.int64))
     polygons = [[int(index) for index in body.row(element)[names.index(named)]] for _ in range(element.count)]
     corners = [corner for polygon in polygons for corner in polygon]
-    return _polygons(EMPTY.vertices, corners, [len(polygon) for polygon in polygons])
+    return _polygons(NO_POLYGONS.vertices, corners, [len(polygon) for polygon in polygons])
 
 
 _READERS: dict[str, Callable[[bytes], Polygons]] = {".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off}
