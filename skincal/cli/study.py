@@ -25,7 +25,7 @@ DEFAULT_FOLDER = Path("studies")
 FIGURE_DOTS_PER_INCH = 130
 FIGURE_INCHES = (12.0, 7.0)
 """Width and height, unless a study sets its own."""
-Quick = Annotated[bool, typer.Option("--quick", help="A shorter version that ends within 45 s (robot: 90 s).")]
+Quick = Annotated[bool, typer.Option("--quick", help="A shorter version: at most 90 s on two idle cores.")]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -63,6 +63,8 @@ def _command(name: str) -> Callable[..., None]:
         else:
             for line in (*study.summary(result), *(f"wrote {path}" for path in written)):
                 say(line)
+        if result.get("misses"):
+            raise typer.Exit(1)
 
     return command
 

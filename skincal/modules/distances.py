@@ -5,9 +5,15 @@ Each module's own pokes leave its d unknowns with a covariance, and errors of th
     x_a = y_a + M_a s,   y_a ~ N(0, C_a) independent,   s ~ N(0, I),
 
 so x has the covariance P = diag(C) + M M'. A distance D between points p of two modules, known to sd, is a row with the
-gradient J of |p_a - p_b|. The Gauss-Newton step for all of them is, with S = J P J' + R,
+gradient J of |p_a - p_b|. The Gauss-Newton step for all of them is, with S = J P J' + R and the gain K = P J' S^-1,
 
-    x = P J' S^-1 (D - |p_a - p_b| + J x),   covariance P - P J' S^-1 J P,   and M - P J' S^-1 J M for M.
+    x = K (D - |p_a - p_b| + J x),   (I - K J) M for M,   (I - K J) C (I - K J)' + K R K' for C.
+
+**Rounding.** The usual P - K S K' cancels: pokes in nearly one direction leave a P a thousand times as large as the result.
+The form above (Joseph's) is a sum of squares, and an error of K changes the total covariance by its square. The gain comes from
+QR, with P = A A' and A = [roots of C, M], since forming S squares its condition:
+
+    [J A, sqrt R]' = Q U,   S = U'U,   K = A Q_A U'^-1,   Q_A the rows of Q that belong to A.
 
 R is sd^2 plus, along the distance, the variance of the mesh's error (`off_surface`) or, without a mesh, of the height of the
 bent skin over its module, which is modelled flat. This is least squares over all pokes and distances, exact up to the curvature
@@ -96,25 +102,47 @@ class _Rows:
 
 
 class _Update:
-    """Kalman update of a prior by zero or more rows."""
+    """Kalman update of a prior by zero or more rows, in square roots."""
 
     def __init__(self, prior: _Prior, rows: _Rows) -> None:
         flat = rows.slopes.reshape(len(rows.left), prior.means.size)
+        self._prior, self._roots, self._sds = prior, _roots(prior.covariances), np.sqrt(rows.variances)
+        self._of_own: FloatArray = (rows.slopes.transpose(1, 0, 2) @ self._roots).transpose(1, 0, 2).reshape(flat.shape)
         self.of_shared: FloatArray = flat @ prior.moves.reshape(flat.shape[1], -1)
         """(k, n) float, metres, J M."""
-        self.seen: FloatArray = np.einsum("kbi,bij->kbj", rows.slopes, prior.covariances)
-        """(k, b, d) float, m^2, J P."""
-        self.seen = self.seen + np.einsum("kn,bdn->kbd", self.of_shared, prior.moves)
-        covariance = self.seen.reshape(flat.shape) @ flat.T + np.diag(rows.variances)
-        self.inverse: FloatArray = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
-        """(k, k) float, 1/m^2, S^-1."""
+        by_root, root = np.linalg.qr(np.concatenate([self._of_own, self.of_shared, np.diag(self._sds)], axis=1).T)
+        self.whiten: FloatArray = np.asarray(np.linalg.inv(root), dtype=np.float64)
+        """(k, k) float, 1/m, U^-1: S^-1 = U^-1 U'^-1."""
+        self.variances: FloatArray = np.sum(root * root, axis=0)
+        """(k,) float, m^2, diagonal of S: of each row's miss before the rows count."""
         self.off: FloatArray = rows.left - flat @ prior.means.ravel()
         """(k,) float, metres: misses of the rows before they count."""
+        self.whitened: FloatArray = self.whiten.T @ self.off
+        """(k,) float, in standard deviations: the misses as independent ones, U'^-1 off."""
+        own, shared = np.split(by_root[: len(by_root) - len(flat)], [flat.shape[1]])
+        self._whitened_gains: FloatArray = self._roots @ own.reshape(*prior.means.shape, -1) + prior.moves @ shared
+        """(b, d, k) float, metres, A Q_A = K U'."""
 
     @property
     def steps(self) -> FloatArray:
         """(b, d) float, metres: change of the unknowns of each module by the distances."""
-        return np.einsum("kbd,k->bd", self.seen, self.inverse @ self.off)
+        return self._whitened_gains @ self.whitened
+
+    @property
+    def moves(self) -> FloatArray:
+        """(b, d, n) float, metres: M under the distances."""
+        return self._prior.moves - self._whitened_gains @ (self.whiten.T @ self.of_shared)
+
+    @property
+    def covariances(self) -> FloatArray:
+        """(b, d, d) float, m^2: C of each module under the distances."""
+        count, unknowns = self._prior.means.shape
+        gains = self._whitened_gains @ self.whiten.T
+        kept: FloatArray = -(gains @ self._of_own).reshape(count, unknowns, count, unknowns)
+        at = np.arange(len(kept))
+        kept[at, :, at] += self._roots
+        roots = np.concatenate([kept.reshape(count, unknowns, -1), gains * self._sds], axis=2)
+        return roots @ roots.transpose(0, 2, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,8 +231,8 @@ class LinkedModules:
         spread = slopes @ covariances @ slopes.transpose(0, 2, 1) + shared @ shared.transpose(0, 2, 1)
         spread = spread + self._factors[of][:, None, None] * np.eye(2)
         # One large product: many small ones take twice as long.
-        known = (both.reshape(-1, len(update.off)) @ update.inverse).reshape(both.shape)
-        less, explained = known @ both.transpose(0, 2, 1), known @ update.off
+        known = (both.reshape(-1, len(update.off)) @ update.whiten).reshape(both.shape)
+        less, explained = known @ known.transpose(0, 2, 1), known @ update.whitened
         likelier = _log_densities(miss - explained, spread - less) - _log_densities(miss, spread)
         return np.asarray(np.bincount(of, out.trust * likelier, len(self.fitted)), dtype=np.float64)
 
@@ -278,6 +306,16 @@ def _bend(pads: FloatArray, point: FloatArray, radius: float) -> float:
     return (squares[0] / len(pads) - squares[1]) / (2.0 * radius)
 
 
+def _roots(covariances: FloatArray) -> FloatArray:
+    """Compute roots (b, d, d), root root' = covariance, of covariances that rounding may have made indefinite.
+
+    Each unknown is scaled to a variance of 1. So the errors are those of Cholesky's roots, relative to each variance.
+    """
+    scales = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))[:, :, None]
+    values, axes = np.linalg.eigh(covariances / (scales * scales.transpose(0, 2, 1)))
+    return np.asarray(scales * axes * np.sqrt(np.maximum(values, 0.0))[:, None], dtype=np.float64)
+
+
 def _log_densities(misses: FloatArray, covariances: FloatArray) -> FloatArray:
     """Compute (m,) the log normal densities of misses (m, 2), up to a constant."""
     squares = np.sum(misses * np.linalg.solve(covariances, misses[:, :, None])[:, :, 0], axis=1)
@@ -307,8 +345,7 @@ def apply_distances(
     alone = _Update(linked.prior, linked.plain)
     uses = [DistanceUse.USED] * len(known)
     solved = _drop_useless(linked, _drop_contradicting(linked, uses), uses)
-    sds = np.sqrt(np.einsum("kbd,kbd->k", alone.seen, linked.plain.slopes) + linked.plain.variances)
-    for distance, use, off, sd in zip(known, uses, alone.off.tolist(), sds.tolist(), strict=True):
+    for distance, use, off, sd in zip(known, uses, alone.off.tolist(), np.sqrt(alone.variances).tolist(), strict=True):
         tried[distance] = TriedDistance(distance, use, distance.length - off, sd)
     found = _refine_estimates(linked, solved, model, estimates) if len(solved.used) else {}
     return found, tuple(tried.values())
@@ -319,7 +356,7 @@ def _drop_contradicting(linked: LinkedModules, uses: list[DistanceUse]) -> _Solv
     solved = linked.solve(np.arange(len(uses)))
     while len(solved.used):
         update = solved.update
-        pull, known = update.inverse @ update.off, np.diag(update.inverse)
+        pull, known = update.whiten @ update.whitened, np.sum(update.whiten**2, axis=1)
         # Each one differs from the prediction of all others by pull/known, with the variance 1/known.
         squares = pull**2 / known
         worst = int(squares.argmax())
@@ -349,11 +386,8 @@ def _refine_estimates(
     linked: LinkedModules, solved: _Solved, model: ModuleModel, estimates: Mapping[int, Estimate]
 ) -> dict[int, Estimate]:
     """Make the estimates of the modules' taxels under some distances."""
-    prior, update = linked.prior, solved.update
-    pull = np.einsum("kbd,kl->bdl", update.seen, update.inverse)
-    moves = prior.moves - pull @ update.of_shared
-    total = prior.covariances + prior.moves @ prior.moves.transpose(0, 2, 1) - pull @ update.seen.transpose(1, 0, 2)
-    own = total - moves @ moves.transpose(0, 2, 1)
+    update = solved.update
+    own, moves = update.covariances, update.moves
     ends: list[int] = np.unique(linked.ends[solved.used]).tolist()
     pads = [model.pads[linked.modules[b]] for b in ends]
     of = np.repeat(ends, [len(each) for each in pads])

@@ -48,7 +48,7 @@ class FittedModule:
     pose: ModulePoses
     """One."""
     covariance: FloatArray
-    """(d, d) float, m^2, of its unknowns, without the errors that all pokes share."""
+    """(d, d) float, m^2, symmetric, of its unknowns, without the errors that all pokes share."""
     moves: FloatArray
     """(d, n) float, metres: shifts of the unknowns by the shared errors."""
     height: float
@@ -224,7 +224,8 @@ def _add_shared_errors(
             here = touches.of[order] == b
             fitted_modules[module] = FittedModule(
                 pose=fitted.poses.select(np.array([b])),
-                covariance=own[b],
+                # `added` is N^-1 X N^-1: its two triangles differ by rounding.
+                covariance=(own[b] + own[b].T) / 2.0,
                 moves=np.zeros((len(own[b]), 0)) if moves is None else moves[b],
                 height=float(heights[b]),
                 factor=float(factors[b]),

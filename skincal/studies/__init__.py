@@ -33,7 +33,10 @@ class Study(Protocol):
     """Functions of a study's module."""
 
     def run(self, quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-        """Measure, within 45 s if `quick` (the robot: 90 s). Return JSON without NaN; `progress` gets sentences."""
+        """Measure, within 90 s on two idle cores if `quick`. Return JSON without NaN; `progress` gets sentences.
+
+        A list `misses` in it names faults of the program: unless it is empty, the command ends with exit code 1.
+        """
         ...
 
     def summary(self, result: dict[str, Any]) -> list[str]:

@@ -68,7 +68,7 @@ def run(
 
     Returns
     -------
-    JSON: `cases` of the shipped solvers, `alternatives` of other ways to solve the same rows
+    JSON: `cases` of the shipped solvers, `alternatives` of other ways to solve the same rows, names of cases in `misses`
     """
     sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
     every = cases or chain(taxel_cases(sizes), module_cases(sizes), added_cases(sizes))
@@ -86,6 +86,7 @@ def run(
     return {
         "study": "stability", "quick": quick, "digits": reference.PRECISION_DIGITS, "draws": sizes.draws,
         "factor": TOLERANCE_OVER_INPUT_ROUNDING, "of_size": RELATIVE_TOLERANCE, "held": sum(case["holds"] for case in records),
+        "misses": [case["name"] for case in records if not case["holds"]],
         "cases": records, "alternatives": alternatives,
     }  # fmt: skip
 

@@ -105,6 +105,17 @@ def test_each_study_is_found_by_its_name(run, tmp_path, monkeypatch, name):
     assert {path.name for path in tmp_path.iterdir()} == {f"{name}.{ending}" for ending in ("json", "svg", "png")}
 
 
+@pytest.mark.parametrize("misses", [[], ["distances between three modules"]])
+@pytest.mark.parametrize("options", [["--json"], ["--out", "measured"]])
+def test_a_case_that_does_not_hold_ends_the_study_with_exit_code_1(run, tmp_path, monkeypatch, canned, misses, options):
+    monkeypatch.chdir(tmp_path)
+    result = {**runtime.run(True, canned.append), "misses": misses}
+    monkeypatch.setattr(runtime, "run", lambda *_: result)
+    code, out, _ = run("study", "runtime", *options)
+    assert code == (1 if misses else 0)
+    assert "wrote " in out or json.loads(out) == result
+
+
 def test_the_studies_are_listed_without_being_loaded():
     script = (
         "import sys\n"

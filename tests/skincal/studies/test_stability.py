@@ -1,6 +1,8 @@
 """The stability study of taxels: its reference answers, that it can fail, and that the shipped solvers hold."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import matplotlib.figure
 import mpmath
@@ -257,11 +259,20 @@ def test_the_result_is_json_and_agrees_with_itself(result):
     assert len({case["name"] for case in cases}) == len(cases)
     assert {case["solver"] for case in cases} == {"free", "surface", "modules", "added"}
     assert [case["name"] for case in cases if not case["holds"]] == []
-    assert result["held"] == len(cases)
+    assert (result["held"], result["misses"]) == (len(cases), [])
     for case in cases:
         assert case["holds"] == (case["error"] <= case["bound"] and case["same_bits"])
         assert case["error_over_bound"] == pytest.approx(case["error"] / case["bound"])
     assert json.loads(json.dumps(result, allow_nan=False)) == result
+
+
+def test_a_study_names_the_cases_that_miss_their_bound(monkeypatch):
+    cases = [case for case in added_cases(TINY) if case.name.startswith("distances")]
+    monkeypatch.setattr(stability, "processes", lambda: ThreadPoolExecutor(1))
+    monkeypatch.setattr(stability, "tolerance", lambda change, _: 1e-9 * change)
+    result = stability.run(True, lambda _: None, sizes=replace(TINY, draws=1), cases=cases)
+    assert f"{cases[0].name}: places" in result["misses"]
+    assert result["held"] + len(result["misses"]) == len(result["cases"])
 
 
 def test_the_summary_names_misses_and_the_figure_every_family(result):

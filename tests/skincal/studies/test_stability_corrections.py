@@ -29,9 +29,10 @@ def judged(name, draws=1):
 FEW = "correction, four landmarks, two pokes each"
 MODULE, SHEET = "module, shared errors", "module on a sheet, arm poses that are not known"
 HEIGHT, DISTANCES = "module 4 mm over its sheet", "distances between three modules known to 1e-6 m"
+STIFF = "distances between three modules, pushes within 0.02 rad"
 
 
-@pytest.mark.parametrize("name", [FEW, SHEET, HEIGHT, DISTANCES])
+@pytest.mark.parametrize("name", [FEW, SHEET, HEIGHT, DISTANCES, STIFF, "distances between three modules"])
 def test_the_programs_additions_hold(name):
     found = judged(name, 2)
     assert ("height" in found) is (name == HEIGHT)
@@ -53,6 +54,20 @@ def test_distances_count():
     joined = cases()[DISTANCES].inputs
     with pytest.raises(ValueError, match="do not all count"):
         shipped_distances(replace(joined, distances=(replace(joined.distances[0], length=1.0), *joined.distances[1:])))
+
+
+def test_covariances_under_distances_have_all_their_digits():
+    found = judged(STIFF, 3)
+    assert max(record["error_over_bound"] for record in found.values()) < 0.3
+
+
+def test_a_covariance_that_is_not_symmetric_is_caught():
+    case = cases()[STIFF]
+    skew = np.triu(np.ones((6, 6)), 1) - np.tril(np.ones((6, 6)), -1)
+    fitted = tuple(replace(own, covariance=own.covariance * (1.0 + 1e-12 * skew)) for own in case.inputs.fitted)
+    bent = replace(case, inputs=replace(case.inputs, fitted=fitted))
+    found = {record["name"].rpartition(": ")[2]: record for record in evaluate_added(bent, 1, np.random.default_rng(1))}
+    assert not found["covariances"]["holds"]
 
 
 def test_a_step_too_few_is_caught(monkeypatch):
