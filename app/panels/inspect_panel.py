@@ -27,7 +27,7 @@ from skincal.geometry import FloatArray
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import MarkDead, Revive
 from skincal.taxels.result import Estimate, Method, State
-from skincal.words.taxel_words import state_sentence
+from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words
 from skincal.words.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
 
 PLOT_SIZE_PX = 152
@@ -181,13 +181,13 @@ NOT_COVERED = (
 )
 
 
-def estimate_cells(estimate: Estimate | None) -> tuple[str, ...]:
-    """Make the cells of `ESTIMATE_ROWS` for an estimate."""
+def estimate_cells(estimate: Estimate | None, part_size: float) -> tuple[str, ...]:
+    """Make the cells of `ESTIMATE_ROWS` for an estimate; `part_size` is that of the snapshot."""
     if estimate is None:
         return (DASH,) * len(ESTIMATE_ROWS)
     return (
         point_mm(estimate.position),
-        millimetres(estimate.rms),
+        taxel_error_words(estimate, part_size),
         direction(estimate.worst_direction),
         millimetres(estimate.sd),
         str(estimate.contacts),
@@ -259,8 +259,10 @@ class InspectPanel(Panel):
         # Another selection changes the details, not the list of the worst.
         listed = state.revision, state.method
         if listed != self._listed:
-            self._listed = listed
-            self.worst.show_taxels([(estimate.channel, self._worst_words(estimate)) for estimate in worst(state.estimates)])
+            self._listed, part_size = listed, state.snapshot.part_size
+            self.worst.show_taxels(
+                [(estimate.channel, self._worst_words(estimate, part_size)) for estimate in worst(state.estimates)]
+            )
         if state.selected is not None:
             self._show_taxel(state, state.selected)
 
@@ -268,7 +270,7 @@ class InspectPanel(Panel):
         found = {method: find_estimate(state.snapshot, method, channel) for method in self._methods}
         self.heading.setText(f"{self._names.short(channel)}   {self._names.long(channel)}")
         for method, estimate in found.items():
-            for label, text in zip(self.cells[method], estimate_cells(estimate), strict=True):
+            for label, text in zip(self.cells[method], estimate_cells(estimate, state.snapshot.part_size), strict=True):
                 label.setText(text)
         shown = found.get(state.method)
         reason = state.snapshot.dead.get(channel) or state_sentence(None if shown is None else shown.reason)
@@ -288,10 +290,12 @@ class InspectPanel(Panel):
             widget.setVisible(bool(pokes))
         put_rows(self.pokes, [poke_cells(poke) for poke in pokes])
 
-    def _worst_words(self, estimate: Estimate) -> str:
+    def _worst_words(self, estimate: Estimate, part_size: float) -> str:
         name = self._names.short(estimate.channel)
         if estimate.state is State.ESTIMATED:
-            return f"{name}   {millimetres(estimate.rms)} expected error, {count(estimate.contacts, 'contact')}"
+            error = taxel_error_words(estimate, part_size)
+            words = f"expected error {error}" if error == NOT_KNOWN_YET else f"{error} expected error"
+            return f"{name}   {words}, {count(estimate.contacts, 'contact')}"
         return f"{name}   {MARK_WORDS[mark_of(estimate)]}"
 
     def _switch_use(self) -> None:

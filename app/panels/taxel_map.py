@@ -535,5 +535,5 @@ class MapCard(QFrame):
             self.legend.setAccessibleDescription(", ".join(words for _, words in entries))
         if is_changed:
             self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")
-            self.errors.setText(error_words(state.estimates))
+            self.errors.setText(error_words(state.estimates, state.snapshot.part_size))
             self.methods.setCurrentIndex(self.methods.findData(state.method))

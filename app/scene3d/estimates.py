@@ -22,6 +22,7 @@ from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, MeshAct
 from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, ColourArray, Comparison, SceneColours, StaticScene, View3DState
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.shared_errors import known_error
 
 BALL_PX = (5.0, 34.0)  # Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other
 MAX_CLICK_DISTANCE_PX = 14.0  # A click this near to a ball means it: half a finger's width on a common screen
@@ -214,7 +215,7 @@ class UncertaintyLayer(Layer):
             return False
         self._key = key
         rows, estimates = self.rows(state), state.estimates()
-        parts = [NO_POINTS, *(region(estimates[row]).reshape(-1, 3) for row in rows)]
+        parts = [NO_POINTS, *(region(estimates[row], state.snapshot.part_size).reshape(-1, 3) for row in rows)]
         self.lines.show(np.concatenate(parts), np.repeat(self.static.hues[rows], [len(part) for part in parts[1:]], axis=0))
         return True
 
@@ -222,21 +223,28 @@ class UncertaintyLayer(Layer):
         """Return the rows of taxels whose uncertainty regions are drawn: not all, since many would hide the taxels."""
         if state.comparison is not None:
             return []
-        known = {row: e.rms for row, e in enumerate(state.estimates()) if e.covariance is not None and e.rms is not None}
+        errors = (
+            (row, known_error(e, state.snapshot.part_size))
+            for row, e in enumerate(state.estimates())
+            if e.covariance is not None
+        )
+        known = {row: error for row, error in errors if error is not None}
         worst = sorted(known, key=lambda row: (-known[row], row))[:1]
         selected = self.static.row.get(-1 if state.selected is None else state.selected)
         return worst if selected is None or selected not in known or selected in worst else [*worst, selected]
 
 
-def region(estimate: Estimate) -> FloatArray:
-    """Return the outline of an estimate's 95 % region as segments, (circles, sides, 2, 3) float, metres, link frame."""
+def region(estimate: Estimate, part_size: float) -> FloatArray:
+    """Return the outline of an estimate's 95 % region as segments, (circles, sides, 2, 3) float, metres, link frame.
+
+    It is cut to be no longer than the part, `part_size` of the snapshot.
+    """
     if estimate.position is None or estimate.covariance is None:
         return np.empty((0, 1, 2, 3))
     variances, axes = np.linalg.eigh(estimate.covariance)
     is_flat = estimate.method is Method.SURFACE or estimate.triangle is not None
-    half = np.minimum(
-        (CHI_2DOF_95 if is_flat else CHI_3DOF_95) * np.sqrt(np.maximum(variances, 0.0)), MAX_ELLIPSOID_HALF_AXIS_M
-    )
+    half = (CHI_2DOF_95 if is_flat else CHI_3DOF_95) * np.sqrt(np.maximum(variances, 0.0))
+    half = np.minimum(half, min(part_size / 2.0, MAX_ELLIPSOID_HALF_AXIS_M))
     # eigh sorts upwards: on a surface the first axis is the normal, and the disc is the circle across it.
     return estimate.position + (UNIT_CIRCLES[: 1 if is_flat else 3] * half) @ axes.T
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
@@ -65,8 +66,8 @@ def gain_words(gain: Gain | None) -> str:
     return f"after {count(gain.pokes, 'poke')} the sensor and arm error should fall from {now} to {after}"
 
 
-def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
-    """Give the purpose of the poke, then the progress of the session."""
+def why_words(guidance: Guidance, target: Target, dead: Collection[int], part_size: float = math.inf) -> str:
+    """Give the purpose of the poke, then the progress of the session. `part_size` is that of the snapshot."""
     if guidance.closing is not None:
         at = guidance.closing
         why = f"Final check {at.done + 1} of {at.places}: press an early point again to see if anything moved"
@@ -75,10 +76,12 @@ def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
         return f"{why}{BETWEEN}Shift+N skips"
     if guidance.landmark is not None:
         return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
-    return BETWEEN.join(filter(None, (_reason(guidance, target), progress_words(guidance, dead), left_words(guidance))))
+    return BETWEEN.join(
+        filter(None, (_reason(guidance, target, part_size), progress_words(guidance, dead), left_words(guidance)))
+    )
 
 
-def _reason(guidance: Guidance, target: Target) -> str:
+def _reason(guidance: Guidance, target: Target, part_size: float) -> str:
     if target.channel is None:
         return "No layout: this shows which taxel answers here"
     row = int(np.searchsorted(guidance.channels, target.channel))
@@ -89,7 +92,7 @@ def _reason(guidance: Guidance, target: Target) -> str:
         clause = needs_clause(missing[:1])
         return clause[:1].upper() + clause[1:]
     what = REDUCED_ERROR_WORDS[guidance.method]
-    if not np.isfinite(guidance.rms[row]):
+    if not np.isfinite(guidance.rms[row]) or target.rms_now > part_size:
         return f"{what.capitalize()} not known yet"
     before = cell(target.rms_now, "m")
     return f"This poke should reduce the {what} error from {before} to {millimetres(target.rms_after)}"

@@ -287,7 +287,9 @@ def _guided(at: ViewState) -> Now:
         first = "C: apply the correction of sensor and arm. " if at.offers else ""
         return Now(Tone.GOOD, enough_words(guidance, dead), first + end_words(guidance, dead))
     if guidance is not None and at.target is not None:
-        return Now(Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead))
+        return Now(
+            Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead, at.snapshot.part_size)
+        )
     limits = at.scene.contacts
     low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)
     return Now(Tone.GO, "Ready", f"Press a taxel with {low} to {high} and hold still for {number(limits.still_s, 1)} s")

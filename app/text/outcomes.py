@@ -22,7 +22,7 @@ from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import predicted_error
 from skincal.words.link_words import link_name, link_verdict_words
 from skincal.words.poke_words import REASON_WORDS, rejection_advice, rejection_words
-from skincal.words.taxel_words import predicted_words, state_sentence
+from skincal.words.taxel_words import NOT_KNOWN_YET, predicted_words, state_sentence, taxel_error_words
 from skincal.words.units import ChannelNames, age, count, grouped, millimetres, newtons, rate
 
 METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface", Method.MODULES: "modules"}
@@ -86,7 +86,9 @@ def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: 
     estimate = find_estimate(snapshot, method, peak)
     if estimate is not None and peak is not None and estimate.state is State.ESTIMATED:
         pokes = count(estimate.contacts, "poke")
-        parts.append(f"{names.short(peak)}: expected error now {millimetres(estimate.rms)} ({pokes})")
+        error = taxel_error_words(estimate, snapshot.part_size)
+        now = "" if error == NOT_KNOWN_YET else "now "
+        parts.append(f"{names.short(peak)}: expected error {now}{error} ({pokes})")
     elif estimate is not None and estimate.reason is not None:
         parts.append(state_sentence(estimate.reason))
     return "  \N{MIDDLE DOT}  ".join(parts)
@@ -129,9 +131,9 @@ def summary_words(estimates: Sequence[Estimate]) -> str:
     return f"{grouped(known)} of {count(used, 'taxel')} estimated"
 
 
-def error_words(estimates: Sequence[Estimate]) -> str:
-    """Say the expected error of the estimated taxels; empty if there are none."""
-    found = predicted_error(estimates)
+def error_words(estimates: Sequence[Estimate], part_size: float) -> str:
+    """Say the expected error of the estimated taxels; empty if there are none. `part_size` is that of the snapshot."""
+    found = predicted_error(estimates, part_size)
     return "" if found is None else f"expected error {predicted_words(found, apart=False)}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -59,18 +60,27 @@ def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
     }
 
 
+PREDICTED_KEYS = {"mean": "mean", "worst": "worst", "whole": "whole_skin", "among": "among_taxels"}
+"""Numbers of `PredictedError`: name to key of the JSON."""
+
+
+def _finite_mm(length: float) -> float | None:
+    return 1e3 * length if math.isfinite(length) else None
+
+
 def method_summaries(
     estimates: Mapping[Method, tuple[Estimate, ...]],
     reference: Mapping[int, FloatArray] | None,
     layout: Layout | None,
+    part_size: float,
     kind: str = "",
 ) -> dict[str, Any]:
     """Summarise every method, by its name with `kind` after it."""
-    return {method.value + kind: method_summary(found, reference, layout) for method, found in estimates.items()}
+    return {method.value + kind: method_summary(found, reference, layout, part_size) for method, found in estimates.items()}
 
 
 def method_summary(
-    estimates: tuple[Estimate, ...], reference: Mapping[int, FloatArray] | None, layout: Layout | None
+    estimates: tuple[Estimate, ...], reference: Mapping[int, FloatArray] | None, layout: Layout | None, part_size: float
 ) -> dict[str, Any]:
     """Summarise one method: taxels by state, predicted error, and the error where a reference is known; millimetres.
 
@@ -78,16 +88,14 @@ def method_summary(
     """
     # All states are written, also those of no taxel, so that a program finds each key.
     states = Counter(e.state.value for e in estimates)
-    predicted = predicted_error(estimates)
+    predicted = predicted_error(estimates, part_size)
     summary: dict[str, Any] = {
         "states": {state.value: states.get(state.value, 0) for state in State},
         "predicted_error_mm": None
         if predicted is None
         else {
-            "mean": predicted.mean * 1e3,
-            "worst": predicted.worst * 1e3,
-            "whole_skin": predicted.whole * 1e3,
-            "among_taxels": predicted.among * 1e3,
+            **{key: _finite_mm(getattr(predicted, name)) for name, key in PREDICTED_KEYS.items()},
+            "taxels_not_known_yet": predicted.unknown,
         },
         "spacing_ratio": None if layout is None else spacing_ratio(layout, estimates),
     }
@@ -139,8 +147,11 @@ def method_line(name: str, summary: Mapping[str, Any]) -> str:
     states = ", ".join(f"{count} {state}" for state, count in summary["states"].items() if count)
     line = f"{name:8s} {states or 'no taxel seen'}"
     if predicted is not None:
-        names = {"mean": "mean", "worst": "worst", "whole": "whole_skin", "among": "among_taxels"}
-        error_m = PredictedError(**{name: predicted[key] * 1e-3 for name, key in names.items()})
+        lengths = ((name, predicted[key]) for name, key in PREDICTED_KEYS.items())
+        error_m = PredictedError(
+            **{name: math.nan if length is None else length * 1e-3 for name, length in lengths},
+            unknown=predicted["taxels_not_known_yet"],
+        )
         line += f"; expected error {predicted_words(error_m)}"
     if ratio is not None:
         line += f"; neighbours {ratio:.2f} of the layout's spacing apart"

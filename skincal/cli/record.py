@@ -345,7 +345,7 @@ def finish(
     counts = output.poke_counts(snapshot)
     live = pipeline.live(0)
     losses = output.loss_counts(live.links, live.losses_unpaired)
-    methods = output.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout)
+    methods = output.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout, snapshot.part_size)
     silent = silent_links(live.links)
     unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds)] if not (snapshot.pokes or silent) else []
     found = [*unpoked, *findings, *output.link_notes(live.links)]

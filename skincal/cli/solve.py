@@ -112,16 +112,16 @@ def solve(
     known = None if reference is None else read_reference(reference)
     results = open_results(session, replay, layout, correct)
     pipeline, snapshot = results.pipeline, results.snapshot
-    planned = pipeline.scene.skin.layout
+    planned = pipeline.scene.skin.layout, snapshot.part_size
     counts = output.poke_counts(snapshot)
-    methods = output.method_summaries(snapshot.estimates, known, planned)
+    methods = output.method_summaries(snapshot.estimates, known, *planned)
     if per_pose:
-        methods |= output.method_summaries(_averages_over_poses(results), known, planned, "-per-pose")
+        methods |= output.method_summaries(_averages_over_poses(results), known, *planned, "-per-pose")
     rig, rig_lines = _rig_result(results)
     setup = setup_sentences(results.setup)
     tip, tip_lines = _tip_result(snapshot.tip_frame)
     if (found := _estimates_if_corrected(results)) is not None:
-        methods |= output.method_summaries(found, known, planned, "-corrected")
+        methods |= output.method_summaries(found, known, *planned, "-corrected")
     leads = None if results.leading is None else results.leading.value
     verdict = None if results.leading is None else output.verdict_words(results.verdict(results.leading))
     unchecked = results.verdict(results.choose_method(None)).unchecked
@@ -348,7 +348,9 @@ def export(
     results = open_results(session, replay, layout, correct)
     chosen, calibration = results.choose_method(method), results.calibration()
     findings = [*results.pipeline.findings, *write_calibration(calibration, format_, out, chosen, options)]
-    summary = output.method_summary(calibration.estimates[chosen], None, results.session.scene.skin.layout)
+    summary = output.method_summary(
+        calibration.estimates[chosen], None, results.session.scene.skin.layout, calibration.part_size
+    )
     verdict, unchecked = calibration.verdicts[chosen], calibration.unmodelled_rig_error_m[chosen]
     line = output.method_line(chosen.value, summary) + (output.LEADS_WORDS if chosen is results.leading else "")
     result = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
 from skincal.taxels.gains import TaxelGain, taxel_gains
 from skincal.taxels.result import Estimate, Method
-from skincal.taxels.shared_errors import predicted_error
+from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.words.taxel_words import error_words
 
 
@@ -57,6 +58,8 @@ class Calibration:
     """The operator's choices for the file."""
     mesh_findings: tuple[str, ...] = ()
     """Sentences on the mesh."""
+    part_size: float = inf
+    """m, see `Snapshot.part_size`."""
 
     def estimates_by(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
@@ -70,11 +73,15 @@ class Calibration:
             )
         return self.estimates[method]
 
+    def predicted_error(self, method: Method) -> PredictedError | None:
+        """Summarise the predicted error of a method; `None` without an estimate."""
+        return predicted_error(self.estimates_by(method), self.part_size)
+
     def verdict_comments(self, method: Method) -> tuple[str, ...]:
         """Verdict, predicted error and the part that it leaves out, for a file's comments; empty without a verdict."""
         if method not in self.verdicts:
             return ()
-        error = error_words(predicted_error(self.estimates_by(method)), self.unmodelled_rig_error_m.get(method))
+        error = error_words(self.predicted_error(method), self.unmodelled_rig_error_m.get(method))
         return self.verdicts[method], f"predicted error: {error}"
 
     @property

@@ -45,7 +45,6 @@ from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
-from skincal.taxels.shared_errors import predicted_error
 from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import state_sentence
 
@@ -286,7 +285,9 @@ LANDMARK_KEYS = {
     "poke": "poke", "name": "landmark", "place": "landmark_place_m", "force": "force_sensor_N", "moment": "moment_sensor_Nm",
     "link_from_sensor": "link_from_sensor_m", "pose": "pose",
 }  # fmt: skip
-ERROR_KEYS = {"mean": "mean_m", "worst": "worst_m", "whole": "whole_skin_m", "among": "among_taxels_m"}
+ERROR_KEYS = {
+    "mean": "mean_m", "worst": "worst_m", "whole": "whole_skin_m", "among": "among_taxels_m", "unknown": "taxels_not_known_yet",
+}  # fmt: skip
 CLOSING_KEYS = {
     "after": "after_poke", "names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "has_moved": "moved",
     "observable_directions": "directions_seen", "chance_without_worst": "chance_without_poke",
@@ -343,7 +344,7 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
 
 
 def _error(calibration: Calibration, method: Method) -> dict[str, float | None] | None:
-    found = predicted_error(calibration.estimates_by(method))
+    found = calibration.predicted_error(method)
     unmodelled = calibration.unmodelled_rig_error_m.get(method)
     return None if found is None else {**_written(found, ERROR_KEYS), "unchecked_rig_m": unmodelled}
 

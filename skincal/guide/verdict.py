@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import comb
+from math import comb, inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -306,6 +306,7 @@ def verdict_of(
     module_model: ModuleModel | None = None,
     landmarks: LandmarkAgreement | None = None,
     unchecked: float | None = None,
+    part_size: float = inf,
 ) -> Verdict:
     """Judge a session.
 
@@ -315,6 +316,7 @@ def verdict_of(
     contacts : that count, by the number of their poke
     evidence, surface, module_model : as for `check`
     landmarks, unchecked : see `Verdict`
+    part_size : m, see `known_error`
     """
     state = {estimate.channel: estimate.state for estimate in estimates}
     used = [channel for channel in guidance.channels.tolist() if state.get(channel) is not State.DEAD]
@@ -330,7 +332,7 @@ def verdict_of(
         check=check(ordered, used, evidence, guidance.method, noise, surface, module_model, estimates),
         landmarks=landmarks,
         landmarks_left=0 if guidance.landmark is None else guidance.landmark.pokes_left,
-        predicted=predicted_error(estimates),
+        predicted=predicted_error(estimates, part_size),
         unchecked=unchecked,
         pokes=len(contacts),
         seconds=working_time(*(np.array([getattr(contact, name) for contact in ordered]) for name in ("start_s", "end_s"))),

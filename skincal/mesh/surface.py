@@ -43,6 +43,11 @@ class Surface:
     """Of the file's bytes, hexadecimal."""
 
     @cached_property
+    def size(self) -> float:
+        """Longest side of the box around the triangles, metres."""
+        return float(np.ptp(self.vertices[self.triangles.ravel()], axis=0).max())
+
+    @cached_property
     def corners(self) -> FloatArray:
         """(nt, 3, 3) float: the vertices of each triangle."""
         return self.vertices[self.triangles]

@@ -134,6 +134,11 @@ class Layout:
         return places
 
     @cached_property
+    def size(self) -> float:
+        """Longest side of the box around the taxels in the layout's plane, metres."""
+        return float(np.ptp(self.places[self.channels], axis=0).max())
+
+    @cached_property
     def spacing(self) -> float:
         """Median distance of a taxel to its nearest neighbour in the layout, metres; infinite for a single taxel."""
         places = self.places[self.channels]

@@ -129,7 +129,7 @@ class _Update:
         return self._whitened_gains @ self.whitened
 
     @property
-    def moves(self) -> FloatArray:
+    def shared_shifts(self) -> FloatArray:
         """(b, d, n) float, metres: M under the distances."""
         return self._prior.moves - self._whitened_gains @ (self.whiten.T @ self.of_shared)
 
@@ -387,7 +387,7 @@ def _refine_estimates(
 ) -> dict[int, Estimate]:
     """Make the estimates of the modules' taxels under some distances."""
     update = solved.update
-    own, moves = update.covariances, update.moves
+    own, moves = update.covariances, update.shared_shifts
     ends: list[int] = np.unique(linked.ends[solved.used]).tolist()
     pads = [model.pads[linked.modules[b]] for b in ends]
     of = np.repeat(ends, [len(each) for each in pads])

@@ -10,7 +10,7 @@ import math
 import re
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,13 @@ from skincal.rig.correction import RIG
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
+from skincal.taxels.shared_errors import PredictedError
 from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
 from skincal.words.link_words import beside_words
 from skincal.words.poke_words import REASON_WORDS
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 from skincal.words.setup_words import setup_sentences
-from skincal.words.taxel_words import state_sentence, unchecked_sentence
+from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words, unchecked_sentence
 from skincal.words.verdict_words import agreement_words, check_words, closing_words, figures, left_words, verdict_sentence
 
 DASH = "\N{EN DASH}"
@@ -239,10 +240,20 @@ MODULE_HEADINGS = ("Module", "Taxels known", "Mean", "95\N{NO-BREAK SPACE}%", "W
 
 def _method_row(each: MethodFacts) -> tuple[str, ...]:
     states = ", ".join(f"{count} {name}" for name, count in each.states.items())
-    predicted = (None,) * 4 if each.predicted is None else astuple(each.predicted)
+    mean, *predicted = _predicted_cells(each.predicted)
     error = (None,) * 4 if each.error is None else (each.error.mean, each.error.sd, each.error.p95, each.error.max)
-    lengths = (_mm_cell(length) for length in (*predicted, *error))
-    return each.method.value, states, *lengths, _number(each.spacing), f"{each.solve_s * 1e3:.1f}"
+    lengths = (_mm_cell(length) for length in error)
+    return each.method.value, states, mean, *predicted, *lengths, _number(each.spacing), f"{each.solve_s * 1e3:.1f}"
+
+
+def _predicted_cells(found: PredictedError | None) -> list[str]:
+    """Format the four lengths of a predicted error; taxels whose error is not known yet are counted in the first cell."""
+    if found is None:
+        return [_mm_cell(None)] * 4
+    cells = [_mm_cell(length) for length in (found.mean, found.worst, found.whole, found.among)]
+    if found.unknown:
+        cells[0] = NOT_KNOWN_YET if math.isnan(found.mean) else f"{cells[0]} ({found.unknown} {NOT_KNOWN_YET})"
+    return cells
 
 
 def _module_rows(facts: SessionFacts) -> Iterator[tuple[str, ...]]:
@@ -287,9 +298,9 @@ def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tupl
     index = -1 if layout is None else int(layout.module_of[channel])
     module = DASH if layout is None or index < 0 else str(layout.modules[index].id)
     true = facts.errors.get(channel) if facts.truth is not None else None
-    lengths = (_mm_cell(length) for length in (true, estimate.rms, estimate.sd))
+    predicted = taxel_error_words(estimate, facts.results.snapshot.part_size).removesuffix(" mm")
     return (
-        module, str(channel), *lengths, str(estimate.contacts),
+        module, str(channel), _mm_cell(true), predicted, _mm_cell(estimate.sd), str(estimate.contacts),
         *(_mm_cell(each) for each in place), _number(gain.mean), _number(gain.spread), str(gain.pokes),
     )  # fmt: skip
 

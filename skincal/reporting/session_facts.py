@@ -31,7 +31,7 @@ from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
-from skincal.taxels.shared_errors import PredictedError, predicted_error
+from skincal.taxels.shared_errors import PredictedError, known_error, predicted_error
 
 PACKAGES = ("numpy", "scipy", "wasmtime", "mcap", "zstandard", "matplotlib", "jinja2")
 """Packages whose versions a report shows, since its numbers, files or pictures depend on them."""
@@ -114,7 +114,7 @@ def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = 
     results = SessionResults(pipeline)
     session, snapshot, chosen = results.session, results.snapshot, results.choose_method(method)
     truth = find_truth(folder, pipeline.scene.link, results.part.channels.tolist())
-    calibration, errors = session.calibration(), errors_of(snapshot.estimates[chosen], truth)
+    calibration, errors = session.calibration(), errors_of(snapshot.estimates[chosen], truth, snapshot.part_size)
     names = [mark.name for mark in session.decisions.landmarks]
     return SessionFacts(
         name=folder.resolve().name,
@@ -134,10 +134,11 @@ def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = 
     )
 
 
-def errors_of(estimates: tuple[Estimate, ...], truth: TaxelPositions | None) -> dict[int, float]:
-    """Compute the error of each estimated taxel, metres by channel: against the truth, or without one the predicted error."""
+def errors_of(estimates: tuple[Estimate, ...], truth: TaxelPositions | None, part_size: float) -> dict[int, float]:
+    """Compute the error of each estimated taxel, metres by channel: against the truth, or without one the known error."""
     if truth is None:
-        return {estimate.channel: estimate.rms for estimate in estimates if estimate.rms is not None}
+        errors = ((estimate.channel, known_error(estimate, part_size)) for estimate in estimates)
+        return {channel: error for channel, error in errors if error is not None}
     return {
         estimate.channel: float(np.linalg.norm(estimate.position - truth.places[estimate.channel]))
         for estimate in estimates
@@ -156,7 +157,7 @@ def _method_facts(session: Session, snapshot: Snapshot, method: Method, truth: T
     return MethodFacts(
         method,
         {name: names.count(name) for name in dict.fromkeys(names)},
-        predicted_error(estimates),
+        predicted_error(estimates, snapshot.part_size),
         None if truth is None else error_summary(estimates, truth.places),
         None if layout is None else spacing_ratio(layout, estimates),
         time.process_time() - begun,

@@ -2,7 +2,7 @@
 
 Point k of the course is solved from the first k pokes that count now. An excluded poke leaves no trace, and a reopened session
 has the same course to the last bit. The error is the distance to the taxel's known position, else the predicted error
-(`Estimate.rms`).
+(`known_error`).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
+from skincal.taxels.shared_errors import known_error
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
@@ -90,8 +91,8 @@ def spreads_of(errors: FloatArray, groups: IntArray, count: int) -> FloatArray:
     return result
 
 
-Rule: TypeAlias = Callable[[Mapping[Method, Sequence[Estimate]]], Spreads]
-"""Computes the errors of estimates."""
+Rule: TypeAlias = Callable[[Snapshot], Spreads]
+"""Computes the errors of a snapshot's estimates."""
 
 
 def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
@@ -110,10 +111,10 @@ def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
         if 0 <= channel < width:
             places[channel] = place
 
-    def spreads(estimates: Sequence[Estimate]) -> FloatArray:
+    def spreads(estimates: Sequence[Estimate], part_size: float) -> FloatArray:
         found = [e for e in estimates if e.position is not None and e.rms is not None]
         channels = np.array([e.channel for e in found], dtype=np.int64)
-        errors = np.array([e.rms for e in found], dtype=float)
+        errors = np.array([known_error(e, part_size) for e in found], dtype=float)
         if known is not None:
             positions = np.array([e.position for e in found], dtype=float).reshape(-1, 3)
             errors = np.linalg.norm(positions - places[channels], axis=1)
@@ -122,7 +123,7 @@ def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
         everything = spreads_of(errors, np.zeros(len(errors), dtype=np.int64), 1)
         return np.concatenate([everything, spreads_of(errors, module_of[channels], modules)])
 
-    return lambda estimates: {method: spreads(found) for method, found in estimates.items()}
+    return lambda now: {method: spreads(found, now.part_size) for method, found in now.estimates.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +172,7 @@ class ErrorCourse:
         self._stride = stride_of(count)
         points = {at: point for at, point in self._points.items() if at <= same and (at % self._stride == 0 or at == count)}
         if count and count not in points:
-            points[count] = self._rule(snapshot.estimates)
+            points[count] = self._rule(snapshot)
         self._points = points
 
     @property
@@ -192,7 +193,7 @@ class ErrorCourse:
         for count in self.missing:
             # Poke by poke as in the live session, so that a point has the same bits.
             self._feed(of.contacts[:count])
-            points[count] = self._rule(self._replica.snapshot().estimates)
+            points[count] = self._rule(self._replica.snapshot())
             if time.monotonic() > end:
                 break
         return of, points

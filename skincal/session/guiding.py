@@ -175,6 +175,7 @@ class SessionGuide:
             self._module_model,
             landmarks,
             unchecked_of(used, landmarks, estimates, snapshot.contacts, counting_landmark_pokes(snapshot), noise),
+            snapshot.part_size,
         )
         left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
         return replace(verdict, left=left, closings=closings_of(snapshot, noise))

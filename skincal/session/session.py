@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +31,7 @@ from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import Solving
 from skincal.session.undo import ActionEntry, History
-from skincal.taxels.result import Method
+from skincal.taxels.result import POSITION_MAX_SD_M, Estimate, Method
 from skincal.taxels.shared_errors import SharedRows
 
 if TYPE_CHECKING:
@@ -289,10 +290,11 @@ class Session:
             self._touched = fresh
         named = self.decisions.landmark_of_poke
         outcomes = (self._reported[poke] for poke in named if poke in self._reported)
+        estimates = self._solving.estimates(channels)
         self._last = self._snapshot = Snapshot(
             generation=self._generation,
             pokes=tuple(self._records.values()),
-            estimates=self._solving.estimates(channels),
+            estimates=estimates,
             touched=self._touched,
             dead=self.dead,
             decisions=self.decisions,
@@ -301,8 +303,18 @@ class Session:
             tried_distances=self._solving.tried_distances,
             clocks=self._clocks,
             tip_frame=self.tip_frame,
+            part_size=self._part_size(estimates),
         )
         return self._snapshot
+
+    def _part_size(self, estimates: Mapping[Method, Sequence[Estimate]]) -> float:
+        """Find the part's size, metres, for `Snapshot.part_size`."""
+        if self.surface is not None:
+            return self.surface.size
+        if self.scene.skin.layout is not None:
+            return max(self.scene.skin.layout.size, POSITION_MAX_SD_M)
+        places = [each.position for each in chain(*estimates.values()) if each.position is not None]
+        return max(float(np.ptp(places, axis=0).max()) if places else 0.0, POSITION_MAX_SD_M)
 
     def _fit_tips(self) -> None:
         """Fit the frame of the tip positions again when enough pokes came, or one of its pokes changed."""
@@ -342,6 +354,7 @@ class Session:
             corrections=tuple(decisions.corrections.values()),
             landmark_pokes=tuple(landmark_pokes(outcomes, decisions.landmarks, decisions.landmark_of_poke)),
             closings=closings_of(snapshot, self.scene.noise),
+            part_size=snapshot.part_size,
         )
 
     def _counting(self, pokes: Iterable[int]) -> list[Contact]:

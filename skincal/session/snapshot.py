@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
@@ -55,6 +56,8 @@ class Snapshot:
     """For each part of the session the last poke before it, and its clock; `None` if the recording does not say."""
     tip_frame: TipFrame | None = None
     """Frame of the tip positions; `None` without a tip stream."""
+    part_size: float = inf
+    """m, of `known_error`: of the mesh, else of the layout, else of the box around the estimates."""
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:

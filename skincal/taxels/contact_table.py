@@ -242,9 +242,12 @@ class ContactTable:
         answers["contact"] = renamed[answers["contact"]]
         kept = answers["contact"] >= 0
         number = np.cumsum(kept) - 1
-        for channel, old in self._answers_of.items():
+        for channel, old in list(self._answers_of.items()):
             places = np.frombuffer(old, dtype=np.int64)
-            self._answers_of[channel] = array("q", number[places[kept[places]]].tobytes())
+            if kept[places].any():
+                self._answers_of[channel] = array("q", number[places[kept[places]]].tobytes())
+            else:
+                del self._answers_of[channel]
         self._answers[: int(kept.sum())] = answers[kept]
         self._columns[:, : len(rows)] = self._columns[:, rows]
         self._contacts[: len(rows)] = self._contacts[rows]

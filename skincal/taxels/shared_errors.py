@@ -296,17 +296,32 @@ class PredictedError:
     """rms shift of the whole skin."""
     among: float
     """rms of the rest: taxels against each other. The squares of both add up to that of the rms error."""
+    unknown: int = 0
+    """Estimated taxels whose error is not known yet (`known_error`), left out of the other numbers; NaN if these are all."""
 
 
-def predicted_error(estimates: Sequence[Estimate]) -> PredictedError | None:
-    """Summarise the predicted error of the estimated taxels; `None` without any."""
-    known = [estimate for estimate in estimates if estimate.rms is not None]
-    if not known:
+def known_error(estimate: Estimate, part_size: float) -> float | None:
+    """Return the predicted error of a taxel, metres; `None` without an estimate, or while it is larger than the part.
+
+    A position that is predicted to be off by more than the part's size is not known yet, and its error means nothing.
+    """
+    return None if estimate.rms is None or estimate.rms > part_size else estimate.rms
+
+
+def predicted_error(estimates: Sequence[Estimate], part_size: float) -> PredictedError | None:
+    """Summarise the predicted error of the estimated taxels; `None` without any. `part_size` is that of `known_error`."""
+    estimated = [estimate for estimate in estimates if estimate.rms is not None]
+    known = [estimate for estimate in estimated if known_error(estimate, part_size) is not None]
+    if not estimated:
         return None
+    if not known:
+        return PredictedError(*(np.nan,) * 4, unknown=len(estimated))
     errors = np.array([estimate.rms for estimate in known], dtype=np.float64)
     moves = [estimate.moved for estimate in known if estimate.moved is not None]
     whole = 0.0
     if moves:
         whole = float(np.sum((np.sum(moves, axis=0) / len(known)) ** 2))
     among = max(float(np.mean(errors**2)) - whole, 0.0)
-    return PredictedError(float(np.mean(errors)), float(np.max(errors)), float(np.sqrt(whole)), float(np.sqrt(among)))
+    return PredictedError(
+        float(np.mean(errors)), float(np.max(errors)), float(np.sqrt(whole)), float(np.sqrt(among)), len(estimated) - len(known)
+    )

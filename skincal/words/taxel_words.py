@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from skincal.model.errors import plural
-from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, StateReason
-from skincal.taxels.shared_errors import PredictedError
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, StateReason
+from skincal.taxels.shared_errors import PredictedError, known_error
+from skincal.words.units import millimetres
 
 STATE_SENTENCES = {
     Cause.UNPOKED: "No accepted poke touched this taxel.",
@@ -71,6 +72,15 @@ def state_sentence(reason: StateReason | None) -> str:
     )
 
 
+NOT_KNOWN_YET = "not known yet"
+
+
+def taxel_error_words(estimate: Estimate, part_size: float) -> str:
+    """Format the expected error of a taxel: `"1.1 mm"`, or that it is not known yet (`known_error`)."""
+    error = known_error(estimate, part_size)
+    return NOT_KNOWN_YET if error is None and estimate.rms is not None else millimetres(error)
+
+
 def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
     """Format the expected error of a skin: `"1.1 mm mean, 1.7 mm worst"`.
 
@@ -78,7 +88,11 @@ def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
     ----------
     apart : also split it into the shared shift of the whole skin and the error of taxels relative to each other
     """
+    if np.isnan(found.mean):
+        return NOT_KNOWN_YET
     words = f"{found.mean * 1e3:.1f} mm mean, {found.worst * 1e3:.1f} mm worst"
+    if found.unknown:
+        words += f", {NOT_KNOWN_YET} for {plural(found.unknown, 'taxel')}"
     if not apart or not found.whole:
         return words
     return (
@@ -97,7 +111,7 @@ def error_words(found: PredictedError | None, off: float | None) -> str:
     """
     if found is None:
         return "no taxel is estimated"
-    if off is None:
+    if off is None or np.isnan(found.mean):
         return predicted_words(found)
     return f"{predicted_words(found, apart=False)}; errors of sensor and arm may add about {off * 1e3:.1f} mm"
 

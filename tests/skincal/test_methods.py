@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import html
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from app.panels.inspect_panel import estimate_cells
 from app.text.outcomes import error_words
 from skincal.cli import main
+from skincal.mesh.surface import Surface
 from skincal.methods import leading_method
 from skincal.model.scene import resource
 from skincal.reporting.page import report_page
 from skincal.reporting.session_facts import gather_facts
+from skincal.session.error_history import MAX, TAXELS, ErrorCourse
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
+from skincal.words.taxel_words import taxel_error_words
 from skincal.words.verdict_words import figures
 from tests.approved import approved
 
@@ -72,7 +77,7 @@ def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_pat
     facts = gather_facts(Path(SAMPLE))
     errors = [1e3 * each.rms for each in facts.estimates if each.rms is not None]
     said = approved("now.predicted", mean_mm=f"{np.mean(errors):.1f}", worst_mm=f"{max(errors):.1f}")
-    assert error_words(facts.estimates) == said
+    assert error_words(facts.estimates, math.inf) == said
     for words in ((), ("--format", "icub", "--out", str(tmp_path / "positions.txt"))):
         assert main(["export" if words else "solve", SAMPLE, *words]) == 0
         assert f"; {said};" in capsys.readouterr().out
@@ -81,3 +86,42 @@ def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_pat
     assert column in page
     assert column.startswith(said.removeprefix("expected error "))
     assert all(f">{1e3 * size:.2f}<" in page for size in (facts.methods[2].predicted.mean, facts.methods[2].predicted.worst))
+
+
+@pytest.mark.parametrize("size", [0.02, 0.003])
+def test_an_error_above_the_size_of_the_part_is_not_known_yet_wherever_it_is_said(tmp_path, capsys, monkeypatch, size):
+    monkeypatch.setattr(Surface, "size", size)
+    facts = gather_facts(Path(SAMPLE), Method.FREE)
+    every = [each for each in facts.estimates if each.rms is not None]
+    errors = [each.rms for each in every if each.rms <= size]
+    counts = {"mean_mm": f"{1e3 * np.mean(errors):.1f}", "worst_mm": f"{1e3 * max(errors):.1f}"} if errors else {}
+    unknown = len(every) - len(errors)
+    said = approved("now.predicted_some", **counts, unknown=unknown) if errors else approved("now.predicted_unknown")
+    assert (unknown > 0, bool(errors)) == (True, size == 0.02)
+    assert error_words(facts.estimates, size) == said
+    for words in (["solve", SAMPLE], ["export", SAMPLE, "--method", "free", "--format", "icub", "--out", tmp_path / "at.txt"]):
+        assert main([str(word) for word in words]) == 0
+        assert f"; {said};" in capsys.readouterr().out
+    column = said.removeprefix("expected error ")
+    assert f"# predicted error: {column}" in (tmp_path / "at.txt").read_text(encoding="utf-8")
+    assert any(text.startswith(column) for _, text in figures(facts.verdict))
+    page = html.unescape(report_page(facts))
+    assert column in page
+    assert ">not known yet<" in page
+    assert main(["solve", SAMPLE, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["methods"]["free"]["predicted_error_mm"]
+    assert found["taxels_not_known_yet"] == unknown
+    assert found["mean"] == (pytest.approx(1e3 * np.mean(errors)) if errors else None)
+    # The Errors tab shows the course of those that are known.
+    series = course_of(facts).spreads[Method.FREE][-1, 0]
+    assert series[TAXELS] == len(errors)
+    assert series[MAX] == pytest.approx(max(errors)) if errors else np.isnan(series[MAX])
+    worst = max(every, key=lambda each: each.rms)
+    assert taxel_error_words(worst, size) == "not known yet"
+    assert estimate_cells(worst, size)[1] == "not known yet"
+
+
+def course_of(facts):
+    course = ErrorCourse(facts.results.part.scene, facts.results.part.surface, None)
+    course.update(facts.results.snapshot)
+    return course.series()

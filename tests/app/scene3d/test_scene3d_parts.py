@@ -91,7 +91,7 @@ def test_an_ellipsoid_is_drawn_where_chi_square_says(rng):
     root = rng.normal(size=(3, 3)) * 1e-3
     covariance = root @ root.T
     about = estimate(3, (0.01, 0.02, 0.03))
-    drawn = region(_with(about, covariance, Method.FREE)).reshape(-1, 3) - about.position
+    drawn = region(_with(about, covariance, Method.FREE), 0.1).reshape(-1, 3) - about.position
     squares = np.einsum("ix,xy,iy->i", drawn, np.linalg.inv(covariance), drawn)
     np.testing.assert_allclose(squares, chi2(3).ppf(0.95), rtol=2e-3)
 
@@ -103,10 +103,18 @@ def test_on_a_surface_the_region_is_a_disc_across_the_normal(rng):
     flat = np.eye(3) - np.outer(normal, normal)
     root = flat @ rng.normal(size=(3, 3)) * 1e-3
     about = _with(estimate(3, (0.01, 0.02, 0.03)), root @ root.T, Method.SURFACE, normal)
-    drawn = region(about).reshape(-1, 3) - about.position
+    drawn = region(about, 0.1).reshape(-1, 3) - about.position
     np.testing.assert_allclose(drawn @ normal, 0.0, atol=1e-9)
     squares = np.einsum("ix,xy,iy->i", drawn, np.linalg.pinv(root @ root.T), drawn)
     np.testing.assert_allclose(squares, chi2(2).ppf(0.95), rtol=2e-3)
+
+
+def test_a_region_is_not_longer_than_the_part():
+    from app.scene3d.estimates import region
+
+    about = _with(estimate(3, (0.01, 0.02, 0.03)), np.diag([0.01, 0.001, 0.03]) ** 2, Method.FREE)
+    drawn = region(about, 0.04).reshape(-1, 3) - about.position
+    np.testing.assert_allclose(np.ptp(drawn, axis=0), [0.04, 2 * 2.7955e-3, 0.04], rtol=1e-3)
 
 
 def _with(about, covariance, method, normal=None):

@@ -121,8 +121,8 @@ def test_the_state_of_a_session_in_words():
         summary_words(known.estimates[Method.FREE] * 600)
         == "1\N{NARROW NO-BREAK SPACE}200 of 14\N{NARROW NO-BREAK SPACE}400 taxels estimated"
     )
-    assert error_words(known.estimates[Method.FREE]) == approved("now.predicted", mean_mm=3.5, worst_mm=5.2)
-    assert error_words(session().estimates[Method.FREE]) == ""
+    assert error_words(known.estimates[Method.FREE], known.part_size) == approved("now.predicted", mean_mm=3.5, worst_mm=5.2)
+    assert error_words(session().estimates[Method.FREE], math.inf) == ""
 
 
 def test_a_silent_link_says_when_not_how_long_so_that_nothing_moves():

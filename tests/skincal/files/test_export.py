@@ -278,7 +278,7 @@ def test_what_was_checked_and_what_could_not_be_stands_in_the_files(part):
     written = json.loads(json_text(calibration))
     assert written["verdicts"] == {"surface": words}
     assert written["predicted_errors"]["surface"]["unchecked_rig_m"] == 0.0071
-    found = predicted_error(made.estimates_by(Method.SURFACE))
+    found = made.predicted_error(Method.SURFACE)
     mean, worst = f"{found.mean * 1e3:.1f}", f"{found.worst * 1e3:.1f}"
     error = approved("verdict.predicted_unchecked", mean_mm=mean, worst_mm=worst, unchecked_mm="7.1")
     for said in (words, f"predicted error: {error}"):
@@ -297,11 +297,12 @@ def test_files_tell_what_of_the_error_the_whole_skin_has_where_that_is_predicted
         each if each.rms is None else replace(each, moved=0.0012 * np.eye(3)) for each in made.estimates_by(Method.SURFACE)
     )
     calibration = replace(made, estimates={Method.SURFACE: moved}, verdicts={Method.SURFACE: "enough"})
-    found = predicted_error(moved)
+    found = predicted_error(moved, math.inf)
     assert found.whole > 0
     assert f"# predicted error: {predicted_words(found)}" in icub_text(calibration, Method.SURFACE).splitlines()
     own = json.loads(json_text(calibration))["predicted_errors"]["surface"]
     assert own == {
         "mean_m": found.mean, "worst_m": found.worst, "whole_skin_m": found.whole, "among_taxels_m": found.among,
+        "taxels_not_known_yet": 0,
         "unchecked_rig_m": None,
     }  # fmt: skip

@@ -259,7 +259,9 @@ def test_a_part_without_mesh_arm_and_landmarks_has_a_report_too(tmp_path, rng, p
 def test_taxels_without_a_place_are_told_by_their_reason(facts):
     free = facts.results.snapshot.estimates[Method.FREE]
     lost = [estimate for estimate in free if estimate.position is None]
-    found = Page(report_page(replace(facts, method=Method.FREE, errors=errors_of(free, facts.truth)))).text
+    found = Page(
+        report_page(replace(facts, method=Method.FREE, errors=errors_of(free, facts.truth, facts.results.snapshot.part_size)))
+    ).text
     assert f"{len(lost)} taxels without a position" in found
     for estimate in lost:
         assert f"{estimate.state.value}: {state_sentence(estimate.reason)}" in found

@@ -93,6 +93,18 @@ def test_a_table_forgets_what_was_replaced():
     assert same(table.evidence(range(6)), gather(contacts, range(6)))
 
 
+def test_a_taxel_that_lost_all_its_contacts_is_left_out_also_when_rows_are_forgotten():
+    contacts = [contact(number, number, channels=[number % 3]) for number in range(300)]
+    table = ContactTable(contacts)
+    kept = [each for each in contacts[:30] if each.channels[0] != 1]
+    for each in contacts:
+        if each not in kept:
+            table.drop(each.poke)
+    for _ in range(2):
+        assert same(table.evidence(range(6)), gather(kept, range(6)))
+        assert table.evidence(range(6)).channels.tolist() == [0, 2]
+
+
 def test_equal_contacts_are_all_kept():
     twins = [contact(number, 5, channels=[2]) for number in (1, 2, 3)]
     assert gather(twins, [2]).counts.tolist() == [3]

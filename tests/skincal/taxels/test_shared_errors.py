@@ -14,6 +14,7 @@ from skincal.taxels.shared_errors import (
     DRIFT_VARIANCE_FACTOR_IF_CORRECTED,
     POKES_PER_DRIFT_BLOCK,
     PredictedError,
+    known_error,
     predicted_error,
 )
 
@@ -226,7 +227,7 @@ def estimate(channel, covariance, moved=None):
 def test_the_whole_and_the_rest_add_up_in_squares(rng):
     moves = [1e-3 * rng.standard_normal((3, n)) for n in (7, 7, 7)]
     found = [estimate(i, move @ move.T + 1e-8 * np.eye(3), move) for i, move in enumerate(moves)]
-    apart = predicted_error([*found, Estimate(9, Method.FREE, State.UNSEEN, 0)])
+    apart = predicted_error([*found, Estimate(9, Method.FREE, State.UNSEEN, 0)], np.inf)
     squares = np.array([np.trace(each.covariance) for each in found])
     assert apart.whole**2 + apart.among**2 == pytest.approx(squares.mean(), rel=1e-12)
     assert (apart.mean, apart.worst) == pytest.approx((np.sqrt(squares).mean(), np.sqrt(squares).max()), rel=1e-12)
@@ -236,12 +237,23 @@ def test_the_whole_and_the_rest_add_up_in_squares(rng):
     assert apart.whole == pytest.approx(np.sqrt(np.mean(np.sum(middle**2, axis=1))), rel=0.01)
 
 
+def test_an_error_above_the_size_of_the_part_is_not_known_yet():
+    sizes = (0.001, 0.117, 0.118, 0.416)
+    found = [estimate(i, np.diag([size, 0.0, 0.0]) ** 2) for i, size in enumerate(sizes)]
+    assert [known_error(each, 0.117) for each in found] == [0.001, 0.117, None, None]
+    assert known_error(Estimate(9, Method.FREE, State.UNSEEN, 0), 0.117) is None
+    some = predicted_error(found, 0.117)
+    assert (some.mean, some.worst, some.unknown) == (pytest.approx(0.059), 0.117, 2)
+    none = predicted_error(found[2:], 0.117)
+    assert (np.isnan([none.mean, none.worst, none.whole, none.among]).all(), none.unknown) == (True, 2)
+
+
 def test_what_all_taxels_do_alike_is_the_whole_and_what_they_do_against_each_other_is_not():
     move = np.diag([1e-3, 2e-3, 0.0])
-    alike = predicted_error([estimate(i, move @ move.T, move) for i in range(4)])
-    against = predicted_error([estimate(i, move @ move.T, (-1) ** i * move) for i in range(4)])
+    alike = predicted_error([estimate(i, move @ move.T, move) for i in range(4)], np.inf)
+    against = predicted_error([estimate(i, move @ move.T, (-1) ** i * move) for i in range(4)], np.inf)
     assert (alike.whole, alike.among) == (pytest.approx(alike.mean), pytest.approx(0.0, abs=1e-9))
     assert (against.whole, against.among) == (pytest.approx(0.0, abs=1e-9), pytest.approx(against.mean))
     size = pytest.approx(np.sqrt(3.0) * 1e-3)
-    assert predicted_error([estimate(0, 1e-6 * np.eye(3))]) == PredictedError(size, size, 0.0, size)
-    assert predicted_error([Estimate(9, Method.FREE, State.UNSEEN, 0)]) is None
+    assert predicted_error([estimate(0, 1e-6 * np.eye(3))], np.inf) == PredictedError(size, size, 0.0, size)
+    assert predicted_error([Estimate(9, Method.FREE, State.UNSEEN, 0)], np.inf) is None
