@@ -93,10 +93,8 @@ def method_summary(
         "states": {state.value: states.get(state.value, 0) for state in State},
         "predicted_error_mm": None
         if predicted is None
-        else {
-            **{key: _finite_mm(getattr(predicted, name)) for name, key in PREDICTED_KEYS.items()},
-            "taxels_not_known_yet": predicted.unknown,
-        },
+        else {key: _finite_mm(getattr(predicted, name)) for name, key in PREDICTED_KEYS.items()},
+        "taxels_not_known_yet": 0 if predicted is None else predicted.unknown,
         "spacing_ratio": None if layout is None else spacing_ratio(layout, estimates),
     }
     if reference is not None:
@@ -150,7 +148,7 @@ def method_line(name: str, summary: Mapping[str, Any]) -> str:
         lengths = ((name, predicted[key]) for name, key in PREDICTED_KEYS.items())
         error_m = PredictedError(
             **{name: math.nan if length is None else length * 1e-3 for name, length in lengths},
-            unknown=predicted["taxels_not_known_yet"],
+            unknown=summary["taxels_not_known_yet"],
         )
         line += f"; expected error {predicted_words(error_m)}"
     if ratio is not None:

@@ -109,9 +109,9 @@ def test_an_error_above_the_size_of_the_part_is_not_known_yet_wherever_it_is_sai
     assert column in page
     assert ">not known yet<" in page
     assert main(["solve", SAMPLE, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["methods"]["free"]["predicted_error_mm"]
+    found = json.loads(capsys.readouterr().out)["methods"]["free"]
     assert found["taxels_not_known_yet"] == unknown
-    assert found["mean"] == (pytest.approx(1e3 * np.mean(errors)) if errors else None)
+    assert found["predicted_error_mm"]["mean"] == (pytest.approx(1e3 * np.mean(errors)) if errors else None)
     # The Errors tab shows the course of those that are known.
     series = course_of(facts).spreads[Method.FREE][-1, 0]
     assert series[TAXELS] == len(errors)
