@@ -50,7 +50,10 @@ def new_scene(
     ] = False,
     mesh: Annotated[Path | None, typer.Option(help="Mesh of the part; with a URDF it replaces the URDF's own mesh.")] = None,
     sign: Annotated[Literal["1", "-1"] | None, typer.Option(help="-1 if the sensor reports the reaction force.")] = None,
-    unit: Annotated[Literal["m", "cm", "mm", "in"], typer.Option(help="Unit of the mesh.")] = "mm",
+    unit: Annotated[
+        Literal["m", "cm", "mm", "in"] | None,
+        typer.Option(help="Unit of MESH. Default: mm; of a file that the URDF names, as the URDF scales it."),
+    ] = None,
     channels: Annotated[int | None, typer.Option(min=1, help="Values of a skin frame; default: those of the layout.")] = None,
     polarity: Annotated[Literal["up", "down"], typer.Option(help="Values rise or fall under pressure.")] = "up",
     layout: Annotated[
@@ -81,7 +84,7 @@ def new_scene(
         copies_robot=not reference,
         mesh=mesh,
         sign=None if sign is None else int(sign),
-        unit=unit,
+        unit=unit or ("mm" if urdf is None else ""),
         channels=channels,
         polarity=polarity,
         layout_text=layout_text,
@@ -128,6 +131,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
     import numpy as np
 
     from skincal.geometry import Arm
+    from skincal.session.robot_mesh import describe_shapes
 
     scene, findings = part.scene, list(part.findings)
     arm = scene.arm
@@ -150,6 +154,9 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         findings.append("the sensor is taken at the origin of the link, with the link's axes; [sensor] gives another pose")
     if robot is not None:
         findings += robot_findings(robot, scene.link, scene.wrench_sign)
+        if scene.surface is None:
+            seen = describe_shapes(robot.urdf, scene.link, robot.urdf.sensor_named(robot.sensor, str(scene.path)).joint)
+            findings.append(f"no mesh: {seen}. Name the part's mesh by --mesh of scene new, or in [surface]")
     if scene.skin.layout is None:
         findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
     if not scene.landmarks:
@@ -159,8 +166,11 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         "link": scene.link,
         "sensor": None if robot is None else robot.sensor,
         "chain": [] if robot is None else [
-            {"joint": joint.name, "kind": joint.kind, "streamed": joint in robot.chain.moving}
-            for joint, _, _ in reversed(robot.chain.steps)
+            {
+                "joint": step.joint.name, "kind": step.joint.kind, "streamed": step.joint in robot.chain.moving,
+                "follows": step.follows,
+            }
+            for step in reversed(robot.chain.steps)
         ],
         "joints_deg": None if angles is None else np.degrees(angles).tolist(),
         "link_from_sensor": pose.tolist(),
@@ -174,17 +184,14 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
 
 def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:
     """List what is unusual or unknown about a robot's sensor, and where its mesh is from."""
+    from skincal.words.robot_words import sensor_findings
+
     findings: list[str] = []
     if robot.sign is None:
         findings.append("the URDF does not say whether the sensor reports the force or its reaction: see [wrench] sign")
     elif robot.sign != wrench_sign:
         findings.append(f"[wrench] sign is {wrench_sign:+d}, and the URDF says {robot.sign:+d}: check one of them")
-    path = [joint.name for joint in robot.urdf.path_to_root(link)]
-    sensor = robot.urdf.sensor_named(robot.sensor, "")
-    if sensor.joint not in path:
-        others = [each.name for each in robot.urdf.sensors if each.joint in path]
-        hint = f"; {', '.join(others)} is" if others else ""
-        findings.append(f"sensor {robot.sensor} is not between the part and the robot's base{hint}: it may not feel the pokes")
+    findings += sensor_findings(robot.urdf, robot.sensor, link)
     if robot.mesh_link and robot.mesh_link != link:
         findings.append(f"the mesh is that of link {robot.mesh_link}, which is fixed to {link}")
     others = robot.urdf.meshes[robot.mesh_link].others if robot.mesh_link else 0
@@ -201,7 +208,8 @@ def _lines(result: dict[str, Any]) -> list[str]:
     if result["sensor"] is not None:
         lines.append(f"sensor {result['sensor']}, sign {result['wrench_sign']:+d}")
     for joint in result["chain"]:
-        lines.append(f"  joint {joint['joint']}: {'streamed' if joint['streamed'] else joint['kind']}")
+        words = "streamed" if joint["streamed"] else f"follows {joint['follows']}" if joint["follows"] else joint["kind"]
+        lines.append(f"  joint {joint['joint']}: {words}")
     if result["joints_deg"] is not None:
         lines.append("at " + ", ".join(f"{angle:g}" for angle in result["joints_deg"]) + " degrees")
     lines.append("pose of the sensor in the link, metres:")

@@ -19,7 +19,8 @@ from xml.parsers import expat
 
 from skincal.model.errors import InputError, plural
 from skincal.model.given import read_regular
-from skincal.model.urdf import MAX_URDF_BYTES, parse_xml
+from skincal.model.urdf import MAX_URDF_BYTES
+from skincal.model.urdf_xml import parse_xml
 
 SDF_MIN_VERSION = (1, 7)
 """Older ones have no frames that are attached to a link."""

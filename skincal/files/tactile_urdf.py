@@ -33,7 +33,8 @@ from skincal.files.robot_file import insert_into_robot
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.given import read_regular
-from skincal.model.urdf import MAX_URDF_BYTES, element_pose, parse_xml
+from skincal.model.urdf import MAX_URDF_BYTES
+from skincal.model.urdf_xml import element_pose, parse_xml
 from skincal.taxels.result import Method
 
 DRAWN_TAXEL_HEIGHT_M = 0.001

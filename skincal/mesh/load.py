@@ -65,6 +65,8 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
     _check_finite(spec.path, vertices)
     size = _check_size(spec, vertices[triangles.ravel()])
     vertices = vertices * spec.scale @ spec.link_from_mesh[:3, :3].T + spec.link_from_mesh[:3, 3]
+    if np.linalg.det(spec.link_from_mesh[:3, :3]) < 0:
+        triangles = triangles[:, [0, 2, 1]]  # a mirror turns the winding
     vertices, triangles, merged = merge_vertices(vertices, triangles)
     triangles, dropped = _drop(spec.path, vertices, triangles)
     triangles, wound = orient_outward(vertices, triangles)
@@ -99,7 +101,8 @@ def _length(metres: float) -> str:
 
 
 def _check_size(spec: SurfaceSpec, corners: FloatArray) -> MeshFinding:
-    box = corners.max(axis=0) - corners.min(axis=0)
+    stretches = np.linalg.norm(spec.link_from_mesh[:3, :3], axis=0)
+    box = (corners.max(axis=0) - corners.min(axis=0)) * stretches
     raw = float(np.linalg.norm(box))
     unit = min(UNITS, key=lambda name: abs(UNITS[name] - spec.scale))
     diagonal = raw * spec.scale
@@ -112,7 +115,7 @@ def _check_size(spec: SurfaceSpec, corners: FloatArray) -> MeshFinding:
     raise InputError(
         f"{spec.path}: the part's box has a diagonal of {_length(diagonal)} with unit {unit}; "
         f"{_length(MIN_DIAGONAL_M)} to {_length(MAX_DIAGONAL_M)} was expected: {likely or 'no known unit makes it fit'}. "
-        "Correct unit in [surface] of the scene, or the scale of the mesh in the URDF."
+        "Correct its unit (--unit, or unit in the scene), or its scale in the URDF."
     )
 
 

@@ -10,8 +10,10 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.tables import Table, check_degrees
-from skincal.model.urdf import Robot, UrdfChain, find_mesh, read_urdf
+from skincal.model.mesh_lookup import find_mesh
+from skincal.model.tables import UNITS, Table, check_degrees
+from skincal.model.urdf import Robot, read_urdf
+from skincal.model.urdf_chain import UrdfChain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +33,7 @@ class RobotSpec:
     tolerance: float
     """rad."""
     mesh: tuple[Path, float, FloatArray] | None
-    """File of the part's mesh, metres per unit, its (4, 4) pose in the part's link; `None` without a mesh."""
+    """File of the part's mesh, metres per unit, its (4, 4) pose in the part's link, which may stretch or mirror; or `None`."""
     mesh_link: str
     """Link whose visual mesh that is; empty without a mesh."""
 
@@ -60,18 +62,17 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
         assert packages_table is not None
         packages[name] = folder / packages_table.path(name)
     own = table.path("mesh", "")
+    unit = table.choice("unit", UNITS) if "unit" in table.keys else None  # older scenes: the scale of the URDF's own mesh
     mesh = None
     found = urdf.mesh_for(link, urdf.sensor_named(sensor, where).joint)
     if own and (found is None or not needs_mesh):
         raise InputError(f"{where}: mesh is {own}, but the link has no visual mesh or [surface] names one; use [surface].")
+    if unit is not None and not own:
+        raise InputError(f"{where}: unit is that of mesh, and there is no mesh; leave unit out.")
     if needs_mesh and found is not None:
         file = folder / own if own else find_mesh(urdf, found[0], packages)
-        if file.suffix.lower() == ".dae":
-            raise InputError(
-                f"{where}: the mesh of link {found[0].link} is a COLLADA file ({file.name}), which is not read; save it as "
-                "STL or OBJ, such as by trimesh.load(FILE, force='mesh').export('part.stl'), and name it in mesh."
-            )
-        mesh = file, found[0].scale(where), found[1]
+        scale_and_pose = found[0].scale_and_pose(found[1], where) if unit is None else (unit, found[1])
+        mesh = file, *scale_and_pose
     table.refuse_unknown_keys()
     return RobotSpec(urdf, sensor, chain, columns, sign, poses, tolerance, mesh, found[0].link if mesh and found else "")
 

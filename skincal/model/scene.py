@@ -18,8 +18,8 @@ from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.robot import RobotSpec, read_poses, read_robot
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
-from skincal.model.tables import MAX_LENGTH_M, Table, check_degrees, check_metres, parse_toml, read_text
-from skincal.model.urdf import UrdfChain
+from skincal.model.tables import MAX_LENGTH_M, UNITS, Table, check_degrees, check_metres, parse_toml, read_text
+from skincal.model.urdf_chain import UrdfChain
 
 _KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
 """Settings that the file gives in degrees, by their key there."""
@@ -34,7 +34,6 @@ MAX_JOINT_STREAM_COLUMNS = 1000
 """Of a joint stream: a humanoid has about a hundred."""
 DISTANCE_SD_RANGE_M = (1e-5, 0.1)
 """m. A soft skin cannot be measured to a hundredth of a millimetre."""
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,7 @@ class SurfaceSpec:
     scale: float
     """Metres per unit of the file."""
     link_from_mesh: FloatArray
-    """(4, 4) float, metres."""
+    """(4, 4) float, metres. That of a URDF's mesh may also stretch or mirror: see `LinkMesh.scales`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,30 +1,28 @@
-"""A robot's URDF: its links and joints, the chain between two links, force/torque sensors, meshes of links.
+"""A robot's URDF: its links and joints, the chain between two links, meshes of links.
 
-The file comes from strangers: a document type is refused (entities), so are cycles, links with two parents, and names of meshes
-that leave the folder.
+The file comes from strangers: a document type is refused (entities), so are cycles and links with two parents.
 
-Sources: the URDF's XML reference (wiki.ros.org/urdf/XML); for `<sensor type="force_torque">` SDFormat's `force_torque`
-(sdformat.org/spec) and the URDF sensor extension of iDynTree.
+Source: the URDF's XML reference (wiki.ros.org/urdf/XML).
 """
 
 from __future__ import annotations
 
 import contextlib
 import difflib
-import os
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
-from xml.parsers import expat
 
 import numpy as np
 
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.model.errors import InputError, plural
 from skincal.model.given import read_regular
+from skincal.model.urdf_chain import KINDS, MOVING, ChainStep, Mimic, UrdfChain, UrdfJoint
+from skincal.model.urdf_sensors import ForceTorqueSensor, read_sensors
+from skincal.model.urdf_xml import parse_xml, read_attribute, read_numbers, read_origin
 
 MAX_URDF_BYTES = 16 << 20
 """The official URDF of a whole iCub has 0.2 MB."""
@@ -32,173 +30,45 @@ URDF_TREE_MAX_DEPTH = 200
 """Joints between the root and a link. The longest chain of a humanoid has 40."""
 URDF_MAX_LINKS = 5000
 """A humanoid with all its frames has 250."""
-URDF_MAX_LENGTH_M = 100.0
-MOVING = ("revolute", "continuous")
-"""Kinds of joints whose angle is streamed."""
-KINDS = (*MOVING, "fixed", "prismatic", "floating", "planar")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UrdfJoint:
-    """A joint between two links."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    origin: FloatArray
-    """(4, 4) float, metres: pose of the child in the parent at angle 0."""
-    axis: FloatArray
-    """(3,) float, unit, in the child's frame."""
-    limits: tuple[float, float] | None
-    """rad, lowest and highest angle; `None` where the joint turns without end."""
-    mimics: str
-    """Joint that this one follows; empty for none."""
-
-    def transform(self, angle: float) -> FloatArray:
-        """Compute the (4, 4) pose of the child in the parent at `angle` radians, by Rodrigues' formula."""
-        if self.kind == "fixed":
-            return self.origin
-        x, y, z = self.axis
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        turn = np.eye(4)
-        turn[:3, :3] += np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-        return self.origin @ turn
+FIXED_MIMIC_MAX_DIFFERENCE_DEG = 0.5
+"""Between the given angle of a mimic joint and the one that follows from its leader: angles are typed in whole degrees."""
+SHAPES_OF_A_URDF = ("mesh", "box", "cylinder", "sphere", "capsule")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkMesh:
-    """The first visual mesh of a link."""
+    """The first visual or collision mesh of a link."""
 
     link: str
     filename: str
     origin: FloatArray
     """(4, 4) float, metres: pose of the mesh in the link."""
     scales: FloatArray
-    """(3,) float: metres per unit of the file, along each axis."""
+    """(3,) float: metres per unit of the file, along each axis; negative ones mirror."""
     others: int = 0
     """Further visual shapes of the link, which are not used."""
 
-    def scale(self, where: str) -> float:
-        """Return the metres per unit; `InputError` if the axes differ or one is mirrored."""
-        if not (self.scales > 0).all() or not np.allclose(self.scales, self.scales[0], rtol=1e-9):
+    @property
+    def is_uniform(self) -> bool:
+        """One positive scale holds for all axes."""
+        return bool((self.scales > 0).all() and np.allclose(self.scales, self.scales[0], rtol=1e-9))
+
+    def scale_and_pose(self, pose: FloatArray, where: str) -> tuple[float, FloatArray]:
+        """Split the scales into metres per unit, and a (4, 4) pose in the link that also stretches and mirrors.
+
+        `pose` is the (4, 4) pose of the mesh in the part's link. Raises InputError: an axis is scaled by 0.
+        """
+        if not self.scales.all():
             raise InputError(
-                f"{where}: the mesh of link {self.link} is scaled by {self.scales.tolist()}; expected one positive number for "
-                "all axes. Save the mesh in its true shape."
+                f"{where}: the mesh of link {self.link} is scaled by {self.scales.tolist()}; expected numbers that are not 0: "
+                "correct the scale in a copy of the URDF, or name another mesh by --mesh."
             )
-        return float(self.scales[0])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceTorqueSensor:
-    """A force/torque sensor at a joint."""
-
-    name: str
-    joint: str
-    frame: str
-    """Frame of the reported wrench: `child` (the default), `parent` or `sensor`."""
-    direction: str
-    """`child_to_parent` or `parent_to_child`; empty where the file does not say."""
-    origin: FloatArray
-    """(4, 4) float, metres: pose of the sensor in the child link."""
-    is_gazebo: bool = False
-    """Described in Gazebo's form alone."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UrdfChain:
-    """The joints between sensor and part of a URDF robot, in place of an `Arm`."""
-
-    joints: tuple[int, ...]
-    """Columns of the joint stream, one for each moving joint."""
-    moving: tuple[UrdfJoint, ...]
-    """The joints of these columns."""
-    steps: tuple[tuple[UrdfJoint, bool, float], ...]
-    """From the part's link to the sensor's: joint, whether the step goes up to its parent, its angle (rad) if not streamed."""
-    sensor: FloatArray
-    """(4, 4) float, metres: pose of the sensor in the last link."""
-
-    def link_from_sensor(self, angles: FloatArray) -> FloatArray:
-        """Compute the (4, 4) pose of the sensor in the link frame, p_link = T p_sensor.
-
-        Parameters
-        ----------
-        angles : (len(joints),) float, radians, of the moving joints in the order of `joints`
-        """
-        streamed = {joint.name: float(angle) for joint, angle in zip(self.moving, angles, strict=True)}
-        pose = np.eye(4)
-        for joint, up, angle in self.steps:
-            step = joint.transform(streamed.get(joint.name, angle))
-            pose = pose @ (inverse_pose(step) if up else step)
-        return pose @ self.sensor
-
-    def middle_angles(self) -> FloatArray:
-        """Compute the (len(joints),) angles in the middle of the limits, radians; 0 for a joint without limits."""
-        return np.array([0.0 if joint.limits is None else sum(joint.limits) / 2.0 for joint in self.moving])
-
-    def limit_warning(self, angles: FloatArray) -> str | None:
-        """Describe the first angle (rad) outside its joint's limits, with the likely mistake; `None` if all lie inside."""
-        for joint, angle, column in zip(self.moving, np.asarray(angles, dtype=float), self.joints, strict=True):
-            if _fits(joint, angle):
-                continue
-            low, high = np.degrees(_limits(joint))
-            advice = self._limit_advice(np.asarray(angles, dtype=float))
-            limits = (
-                f"its limits are {low:.0f} to {high:.0f}"
-                if joint.limits
-                else f"within {UNLIMITED_JOINT_MAX_TURNS} turns are expected"
-            )
-            return f"joint {joint.name} (column {column}) is at {np.degrees(angle):.1f} degrees; {limits}; {advice}."
-        return None
-
-    def unit_warning(self, lowest: FloatArray, highest: FloatArray) -> str | None:
-        """Suspect radians read as degrees, from the range of the angles (joints,), rad, of an arm that moves; else `None`.
-
-        Radians lie within half a turn, 3.14; so angles of a right stream would all stay within 3.14 degrees of 0. Of arm poses
-        that are drawn evenly from limits of 50 degrees either way, three in a row do so once in 4,000 for one joint, and never
-        for two.
-        """
-        reach, moved = np.degrees(np.abs([lowest, highest]).max()), np.degrees((highest - lowest).max())
-        if reach > np.pi or moved < RADIANS_CHECK_MIN_JOINT_RANGE_RAD:
-            return None
-        return (
-            f"the arm moves, and all its angles stay within {reach:.1f} degrees of 0; if the stream is in radians, convert it "
-            "to degrees."
-        )
-
-    def _limit_advice(self, angles: FloatArray) -> str:
-        """Name a mistake that would explain angles (rad) outside the limits."""
-        if self._fit(np.degrees(angles)):
-            return "if the stream is in radians, convert it to degrees (the values fit as radians)"
-        if np.abs(angles).max() > 2.0 * np.pi and self._fit(np.radians(angles)):
-            return "if the values are in degrees, do not read them as radians (they fit as degrees)"
-        for one, other in combinations(range(len(angles)), 2):
-            swapped = angles.copy()
-            swapped[[one, other]] = angles[[other, one]]
-            if self._fit(swapped):
-                names = f"{self.moving[one].name} and {self.moving[other].name}"
-                return f"the values fit if {names} are exchanged: check the order of the joints"
-        return "check the order of the joints and their unit"
-
-    def _fit(self, angles: FloatArray) -> bool:
-        return all(_fits(joint, angle) for joint, angle in zip(self.moving, angles.tolist(), strict=True))
-
-
-LIMIT_SLACK = float(np.radians(3.0))
-"""Tolerance of the joint limits, rad: encoders have offsets."""
-UNLIMITED_JOINT_MAX_TURNS = 3
-"""Expected turns of a joint without limits, either way: cables wind up."""
-RADIANS_CHECK_MIN_JOINT_RANGE_RAD = 1.0
-"""rad, smallest range of a joint that is called moving: 1 degree if the stream is right, 57 degrees if it is in radians."""
-
-
-def _limits(joint: UrdfJoint) -> tuple[float, float]:
-    return joint.limits or (-2.0 * np.pi * UNLIMITED_JOINT_MAX_TURNS, 2.0 * np.pi * UNLIMITED_JOINT_MAX_TURNS)
-
-
-def _fits(joint: UrdfJoint, angle: float) -> bool:
-    low, high = _limits(joint)
-    return low - LIMIT_SLACK <= angle <= high + LIMIT_SLACK
+        scale = abs(float(self.scales[0]))
+        if self.is_uniform:
+            return scale, pose
+        stretched = pose.copy()
+        stretched[:3, :3] = pose[:3, :3] * (self.scales / scale)
+        return scale, stretched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,7 +82,11 @@ class Robot:
     """By name."""
     sensors: tuple[ForceTorqueSensor, ...]
     meshes: Mapping[str, LinkMesh]
-    """By link."""
+    """First visual mesh, by link."""
+    collisions: Mapping[str, LinkMesh]
+    """First collision mesh, by link."""
+    shapes: Mapping[str, tuple[str, ...]]
+    """Words for all shapes of a link, such as `visual cylinder`, by link; links without one are missing."""
 
     @property
     def root(self) -> str:
@@ -245,13 +119,13 @@ class Robot:
         """
         for sensor in self.sensors:
             if sensor.name == name:
-                _require_usable(sensor, self.joints, self.path)
+                sensor.require_usable(self.joints, self.path)
                 return sensor
         if name in self.joints:
             return ForceTorqueSensor(name, name, "child", "", np.eye(4))
         if name in self.links:
             above = self.joint_above(name)
-            return ForceTorqueSensor(name, "" if above is None else above.name, "child", "", np.eye(4))
+            return ForceTorqueSensor(name, "" if above is None else above.name, "child", "", np.eye(4), is_link=True)
         known = [sensor.name for sensor in self.sensors]
         advice = f"it has the sensors {', '.join(known)}" if known else "name a joint or a link at the sensor"
         raise InputError(f"{where}: {self.path.name} has no force/torque sensor, joint or link {name!r}; {advice}.")
@@ -281,63 +155,179 @@ class Robot:
         self.require_link(link, where)
         sensor = self.sensor_named(sensor_name, where)
         joint = self.joints.get(sensor.joint)
-        at, pose = _sensor_frame(sensor, joint)
-        up, down = self.path_to_root(link), self.path_to_root(at)
+        at, pose = sensor.place_frame(joint)
+        steps = tuple(
+            self._find_driver(each, is_up, columns, fixed, where) for each, is_up in self._joints_between(link, at)
+        )  # fmt: skip
+        drivers = dict.fromkeys(step.driver for step in steps if step.driver)
+        moving = sorted((name for name in drivers if name not in fixed), key=columns.index)
+        chain = UrdfChain(
+            joints=tuple(columns.index(name) for name in moving),
+            moving=tuple(self.joints[name] for name in moving),
+            steps=steps,
+            fixed={name: fixed[name] for name in drivers if name in fixed},
+            sensor=pose,
+        )
+        return chain, self._sign(sensor, joint, link)
+
+    def _joints_between(self, link: str, other: str) -> list[tuple[UrdfJoint, bool]]:
+        """List the joints from a link to another one, and whether each step goes up to the parent."""
+        up, down = self.path_to_root(link), self.path_to_root(other)
         while up and down and up[-1] is down[-1]:
             up.pop()
             down.pop()
-        steps = [(each, True) for each in up] + [(each, False) for each in reversed(down)]
-        moving: list[UrdfJoint] = []
-        done: list[tuple[UrdfJoint, bool, float]] = []
-        for each, is_up in steps:
-            if each.name in fixed and each.name in columns:
-                raise InputError(f"{where}: joint {each.name} is in joints and in [robot.fixed]; leave it in one of them.")
-            if each.kind != "fixed" and each.name not in fixed:
-                self._require_streamed(each, columns, where)
-                moving.append(each)
-            done.append((each, is_up, 0.0 if each.kind == "fixed" else self._fixed_angle(each, fixed, where)))
-        moving.sort(key=lambda each: columns.index(each.name))
-        chain = UrdfChain(tuple(columns.index(each.name) for each in moving), tuple(moving), tuple(done), pose)
-        return chain, self._sign(sensor, joint, link)
+        return [(each, True) for each in up] + [(each, False) for each in reversed(down)]
 
-    def _fixed_angle(self, joint: UrdfJoint, fixed: Mapping[str, float], where: str) -> float:
-        if joint.name in fixed and joint.kind not in MOVING:
-            raise InputError(
-                f"{where}: joint {joint.name} is {joint.kind}; only revolute and continuous joints between sensor and part are "
-                "supported. Replace it by a fixed joint in a copy of the URDF."
-            )
-        return fixed.get(joint.name, 0.0)
+    def pose_between(self, link: str, other: str) -> FloatArray | None:
+        """Compute the (4, 4) pose of another link in a link while all joints are at 0; `None` if a name is no link."""
+        if link not in self.links or other not in self.links:
+            return None
+        pose = np.eye(4)
+        for joint, is_up in self._joints_between(link, other):
+            pose = pose @ (inverse_pose(joint.origin) if is_up else joint.origin)
+        return pose
 
-    def _require_streamed(self, joint: UrdfJoint, columns: Sequence[str], where: str) -> None:
-        if joint.kind not in MOVING or joint.mimics:
-            kind = f"mimics {joint.mimics}" if joint.mimics else f"is {joint.kind}"
+    def _find_driver(
+        self, joint: UrdfJoint, is_up: bool, columns: Sequence[str], fixed: Mapping[str, float], where: str
+    ) -> ChainStep:
+        """Find the joint that drives a joint of the chain: itself, or the streamed or fixed leader that it follows."""
+        if joint.kind == "fixed":
+            return ChainStep(joint, is_up, "")
+        followed = self._follow_mimics(joint, columns, where)
+        leader, multiplier, offset = followed[-1]
+        for given, own_multiplier, own_offset in followed[:-1]:
+            if given.name in fixed:
+                self._check_fixed_mimic(given, columns, fixed, where)
+                leader, multiplier, offset = given, own_multiplier, own_offset
+                break
+        if leader.kind == "fixed":
+            return ChainStep(joint, is_up, "", 0.0, offset)
+        self._require_angle(leader, joint, columns, fixed, where)
+        if joint.kind not in MOVING:
+            self._refuse_kind(joint, "", where)
+        return ChainStep(joint, is_up, leader.name, multiplier, offset)
+
+    def _follow_mimics(self, joint: UrdfJoint, columns: Sequence[str], where: str) -> list[tuple[UrdfJoint, float, float]]:
+        """Follow the rules of mimic joints up to a joint that is streamed, or moves on its own.
+
+        A mimic joint with a column of its own is read from there, as `robot_state_publisher` does.
+
+        Returns
+        -------
+        Each joint on the way, with multiplier and offset (rad): the angle of `joint` is multiplier x its angle + offset.
+        """
+        followed = [(joint, 1.0, 0.0)]
+        while (rule := followed[-1][0].mimic) is not None:
+            at, multiplier, offset = followed[-1]
+            if at.kind == "fixed" or at.name in columns:
+                break
+            names = [each.name for each, _, _ in followed]
+            if rule.leader in names:
+                raise InputError(
+                    f"{where}: the joints {', '.join(names)} mimic one another in a circle; correct <mimic> in a copy of the "
+                    "URDF: one of them moves on its own."
+                )
+            if rule.leader not in self.joints:
+                raise InputError(
+                    f"{where}: joint {at.name} mimics the joint {rule.leader!r}, which is not there; "
+                    f"{_suggest(rule.leader, tuple(self.joints))}: correct <mimic> in a copy of the URDF."
+                )
+            followed.append((self.joints[rule.leader], multiplier * rule.multiplier, multiplier * rule.offset + offset))
+        return followed
+
+    def _check_fixed_mimic(self, joint: UrdfJoint, columns: Sequence[str], fixed: Mapping[str, float], where: str) -> None:
+        """Refuse an angle of a mimic joint that its leader contradicts, by its stream or by its given angle."""
+        leader, multiplier, offset = self._follow_mimics(joint, columns, where)[-1]
+        rule, advice = f"joint {joint.name} follows {leader.name}", f"leave {joint.name} out of [robot.fixed] (--fixed)"
+        if leader.name in columns:
+            raise InputError(f"{where}: {rule}, which is streamed; {advice}.")
+        if leader.name in fixed or leader.kind == "fixed":
+            follows = np.degrees(multiplier * fixed.get(leader.name, 0.0) + offset)
+            given = np.degrees(fixed[joint.name])
+            if abs(follows - given) > FIXED_MIMIC_MAX_DIFFERENCE_DEG:
+                raise InputError(f"{where}: {rule}, so it is at {follows:.4g} degrees and not at {given:.4g}; {advice}.")
+
+    def _require_angle(
+        self, leader: UrdfJoint, joint: UrdfJoint, columns: Sequence[str], fixed: Mapping[str, float], where: str
+    ) -> None:
+        """Refuse a driver without an angle: it is neither streamed nor fixed, or both, or does not turn."""
+        name = leader.name
+        if leader.kind not in MOVING:
+            self._refuse_kind(joint, "" if leader is joint else f"follows {name}, which ", where, leader.kind)
+        if name in fixed and name in columns:
+            raise InputError(f"{where}: joint {name} is in joints and in [robot.fixed]; leave it in one of them.")
+        if name not in fixed and name not in columns:
+            why = "moves" if leader is joint else f"follows {name}, and lies"
             raise InputError(
-                f"{where}: joint {joint.name} between sensor and part {kind}; expected revolute or continuous joints. "
-                "Replace it by a fixed joint in a copy of the URDF."
+                f"{where}: joint {joint.name} {why} between sensor and part; name {name} in joints (--joints), at the place of "
+                f"its column, or give its angle in [robot.fixed] (--fixed {name}=DEGREES)."
             )
-        if joint.name not in columns:
-            raise InputError(
-                f"{where}: joint {joint.name} moves between sensor and part; name it in joints, at the place of its column, or "
-                "give its angle in [robot.fixed]."
-            )
+
+    def _refuse_kind(self, joint: UrdfJoint, follows: str, where: str, kind: str = "") -> None:
+        raise InputError(
+            f"{where}: joint {joint.name} between sensor and part {follows}is {kind or joint.kind}; expected revolute or "
+            "continuous joints. Only if it stands still in the whole calibration: make it a fixed joint in a copy of the URDF, "
+            "with its origin where it stands."
+        )
+
+    def feels(self, sensor: ForceTorqueSensor, link: str) -> bool:
+        """Whether a push on a link loads the sensor: it is between the link and the robot's base.
+
+        A sensor at the root is below everything. A frame with nothing behind it, such as `ft_frame`, counts as its body:
+        what is rigid to it, and what the body carries, is felt.
+        """
+        joint, path = self.joints.get(sensor.joint), self.path_to_root(link)
+        if joint is None or any(each is joint for each in path):
+            return True
+        if not self._is_frame(joint.child, sensor.is_link):
+            return False
+        body = self.fixed_frames(joint.child)
+        return link in body or any(each.parent in body for each in path)
+
+    def _is_frame(self, link: str, may_have_shapes: bool) -> bool:
+        """Whether no joint moves below a link; and no link has a shape there, unless it `may_have_shapes`."""
+        waiting = [link]
+        while waiting:
+            at = waiting.pop()
+            if not may_have_shapes and at in self.shapes:
+                return False
+            below = [joint for joint in self.joints.values() if joint.parent == at]
+            if any(joint.kind != "fixed" for joint in below):
+                return False
+            waiting += [joint.child for joint in below]
+        return True
 
     def _sign(self, sensor: ForceTorqueSensor, joint: UrdfJoint | None, link: str) -> int | None:
         """Compute the wrench's sign: a child that pushes on its parent passes on the force that acts on the part behind it."""
         if joint is None or not sensor.direction:
             return None
-        is_behind = any(each is joint for each in self.path_to_root(link))
-        return 1 if (sensor.direction == "child_to_parent") == is_behind else -1
+        return 1 if (sensor.direction == "child_to_parent") == self.feels(sensor, link) else -1
 
-    def mesh_for(self, link: str, sensor_joint: str = "") -> tuple[LinkMesh, FloatArray] | None:
+    def complete_angles(self, angles: Mapping[str, float]) -> dict[str, float]:
+        """Add the angles of mimic joints to those of other joints, radians; a joint without an angle is at 0."""
+        whole = dict(angles)
+        for joint in self.joints.values():
+            if joint.mimic is not None and joint.name not in angles:
+                try:
+                    leader, multiplier, offset = self._follow_mimics(joint, tuple(angles), "")[-1]
+                except InputError:  # a circle, or no such leader: the chain is refused where it is needed
+                    continue
+                whole[joint.name] = multiplier * angles.get(leader.name, 0.0) + offset
+        return whole
+
+    def mesh_for(self, link: str, sensor_joint: str = "", *, is_collision: bool = False) -> tuple[LinkMesh, FloatArray] | None:
         """Find the visual mesh of a link, or the nearest one of the links that are fixed to it on this side of the sensor.
+
+        With `is_collision` it is the collision mesh.
 
         Returns
         -------
         The mesh and its (4, 4) pose in `link`, metres; `None` without a mesh.
         """
         for at, pose in self.fixed_frames(link, sensor_joint).items():
-            if at in self.meshes:
-                return self.meshes[at], pose @ self.meshes[at].origin
+            mesh = (self.collisions if is_collision else self.meshes).get(at)
+            if mesh is not None:
+                return mesh, pose @ mesh.origin
         return None
 
     def fixed_frames(self, link: str, sensor_joint: str = "") -> dict[str, FloatArray]:
@@ -360,26 +350,6 @@ class Robot:
         return frames
 
 
-def _sensor_frame(sensor: ForceTorqueSensor, joint: UrdfJoint | None) -> tuple[str, FloatArray]:
-    """Find the link that carries the sensor's frame, and the (4, 4) pose of that frame in it.
-
-    Gazebo (SDFormat): the moment is about the joint's origin, `parent` and `sensor` give the axes. iDynTree (`<parent joint>`):
-    `parent` is the whole frame of the parent link, `sensor` that of `<origin>` in the child link.
-    """
-    if joint is None:
-        return sensor.name, np.eye(4)
-    pose = np.eye(4)
-    if sensor.frame == "parent":
-        if sensor.is_gazebo:
-            pose[:3, 3] = joint.origin[:3, 3]
-        return joint.parent, pose
-    if sensor.frame == "sensor":
-        pose = sensor.origin.copy()
-        if sensor.is_gazebo:
-            pose[:3, 3] = 0.0
-    return joint.child, pose
-
-
 def read_urdf(path: Path) -> Robot:
     """Read a URDF file.
 
@@ -393,40 +363,21 @@ def read_urdf(path: Path) -> Robot:
         raise InputError(f"{path}: begins with <{root.tag}>; expected a URDF, which begins with <robot>.")
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise InputError(f"{path}: is a xacro file; make a URDF of it first: xacro {path.name} > robot.urdf.")
-    links = tuple(_attribute(element, "name", path) for element in root.findall("link"))
+    elements = root.findall("link")
+    links = tuple(read_attribute(element, "name", path) for element in elements)
     joints = [_read_joint(element, path) for element in root.findall("joint")]
     _require_tree(links, joints, path)
     by_name = {joint.name: joint for joint in joints}
-    meshes = {
-        name: mesh
-        for name, element in zip(links, root.findall("link"), strict=True)
-        if (mesh := _read_mesh(name, element, path)) is not None
-    }
-    return Robot(path, root.get("name", path.stem), links, by_name, tuple(_read_sensors(root, by_name, path)), meshes)
-
-
-def parse_xml(data: bytes, path: Path) -> ElementTree.Element:
-    """Parse XML without namespaces: URDFs of other programs use prefixes, such as `drake:`, that no one declares.
-
-    Raises InputError: it is not XML, or has a document type.
-    """
-
-    def refuse_doctype(*_: object) -> None:
-        raise InputError(f"{path}: has a document type (<!DOCTYPE); remove it: a URDF needs none.")
-
-    parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder()
-    parser.StartDoctypeDeclHandler = refuse_doctype
-    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(data, True)
-    except (expat.ExpatError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: not an XML file ({error}); expected a URDF.") from None
-    return builder.close()
+    of_link = dict(zip(links, elements, strict=True))
+    meshes = {name: mesh for name, each in of_link.items() if (mesh := _read_mesh(name, each, "visual", path)) is not None}
+    collisions = dict(_read_collisions(of_link, path))
+    shapes = {name: words for name, each in of_link.items() if (words := tuple(_list_shapes(each)))}
+    robot = Robot(path, root.get("name", path.stem), links, by_name, (), meshes, collisions, shapes)
+    return replace(robot, sensors=tuple(read_sensors(root, by_name, robot.pose_between, path)))
 
 
 def _read_joint(element: ElementTree.Element, path: Path) -> UrdfJoint:
-    name, kind = _attribute(element, "name", path), _attribute(element, "type", path)
+    name, kind = read_attribute(element, "name", path), read_attribute(element, "type", path)
     where = f"{path}: joint {name}"
     if kind not in KINDS:
         raise InputError(f"{where}: type is {kind!r}; expected one of {', '.join(KINDS)}.")
@@ -435,80 +386,65 @@ def _read_joint(element: ElementTree.Element, path: Path) -> UrdfJoint:
     if not parent or not child:
         raise InputError(f"{where}: has no parent or no child; expected a link as each.")
     axis_element = element.find("axis")
-    axis = _numbers("1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0"), 3, f"{where}: axis")
+    axis = read_numbers("1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0"), 3, f"{where}: axis")
     length = float(np.linalg.norm(axis))
     if kind not in ("fixed", "floating") and not 1e-6 < length < 1e6:
         raise InputError(f"{where}: axis is {axis.tolist()}; expected a direction, which is not zero.")
     limit, mimic = element.find("limit"), element.find("mimic")
     limits = None
     if kind == "revolute" and limit is not None:
-        low, high = (float(_numbers(limit.get(end, "0"), 1, f"{where}: limit")[0]) for end in ("lower", "upper"))
+        low, high = (float(read_numbers(limit.get(end, "0"), 1, f"{where}: limit")[0]) for end in ("lower", "upper"))
         limits = (low, high) if low < high else None
     return UrdfJoint(
         name=name,
         kind=kind,
         parent=parent,
         child=child,
-        origin=_read_origin(element, where),
+        origin=read_origin(element, where),
         axis=axis / length if 1e-6 < length < 1e6 else axis,
         limits=limits,
-        mimics="" if mimic is None else mimic.get("joint", "?"),
+        mimic=None if mimic is None else _read_mimic(mimic, where),
     )
 
 
-def _read_mesh(link: str, element: ElementTree.Element, path: Path) -> LinkMesh | None:
-    visuals = element.findall("visual")
-    for visual in visuals:
-        mesh = visual.find("geometry/mesh")
+def _read_mimic(element: ElementTree.Element, where: str) -> Mimic:
+    multiplier, offset = (
+        float(read_numbers(element.get(key, default), 1, f"{where}: {key} of <mimic>")[0])
+        for key, default in (("multiplier", "1"), ("offset", "0"))
+    )
+    return Mimic(element.get("joint", ""), multiplier, offset)
+
+
+def _read_mesh(link: str, element: ElementTree.Element, kind: str, path: Path) -> LinkMesh | None:
+    """Read the first mesh of a link, of the `kind` visual or collision; `None` without one."""
+    shapes = element.findall(kind)
+    for shape in shapes:
+        mesh = shape.find("geometry/mesh")
         if mesh is None:
             continue
         where = f"{path}: link {link}"
-        scale = _numbers(mesh.get("scale", "1 1 1"), 3, f"{where}: scale of the mesh")
-        return LinkMesh(link, _attribute(mesh, "filename", path), _read_origin(visual, where), scale, len(visuals) - 1)
+        scale = read_numbers(mesh.get("scale", "1 1 1"), 3, f"{where}: scale of the mesh")
+        return LinkMesh(link, read_attribute(mesh, "filename", path), read_origin(shape, where), scale, len(shapes) - 1)
     return None
 
 
-def _read_sensors(root: ElementTree.Element, joints: Mapping[str, UrdfJoint], path: Path) -> Iterator[ForceTorqueSensor]:
-    """Read force/torque sensors: `<sensor><parent joint>` and Gazebo's `<gazebo reference><sensor>`; one name may have both."""
-    found: dict[str, ForceTorqueSensor] = {}
-    places = [("", root), *((each.get("reference", ""), each) for each in root.findall("gazebo"))]
-    for reference, holder in places:
-        for element in holder.findall("sensor"):
-            if element.get("type") != "force_torque":
-                continue
-            name = _attribute(element, "name", path)
-            parent = element.find("parent")
-            joint = reference or ("" if parent is None else parent.get("joint", ""))
-            details = element.find("force_torque")
-            frame, direction = (
-                "" if details is None else (details.findtext(key) or "").strip() for key in ("frame", "measure_direction")
-            )
-            frame = element.findtext("frame", frame).strip()
-            direction = element.findtext("measure_direction", direction).strip()
-            before = found.get(name)
-            where = f"{path}: sensor {name}"
-            has_origin = element.find("origin") is not None or element.find("pose") is not None
-            origin = _read_pose_text(element, where) if element.find("origin") is None else _read_origin(element, where)
-            found[name] = ForceTorqueSensor(
-                name=name,
-                joint=joint or ("" if before is None else before.joint) or (name if name in joints else ""),
-                frame=frame or ("" if before is None else before.frame),
-                direction=direction or ("" if before is None else before.direction),
-                origin=origin if before is None or has_origin else before.origin,
-                is_gazebo=bool(reference) and (before is None or before.is_gazebo),
-            )
-    for sensor in found.values():
-        yield replace(sensor, frame=sensor.frame or "child")
+def _read_collisions(of_link: Mapping[str, ElementTree.Element], path: Path) -> Iterator[tuple[str, LinkMesh]]:
+    """Read the collision meshes, by link. They are only offered in place of visual ones, so a bad one is left out."""
+    for link, element in of_link.items():
+        with contextlib.suppress(InputError):
+            mesh = _read_mesh(link, element, "collision", path)
+            if mesh is not None:
+                yield link, mesh
 
 
-def _require_usable(sensor: ForceTorqueSensor, joints: Mapping[str, UrdfJoint], path: Path) -> None:
-    where = f"{path}: sensor {sensor.name}"
-    if sensor.joint not in joints:
-        raise InputError(f"{where}: is at joint {sensor.joint!r}, which is not there; expected a joint of the robot.")
-    if sensor.frame not in ("child", "parent", "sensor"):
-        raise InputError(f"{where}: frame is {sensor.frame!r}; expected child, parent or sensor.")
-    if sensor.direction not in ("", "child_to_parent", "parent_to_child"):
-        raise InputError(f"{where}: measure_direction is {sensor.direction!r}; expected child_to_parent or parent_to_child.")
+def _list_shapes(link: ElementTree.Element) -> Iterator[str]:
+    """Describe the shapes of a link, such as `visual cylinder`."""
+    for kind in ("visual", "collision"):
+        for geometry in link.findall(f"{kind}/geometry"):
+            for shape in geometry:
+                if shape.tag in SHAPES_OF_A_URDF:
+                    name = Path(shape.get("filename", "").replace("\\", "/")).name
+                    yield f"{kind} {shape.tag} {name}".rstrip()
 
 
 def _require_tree(links: Sequence[str], joints: Sequence[UrdfJoint], path: Path) -> None:
@@ -544,108 +480,6 @@ def _require_tree(links: Sequence[str], joints: Sequence[UrdfJoint], path: Path)
         raise InputError(f"{path}: no joint connects {roots[0]} and {roots[1]}; expected one tree: add the missing joint.")
 
 
-def _attribute(element: ElementTree.Element, name: str, path: Path) -> str:
-    value = element.get(name, "")
-    if not value:
-        raise InputError(f"{path}: a <{element.tag}> has no {name}; expected one.")
-    return value
-
-
-def _read_pose_text(element: ElementTree.Element, where: str) -> FloatArray:
-    """Read SDFormat's `<pose>x y z roll pitch yaw</pose>` as a (4, 4) pose."""
-    values = _numbers(element.findtext("pose", "0 0 0 0 0 0"), 6, f"{where}: pose")
-    return _pose_of(values[:3], values[3:], where)
-
-
-def _read_origin(element: ElementTree.Element, where: str) -> FloatArray:
-    """Read the `<origin>` of an element as a (4, 4) pose."""
-    return element_pose(element.find("origin"), f"{where}: origin")
-
-
-def element_pose(element: ElementTree.Element | None, where: str) -> FloatArray:
-    """Read the attributes `xyz` and `rpy` as a (4, 4) pose: roll, pitch and yaw about the fixed axes x, y and z.
-
-    It is the identity without an element. Raises InputError: they are not three numbers each, or of no robot's size.
-    """
-    if element is None:
-        return np.eye(4)
-    xyz, rpy = (_numbers(element.get(key, "0 0 0"), 3, f"{where} {key}") for key in ("xyz", "rpy"))
-    return _pose_of(xyz, rpy, where)
-
-
-def _pose_of(xyz: FloatArray, rpy: FloatArray, where: str) -> FloatArray:
-    pose = np.eye(4)
-    pose[:3, 3] = xyz
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    pose[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    if np.abs(pose[:3, 3]).max() > URDF_MAX_LENGTH_M:
-        raise InputError(f"{where} is {pose[:3, 3].tolist()}; expected metres, at most {URDF_MAX_LENGTH_M:g}.")
-    return pose
-
-
-def _numbers(text: str, count: int, where: str) -> FloatArray:
-    try:
-        values = np.array([float(word) for word in text.split()[: count + 1]])
-    except ValueError:
-        values = np.empty(0)
-    if len(values) != count or not np.isfinite(values).all():
-        raise InputError(f"{where}: is {text[:60]!r}; expected {plural(count, 'finite number')}.")
-    return values
-
-
 def _suggest(name: str, known: Sequence[str]) -> str:
     near = difflib.get_close_matches(name, known, 3, 0.5) or list(known[:5])
     return f"did you mean {' or '.join(near)}" if near else "it has no links"
-
-
-def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Path:
-    """Find the file of a link's mesh: `package://NAME/...`, or a name relative to the URDF.
-
-    A package is looked for in `packages`, next to the URDF, in the folders above it, in ROS_PACKAGE_PATH and in
-    AMENT_PREFIX_PATH.
-
-    Raises InputError: there is no such file, or its name leaves the folder.
-    """
-    where = f"{robot.path}: mesh of link {mesh.link}"
-    scheme, separator, rest = mesh.filename.partition("://")
-    name = rest if separator else mesh.filename
-    if separator and scheme not in ("package", "model"):
-        raise InputError(f"{where}: is {mesh.filename}; expected package://NAME/... or a file beside the URDF.")
-    parts = Path(name.replace("\\", "/")).parts
-    if ".." in parts or Path(name).is_absolute() or not parts:
-        raise InputError(
-            f"{where}: is {mesh.filename}, outside the robot's folder; copy it next to the URDF, and name it there."
-        )
-    if not separator:
-        candidates = [robot.path.parent / name]
-    else:
-        package, inner = parts[0], Path(*parts[1:])
-        candidates = [folder / inner for folder in _package_folders(package, robot.path, packages)]
-        candidates.append(robot.path.parent / inner)
-    for candidate in candidates:
-        with contextlib.suppress(OSError):  # a name that is too long, a folder without rights
-            if candidate.is_file():
-                return candidate
-    advice = "give the folder of the package in [robot.packages]" if separator else "copy it there"
-    raise InputError(f"{where}: {mesh.filename} is not found; {advice}, or name a mesh in [surface].")
-
-
-def _package_folders(package: str, urdf: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
-    if package in packages:
-        yield packages[package]
-    yield urdf.parent / package
-    for folder in urdf.resolve().parents:
-        if folder.name == package:
-            yield folder
-        elif (folder / package / "package.xml").is_file():
-            yield folder / package
-    for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep):
-        if folder:
-            yield from (Path(folder) / package, *([Path(folder)] if Path(folder).name == package else []))
-    for folder in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if folder:
-            yield Path(folder) / "share" / package

@@ -10,7 +10,7 @@ from skincal.geometry import FloatArray, inverse_pose, length_of, orthonormal_pa
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
-from skincal.model.urdf import MOVING, UrdfJoint
+from skincal.model.urdf_chain import MOVING, UrdfJoint
 from skincal.physics.effects import Effects
 from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, Engine
 from skincal.physics.mjcf import Joint, RigPlan, write_mjcf
@@ -96,10 +96,17 @@ def moving_part(scene: Scene, surface: Surface) -> RigLayout:
     at_sensor = spec.urdf.sensor_named(spec.sensor, str(scene.path)).joint
     if at_sensor not in names:
         raise InputError(
-            f"{scene.path}: the sensor {spec.sensor} is not between the root of {spec.urdf.path.name} and {scene.link}; a "
-            "robot that presses its part onto a fixed tip needs it there."
+            f"{scene.path}: the sensor {spec.sensor} is at no joint between {scene.link} and the root of "
+            f"{spec.urdf.path.name}; a robot that presses its part onto a fixed tip needs it there: name a joint."
         )
-    fixed = {joint.name: angle for joint, _, angle in spec.chain.steps}
+    mimics = [step.joint.name for step in spec.chain.steps if step.follows and step.driver not in spec.chain.fixed]
+    if mimics:
+        raise InputError(
+            f"{scene.path}: joint {mimics[0]} follows another joint; the physics engine has no such joints: simulate without "
+            "--physics."
+        )
+    drivers = {**dict.fromkeys((joint.name for joint in spec.chain.moving), 0.0), **spec.chain.fixed}
+    fixed = {step.joint.name: step.angle(drivers) for step in spec.chain.steps}
     streamed = {joint.name for joint in spec.chain.moving}
     behind = names.index(at_sensor)
     chain: list[Joint] = []

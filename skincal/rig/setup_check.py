@@ -29,7 +29,7 @@ from skincal.model.errors import InputError
 from skincal.model.robot import RobotSpec
 from skincal.model.scene import ArmSpec, Scene
 from skincal.model.skin import Anchor, Layout
-from skincal.model.urdf import UrdfChain
+from skincal.model.urdf_chain import UrdfChain
 from skincal.modules.pose import rotations
 from skincal.rig.frame_check import STANDARD_GRAVITY
 
@@ -336,16 +336,15 @@ def _joints(asked: _Pokes, angles: FloatArray, arm: Arm | UrdfChain) -> _Hypothe
 def _robots(asked: _Pokes, angles: FloatArray, robot: RobotSpec, link: str) -> _Hypotheses:
     """Try other angles of the fixed joints, and the other arm."""
     chain = robot.chain
-    fixed = [joint.name for joint, _, _ in chain.steps if joint.kind != "fixed" and joint not in chain.moving]
+    fixed = list(chain.fixed)
     for name, degrees in product(fixed, range(-180, 180, TRIED_FIXED_ANGLE_STEP_DEG)):
-        steps = tuple((joint, up, math.radians(degrees) if joint.name == name else angle) for joint, up, angle in chain.steps)
+        tried = replace(chain, fixed={**chain.fixed, name: math.radians(degrees)})
         mistake = Mistake(MistakeKind.JOINT_ANGLE, 0.0, names=(name,), degrees=float(degrees))
-        yield _prior(36 * len(fixed)), mistake, _with_angles(asked, replace(chain, steps=steps), angles)
+        yield _prior(36 * len(fixed)), mistake, _with_angles(asked, tried, angles)
     named = [other_side(name) for name in (robot.sensor, link)]
     try:
         columns = [other_side(name) or name for name in robot.columns]
-        angle_of = {joint.name: angle for joint, _, angle in chain.steps}
-        held = {other: angle_of[name] for name in fixed if (other := other_side(name))}
+        held = {other: angle for name, angle in chain.fixed.items() if (other := other_side(name))}
         other, _ = robot.urdf.chain(named[1] or link, named[0] or robot.sensor, columns, held, "")
     except InputError:
         return

@@ -13,7 +13,7 @@ import numpy as np
 
 from skincal.geometry import Arm, FloatArray
 from skincal.model.scene import ArmSpec, Scene
-from skincal.model.urdf import UrdfChain
+from skincal.model.urdf_chain import UrdfChain
 
 CurrentPose: TypeAlias = tuple[str, FloatArray | None]
 """Name of the current arm pose, empty while unknown, and its (4, 4) link_from_sensor, metres."""

@@ -23,11 +23,14 @@ from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec, load_scene
 from skincal.model.skin import Anchor, Layout
-from skincal.model.urdf import MOVING, Robot, UrdfChain, find_mesh, read_urdf
+from skincal.model.urdf import Robot, read_urdf
+from skincal.model.urdf_chain import MOVING, UrdfChain
 from skincal.session.layout_placing import LaidFindings, anchor_at, find_laid_problems
 from skincal.session.part_draft import PartDraft, layout_file_of
 from skincal.session.robot_copy import RobotFiles, list_robot_files
+from skincal.session.robot_mesh import describe_shapes, find_part_mesh, offer_collision_mesh
 from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles, missing_packages
+from skincal.words.robot_words import sensor_findings
 
 KeptResult = TypeVar("KeptResult")
 PREFERRED_DIAGONAL_M = (0.04, 2.0)
@@ -72,6 +75,8 @@ class PartPreview:
     """ROS packages whose meshes are not found."""
     mesh_link: str = ""
     """Link of the URDF whose mesh the part has."""
+    is_meshless: bool = False
+    """Neither the link nor one that is fixed to it has a mesh."""
     surface: Surface | None = None
     size_mm: tuple[float, float, float] | None = None
     """Sides of the mesh's box."""
@@ -94,9 +99,9 @@ class PartPreview:
 
 
 def joints_in_order(chain: UrdfChain) -> list[str]:
-    """List the moving joints from the sensor to the part."""
+    """List the joints whose angles are needed from the sensor to the part; a mimic joint needs that of its leader."""
     moving = {joint.name for joint in chain.moving}
-    return [joint.name for joint, _, _ in reversed(chain.steps) if joint.name in moving]
+    return list(dict.fromkeys(step.driver for step in reversed(chain.steps) if step.driver in moving))
 
 
 def guess_unit(sides: FloatArray) -> str:
@@ -162,7 +167,7 @@ class _Work:
                 self._read_robot(draft.urdf)
             elif draft.mesh is not None:
                 pose = np.eye(4) if draft.mesh_pose is None else np.array(draft.mesh_pose)
-                self._load_mesh(draft.mesh, UNITS[draft.unit], pose)
+                self._load_mesh(SurfaceSpec(draft.mesh, UNITS[draft.unit or "mm"], pose))
         except InputError as error:
             self.problems["part"] = str(error)
 
@@ -181,18 +186,23 @@ class _Work:
         if draft.link not in robot.links:
             self.problems["part"] = "Choose the link that carries the skin: click it, or choose it in the list."
             return
-        joint = robot.sensor_named(draft.sensor, "").joint if draft.sensor else ""
-        found = robot.mesh_for(draft.link, joint)
-        if found is None:
-            self.problems["part"] = f"Link {draft.link} has no mesh, nor a link that is fixed to it. Choose another link."
-            return
-        mesh, pose = found
-        self.values["mesh_link"] = mesh.link
-        self._load_mesh(draft.mesh or find_mesh(robot, mesh, packages), mesh.scale(str(path)), pose)
+        try:
+            found = find_part_mesh(robot, draft)
+            if found is None:
+                joint = robot.sensor_named(draft.sensor, "").joint if draft.sensor else ""
+                seen = describe_shapes(robot, draft.link, joint)
+                self.values["is_meshless"] = True
+                self.problems["part"] = f"No mesh: {seen}. Choose another link, or the file of its mesh."
+                return
+            spec, self.values["mesh_link"] = found
+            self._load_mesh(spec)
+        except InputError as error:
+            offer = "" if draft.mesh is not None else offer_collision_mesh(robot, draft)
+            raise InputError(f"{error}{offer}") from None
 
-    def _load_mesh(self, path: Path, scale: float, pose: FloatArray) -> None:
-        rows = tuple(tuple(float(value) for value in row) for row in pose)
-        surface, findings = self.once(_load_surface, path, scale, rows)
+    def _load_mesh(self, spec: SurfaceSpec) -> None:
+        rows = tuple(tuple(float(value) for value in row) for row in spec.link_from_mesh)
+        surface, findings = self.once(_load_surface, spec.path, spec.scale, rows)
         self.values["surface"] = surface
         self.values["size_mm"] = tuple(float(side) for side in np.ptp(surface.vertices, axis=0) * 1e3)
         self.findings["part"] = (*self.findings.get("part", ()), *findings)
@@ -202,7 +212,11 @@ class _Work:
         draft = self.draft
         if draft.link not in robot.links:
             return
-        every = [joint.name for joint in robot.joints.values() if joint.kind in MOVING and not joint.mimics]
+        every = [
+            joint.name
+            for joint in robot.joints.values()
+            if joint.kind in MOVING and (joint.mimic is None or joint.name in draft.joints)
+        ]
         sensors: dict[str, FloatArray] = {}
         names = [sensor.name for sensor in robot.sensors]
         for name in [*names, *([draft.sensor] if draft.sensor and draft.sensor not in names else [])]:
@@ -221,11 +235,9 @@ class _Work:
 
     def _follow_chain(self, robot: Robot, chain: UrdfChain) -> None:
         draft, fixed = self.draft, dict(self.draft.fixed)
-        path = [joint.name for joint in robot.path_to_root(draft.link)]
-        if robot.sensor_named(draft.sensor, str(draft.urdf)).joint not in path:
-            self.findings["sensor"] = (
-                f"Sensor {draft.sensor} is not between the part and the robot's base: it may not feel the pokes.",
-            )
+        self.findings["sensor"] = tuple(
+            f"{words[0].upper()}{words[1:]}." for words in sensor_findings(robot, draft.sensor, draft.link)
+        )
         needed = [name for name in joints_in_order(chain) if name not in fixed]
         columns = list(draft.joints) or needed
         self.values["joints"] = tuple(
@@ -237,9 +249,15 @@ class _Work:
         missing = [name for name in needed if name not in columns]
         if missing:
             self.problems["joints"] = (
-                f"Joint {missing[0]} lies between sensor and part, and no column of the joint stream has its name: add it, "
-                "or give it a fixed angle."
+                f"Joint {missing[0]} lies between sensor and part, or a joint there follows it, and no column of the joint "
+                "stream has its name: add it, or give it a fixed angle."
             )
+            return
+        try:
+            angles = {name: float(np.radians(angle)) for name, angle in fixed.items()}
+            robot.chain(draft.link, draft.sensor, columns, angles, str(draft.urdf))
+        except InputError as error:
+            self.problems["joints"] = str(error)
 
     def _angle(self, robot: Robot, name: str) -> float:
         """Angle of a joint, radians: fixed, shown, or in the middle."""

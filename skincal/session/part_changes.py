@@ -21,8 +21,10 @@ from skincal.session.part_draft import (
     LandmarkDraft,
     PartDraft,
     layout_file_of,
+    pose_rows,
     rounded,
 )
+from skincal.session.robot_mesh import with_own_mesh
 
 
 def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
@@ -54,6 +56,8 @@ def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:
     The sensor nearest to the part is chosen, unless the present one is between part and base, too.
     """
     changed = replace(draft, link=link)
+    if draft.mesh is not None:
+        changed = with_own_mesh(changed, robot, draft.mesh, draft.unit)
     frames = robot.fixed_frames(draft.link) if draft.link in robot.links else {}
     if link not in frames:
         between = sensors_between(robot, link)
@@ -66,6 +70,7 @@ def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:
             text = with_module_anchor(text, module.id, _moved_anchor(module.anchor, pose))
     return replace(
         changed,
+        mesh_pose=None if draft.mesh_pose is None else pose_rows(pose @ np.array(draft.mesh_pose)),
         anchor=None if draft.anchor is None else _moved_anchor(draft.anchor.anchor(), pose),
         layout_text=text,
         landmarks=tuple(_moved_landmark(mark, pose) for mark in draft.landmarks),
@@ -75,8 +80,9 @@ def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:
 def sensors_between(robot: Robot, link: str) -> list[str]:
     """List the force/torque sensors between a link and the robot's base, the nearest first: they feel pokes on the link."""
     path = [joint.name for joint in robot.path_to_root(link)]
-    found = [sensor for sensor in robot.sensors if sensor.joint in path]
-    return [sensor.name for sensor in sorted(found, key=lambda sensor: path.index(sensor.joint))]
+    found = [sensor for sensor in robot.sensors if robot.feels(sensor, link)]
+    places = {name: place for place, name in enumerate(path)}
+    return [sensor.name for sensor in sorted(found, key=lambda sensor: places.get(sensor.joint, len(path)))]
 
 
 def without_places(draft: PartDraft) -> PartDraft:

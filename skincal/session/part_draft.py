@@ -5,8 +5,9 @@ Only changed entries of a file are written, so that comments, order and all othe
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Generator, Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -105,8 +106,9 @@ class PartDraft:
     mesh: Path | None = None
     """Of a part without a URDF, or in place of the file that the URDF names."""
     unit: str = "mm"
+    """Of the mesh; empty for the scale of the URDF's own mesh, as older scenes with a URDF have it."""
     mesh_pose: Pose | None = None
-    """Of the mesh in the link; `None` for the identity."""
+    """Of the mesh in the link; `None` for the identity, and with a URDF for the pose of the URDF's own mesh."""
     sensor_pose: Pose | None = None
     """Of the sensor in the link, without a URDF; `None` while it is unknown."""
     has_dh_arm: bool = False
@@ -176,19 +178,19 @@ def pose_rows(pose: FloatArray) -> Pose:
 def open_draft(path: Path) -> PartDraft:
     """Read a scene file, to change it.
 
-    Raises InputError: it is no scene, or it has tables that exclude each other on the page.
+    Raises InputError: it is no scene.
     """
     scene = load_scene(path)
-    document = parse_toml(scene.text, path)
-    if "robot" in document and "surface" in document:
-        raise InputError(f"{path}: has [robot] and [surface]; the window changes scenes with one of them: edit the file.")
-    return _draft_of(scene, document, path)
+    return _draft_of(scene, parse_toml(scene.text, path), path)
 
 
 def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
     skin, robot = document["skin"], document.get("robot", {})
     surface, folder = document.get("surface", {}), path.parent
     mesh = surface.get("mesh", robot.get("mesh"))
+    mesh_pose = _rows(surface.get("pose"))
+    if robot and surface and mesh_pose is None:
+        mesh_pose = IDENTITY_POSE
     layout = scene.skin.layout
     return PartDraft(
         source=path,
@@ -201,8 +203,8 @@ def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
         fixed=tuple((name, float(angle)) for name, angle in robot.get("fixed", {}).items()),
         packages=tuple((name, folder / where) for name, where in robot.get("packages", {}).items()),
         mesh=None if mesh is None else folder / mesh,
-        unit=surface.get("unit", "mm"),
-        mesh_pose=_rows(surface.get("pose")),
+        unit=surface.get("unit", robot.get("unit", "" if "mesh" in robot else "mm")),
+        mesh_pose=mesh_pose,
         sensor_pose=_rows(document.get("sensor", {}).get("pose")),
         has_dh_arm="arm" in document,
         sign=document.get("wrench", {}).get("sign"),
@@ -236,6 +238,8 @@ _ENTRY_COMMENTS: dict[Key, str] = {
     ("robot", "sensor"): "a force/torque sensor of the URDF, or a joint or link at it",
     ("robot", "joints"): "columns of the joint stream",
     ("robot", "fixed"): "joints that are not streamed, degrees",
+    ("robot", "mesh"): "in place of the file that the URDF names",
+    ("robot", "unit"): "of the mesh's numbers",
     ("surface", "unit"): "of the mesh's numbers",
     ("sensor",): "pose of the force/torque sensor in the link, metres",
     ("skin", "channels"): "values of a skin frame",
@@ -262,6 +266,8 @@ def _entries(draft: PartDraft, folder: Path) -> dict[Key, Any]:
             is_path = key in _PATH_KEYS or key[:2] == ("robot", "packages")
             if is_path and key in entries and (folder / value).resolve() == (folder / entries[key]).resolve():
                 entries[key] = value
+    if ("surface", "mesh") in entries and _entries_of_text(draft).get(("surface", "pose")) == IDENTITY_POSE:
+        entries.setdefault(("surface", "pose"), IDENTITY_POSE)
     return entries
 
 
@@ -269,10 +275,10 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
     entries: dict[Key, Any] = {("name",): draft.name, ("link",): draft.link}
     if draft.urdf is not None:
         entries |= _robot_entries(draft, draft.urdf, folder)
-    elif draft.mesh is not None:
+    if draft.mesh is not None and (draft.urdf is None or draft.mesh_pose is not None):
         entries[("surface", "mesh")] = _named(draft.mesh, folder)
         entries[("surface", "unit")] = draft.unit
-        entries[("surface", "pose")] = draft.mesh_pose
+        entries[("surface", "pose")] = None if draft.mesh_pose == IDENTITY_POSE else draft.mesh_pose
     if draft.urdf is None:
         entries[("sensor", "pose")] = draft.sensor_pose
     entries[("skin", "channels")] = draft.channels
@@ -287,12 +293,11 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
 
 
 def _robot_entries(draft: PartDraft, urdf: Path, folder: Path) -> dict[Key, Any]:
-    entries: dict[Key, Any] = {
-        ("robot", "urdf"): _named(urdf, folder),
-        ("robot", "sensor"): draft.sensor,
-        ("robot", "mesh"): None if draft.mesh is None else _named(draft.mesh, folder),
-        ("robot", "joints"): draft.joints or None,
-    }
+    entries: dict[Key, Any] = {("robot", "urdf"): _named(urdf, folder), ("robot", "sensor"): draft.sensor}
+    if draft.mesh is not None and draft.mesh_pose is None:
+        entries[("robot", "mesh")] = _named(draft.mesh, folder)
+        entries[("robot", "unit")] = draft.unit or None
+    entries[("robot", "joints")] = draft.joints or None
     entries |= {("robot", "fixed", name): angle for name, angle in draft.fixed}
     return entries | {("robot", "packages", name): _named(path, folder) for name, path in draft.packages}
 
@@ -348,7 +353,7 @@ def _all_keys(document: dict[str, Any]) -> list[Key]:
     """List the entries of a document that a draft knows."""
     known = [("name",), ("link",), ("skin", "channels"), ("skin", "polarity"), ("skin", "modules"), ("wrench", "sign")]
     known += [("surface", key) for key in ("mesh", "unit", "pose")] + [("sensor", "pose")]
-    known += [("robot", key) for key in ("urdf", "sensor", "mesh", "joints")]
+    known += [("robot", key) for key in ("urdf", "sensor", "mesh", "unit", "joints")]
     known += [("skin", "anchor", key) for key in ("at_mm", "point_mm", "x", "normal")]
     for table in ("fixed", "packages"):
         known += [("robot", table, name) for name in document.get("robot", {}).get(table, {})]
@@ -514,13 +519,28 @@ def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None 
     if taken:
         raise InputError(f"{taken[0]}: another file of this name is there already; choose another folder.")
     made[path] = scene_text(draft, folder, comments).encode()
+    with _fresh_folders({file.parent for file in made}):
+        try:
+            for file in made:
+                file.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
+        _write_all(made, path)
+        return open_draft(path)
+
+
+@contextlib.contextmanager
+def _fresh_folders(folders: set[Path]) -> Generator[None]:
+    """Remove those folders, and the ones above them, that were not there before, if what follows is refused."""
+    above = {parent for folder in folders for parent in (folder, *folder.parents)}
+    fresh = sorted((folder for folder in above if not folder.exists()), key=lambda folder: len(folder.parts), reverse=True)
     try:
-        for file in made:
-            file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
-    _write_all(made, path)
-    return open_draft(path)
+        yield
+    except InputError:
+        for folder in fresh:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def _with_copies(draft: PartDraft, folder: Path, before: PartDraft) -> tuple[PartDraft, dict[Path, bytes]]:

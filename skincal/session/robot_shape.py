@@ -12,9 +12,10 @@ from skincal.geometry import FloatArray, IntArray, inverse_pose
 from skincal.mesh.readers import read_mesh
 from skincal.model.errors import InputError, plural
 from skincal.model.given import MAX_MESH_BYTES, read_regular
-from skincal.model.urdf import MOVING, Robot, find_mesh
+from skincal.model.mesh_lookup import find_mesh, package_of
+from skincal.model.urdf import Robot
+from skincal.model.urdf_chain import MOVING
 
-PACKAGE_SCHEME = "package://"
 DRAWN_ROBOT_MAX_TRIANGLES = 2_000_000
 """Of a whole robot in the view: an iCub has 300,000. Links beyond it are not drawn."""
 
@@ -57,6 +58,7 @@ def load_robot_shape(robot: Robot, packages: Mapping[str, Path]) -> RobotShape:
             missing.append(f"{path}: is too large, empty or not finite")
             continue
         pose = mesh.origin
+        faces = faces[:, ::-1] if np.prod(mesh.scales) < 0 else faces  # a mirror turns the winding
         shapes.append(LinkShape(link, points * mesh.scales @ pose[:3, :3].T + pose[:3, 3], faces))
     findings = (
         (f"{plural(len(missing), 'mesh file')} of the robot cannot be drawn; the first: {missing[0]}",) if missing else ()
@@ -68,25 +70,27 @@ def missing_packages(robot: Robot, packages: Mapping[str, Path]) -> list[str]:
     """List the ROS packages of meshes that are not found."""
     missing: dict[str, None] = {}
     for mesh in robot.meshes.values():
-        if mesh.filename.startswith(PACKAGE_SCHEME):
+        package = package_of(mesh.filename)
+        if package:
             try:
                 find_mesh(robot, mesh, packages)
             except InputError:
-                missing[mesh.filename.removeprefix(PACKAGE_SCHEME).partition("/")[0]] = None
+                missing[package] = None
     return list(missing)
 
 
 def middle_angles(robot: Robot) -> dict[str, float]:
-    """Choose an angle for each moving joint, radians: 0, or the nearest limit."""
-    moving = [joint for joint in robot.joints.values() if joint.kind in MOVING]
+    """Choose an angle for each joint that moves on its own, radians: 0, or the nearest limit."""
+    moving = [joint for joint in robot.joints.values() if joint.kind in MOVING and joint.mimic is None]
     return {joint.name: 0.0 if joint.limits is None else float(np.clip(0.0, *joint.limits)) for joint in moving}
 
 
 def link_poses(robot: Robot, angles: Mapping[str, float], root: str) -> dict[str, FloatArray]:
     """Compute the (4, 4) poses of all links in the frame of the link `root`, metres.
 
-    `angles` are radians, by joint; joints without an angle, and joints that slide, are at 0.
+    `angles` are radians, by joint; mimic joints follow theirs; joints without an angle, and joints that slide, are at 0.
     """
+    angles = robot.complete_angles(angles)
     children: dict[str, list[str]] = {}
     for joint in robot.joints.values():
         children.setdefault(joint.parent, []).append(joint.name)

@@ -19,6 +19,7 @@ from skincal.model.urdf import Robot, read_urdf
 from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft
 from skincal.session.layout_placing import anchor_at
 from skincal.session.part_draft import AnchorDraft, PartDraft, save_draft
+from skincal.session.robot_mesh import with_own_mesh
 
 FARTHEST_POINT = "position of the layout: the mesh point farthest out along the link's z axis; move it"
 UNKNOWN_SIGN = "the URDF does not say; -1 if the sensor reports the reaction force"
@@ -39,15 +40,22 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     """
     if draft.urdf is None and draft.mesh is None:
         raise InputError(f"{out}: name the robot's URDF (--urdf) or the part's mesh (--mesh).")
-    if draft.urdf is not None:
-        robot = read_urdf(draft.urdf)
+    robot = None if draft.urdf is None else read_urdf(draft.urdf)
+    if robot is not None:
         if not draft.sensor:
-            raise InputError(f"{draft.urdf}: name the force/torque sensor (--sensor); {_list_sensors(robot)}.")
-        robot.require_link(draft.link, str(draft.urdf))
+            raise InputError(f"{robot.path}: name the force/torque sensor (--sensor); {_list_sensors(robot)}.")
+        robot.require_link(draft.link, str(robot.path))
+        robot.sensor_named(draft.sensor, str(robot.path))
+        draft = with_own_mesh(draft, robot, draft.mesh, draft.unit)
     if not draft.layout_text and draft.channels is None:
         raise InputError(f"{out}: say how many values a frame of the skin has (--channels), or name its layout.")
     preview = PartPreviewer().preview(replace(draft, name=out.resolve().parent.name or draft.link), {})
+    if "part" in preview.problems and not preview.is_meshless:
+        raise InputError(preview.problems["part"])
     part, comments = completed_draft(preview), dict[tuple[str, ...], str]()
+    if robot is not None:
+        fixed = {name: float(np.radians(degrees)) for name, degrees in part.fixed}
+        robot.chain(part.link, part.sensor, part.joints, fixed, str(robot.path))
     if preview.layout is not None and (preview.surface is not None or anchor_mm is not None):
         part = replace(part, anchor=_anchor(preview, anchor_mm))
         if anchor_mm is None:

@@ -264,7 +264,10 @@ def test_skin_frames_of_the_urdf_are_known_places(tmp_path, urdf, names, expecte
 
 
 def test_a_sensor_of_another_arm_is_a_finding(tmp_path, urdf):
-    arm = '<link name="other"/><joint name="o" type="fixed"><parent link="base"/><child link="other"/></joint>'
+    arm = (
+        '<link name="other"/><joint name="o" type="fixed"><parent link="base"/><child link="other"/></joint>'
+        '<link name="hand"/><joint name="h" type="continuous"><parent link="other"/><child link="hand"/></joint>'
+    )
     urdf.write_text(ROBOT.format(direction=DIRECTION).replace("</robot>", f"{arm}</robot>"))
     scene = write(tmp_path, urdf, sensor="o")
     (finding,) = [words for words in robot_findings(scene.robot, "part", 1) if "not between" in words]

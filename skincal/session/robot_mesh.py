@@ -1,0 +1,114 @@
+"""The mesh of a part whose scene has a URDF: that of the URDF, another file in its place, or a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.mesh.readers import read_mesh
+from skincal.model.errors import InputError
+from skincal.model.given import MAX_MESH_BYTES, read_regular
+from skincal.model.mesh_lookup import find_mesh
+from skincal.model.scene import UNITS, SurfaceSpec
+from skincal.model.urdf import LinkMesh, Robot
+from skincal.session.part_draft import IDENTITY_POSE, PartDraft, pose_rows
+
+UNIT_MAX_RELATIVE_DIFFERENCE = 1e-6
+"""Of a mesh's scale in a URDF from a unit: scales are written with a few digits."""
+
+
+def find_part_mesh(robot: Robot, draft: PartDraft) -> tuple[SurfaceSpec, str] | None:
+    """Find the mesh of a draft with a URDF, and the link whose mesh it is or replaces, empty for a file of its own.
+
+    `None` without a mesh. Raises InputError: the file that the URDF names is not found.
+    """
+    if draft.mesh is not None and draft.mesh_pose is not None:
+        return SurfaceSpec(draft.mesh, UNITS[draft.unit or "mm"], np.array(draft.mesh_pose)), ""
+    found = robot.mesh_for(draft.link, _sensor_joint(robot, draft))
+    if found is None:
+        return None
+    mesh, pose = found
+    path = draft.mesh or find_mesh(robot, mesh, dict(draft.packages))
+    is_own_unit = draft.mesh is not None and draft.unit
+    scale, pose = (UNITS[draft.unit], pose) if is_own_unit else mesh.scale_and_pose(pose, str(robot.path))
+    return SurfaceSpec(path, scale, pose), mesh.link
+
+
+def with_own_mesh(draft: PartDraft, robot: Robot, mesh: Path | None, unit: str, default_unit: str = "mm") -> PartDraft:
+    """Take a mesh file in place of that of the URDF, at its pose; a link without a mesh gets it at the identity.
+
+    A file that the URDF itself names for the link lies where the URDF says.
+
+    Parameters
+    ----------
+    mesh : `None` for that of the URDF
+    unit : of its numbers; if empty, the URDF's for a file that it names, else `default_unit`
+
+    Raises
+    ------
+    InputError
+        The URDF mirrors or stretches this very file, and a unit is given or it is the collision mesh.
+    """
+    if mesh is None:
+        return replace(draft, mesh=None, mesh_pose=None, unit="mm")
+    joint = _sensor_joint(robot, draft)
+    for is_collision in (False, True):
+        found = robot.mesh_for(draft.link, joint, is_collision=is_collision)
+        if found is not None and _is_file_of(robot, found[0], mesh, dict(draft.packages)):
+            return _as_in_urdf(draft, *found, mesh, unit, is_collision=is_collision)
+    has_place = robot.mesh_for(draft.link, joint) is not None
+    return replace(draft, mesh=mesh, unit=unit or default_unit, mesh_pose=None if has_place else IDENTITY_POSE)
+
+
+def _as_in_urdf(draft: PartDraft, shape: LinkMesh, pose: FloatArray, mesh: Path, unit: str, *, is_collision: bool) -> PartDraft:
+    if not is_collision and not unit:
+        return replace(draft, mesh=None, mesh_pose=None, unit="mm")
+    own = unit or unit_of(shape)
+    if not shape.is_uniform or not own:
+        kind, advice = ("collision", "") if is_collision else ("visual", " leave --unit out, or")
+        raise InputError(
+            f"{mesh}: is the {kind} mesh of link {shape.link}, and the URDF scales it by {shape.scales.tolist()};{advice} save "
+            "it in its true shape under another name, and give its --unit."
+        )
+    return replace(draft, mesh=mesh, unit=own, mesh_pose=pose_rows(pose) if is_collision else None)
+
+
+def unit_of(shape: LinkMesh) -> str:
+    """Name the unit that a URDF's scale means; empty if it is none."""
+    scale = float(shape.scales[0])
+    return next((name for name, unit in UNITS.items() if abs(scale / unit - 1.0) < UNIT_MAX_RELATIVE_DIFFERENCE), "")
+
+
+def offer_collision_mesh(robot: Robot, draft: PartDraft) -> str:
+    """Offer the collision mesh in place of a visual mesh that cannot be used, as a sentence; empty if it is no better."""
+    found = robot.mesh_for(draft.link, _sensor_joint(robot, draft), is_collision=True)
+    if found is None or not found[0].is_uniform or not unit_of(found[0]):
+        return ""
+    try:
+        path = find_mesh(robot, found[0], dict(draft.packages))
+        read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
+    except InputError:
+        return ""
+    return f" Or use the collision mesh of link {found[0].link}: --mesh {path}"
+
+
+def describe_shapes(robot: Robot, link: str, sensor_joint: str) -> str:
+    """Describe the shapes of a link and of links that are fixed to it, such as `link forearm has visual cylinder`."""
+    frames = robot.fixed_frames(link, sensor_joint)
+    words = [f"link {name} has {', '.join(robot.shapes[name])}" for name in frames if name in robot.shapes]
+    return "; ".join(words) or f"link {link} has no shape"
+
+
+def _is_file_of(robot: Robot, shape: LinkMesh, mesh: Path, packages: Mapping[str, Path]) -> bool:
+    try:
+        return find_mesh(robot, shape, packages).resolve() == mesh.resolve()
+    except InputError:
+        return False
+
+
+def _sensor_joint(robot: Robot, draft: PartDraft) -> str:
+    return robot.sensor_named(draft.sensor, str(robot.path)).joint if draft.sensor else ""
