@@ -39,6 +39,9 @@ _SKIN_DEFINITIONS = {
     **{f"{package}/msg/{name}": text for package in XELA_PACKAGES for name, text in _XELA_DEFINITIONS.items()},
 }
 _NAME_RE = re.compile(r"[A-Za-z]\w*/(?:msg/)?[A-Za-z]\w*")
+_DDS_NAME_RE = re.compile(r"^(\w+)/msg/dds_/(\w+)_$")
+_IDL_SKIPPED_LINES_RE = re.compile(r"^(#|={80}|IDL: ).*$", re.MULTILINE)
+"""Preprocessor's lines, which the parser does not know, and the heads of the parts in a bag."""
 _PART_RE = re.compile(r"^\s*(?:([A-Za-z]\w*)/(?:msg/)?)?([A-Za-z]\w*)(?:\[[^\]]*\])?\s+[a-z]\w*", re.MULTILINE)
 """A field: package, or `None`, and type. Base types match, too; no file has their names."""
 
@@ -61,7 +64,8 @@ class Field:
 
 
 def full_type_name(name: str) -> str:
-    """Write `package/Type` as `package/msg/Type`. Raises InputError: it is no type name."""
+    """Write `package/Type` as `package/msg/Type`, and DDS's `package/msg/dds_/Type_`. Raises InputError: it is no type name."""
+    name = _DDS_NAME_RE.sub(r"\1/msg/\2", name)
     if not _NAME_RE.fullmatch(name):
         raise InputError(f"{name!r} is no type of a ROS message; expected package/msg/Type, such as std_msgs/msg/Header.")
     package, *_, last = name.split("/")
@@ -125,8 +129,8 @@ class MessageTypes:
         """Return whether ROS itself defines a type of this name."""
         return full_type_name(type_name) in self._of_ros
 
-    def add_definition(self, type_name: str, text: str) -> None:
-        """Add a type from its definition in the language of `.msg` files; its parts may follow as in a bag.
+    def add_definition(self, type_name: str, text: str, language: Literal["msg", "idl"] = "msg") -> None:
+        """Add a type from its definition in the language of `.msg` files, or in IDL; its parts may follow as in a bag.
 
         Raises InputError: the text is no definition, or another one of the type or of a part was added before.
         """
@@ -134,7 +138,7 @@ class MessageTypes:
 
         name = full_type_name(type_name)
         try:
-            self._store.register(_parse_definition(name, text))
+            self._store.register(_parse_idl(name, text) if language == "idl" else _parse_definition(name, text))
         except TypesysError as error:
             raise InputError(f"{name}: {' '.join(str(error).split())} Expected one definition of each type.") from None
 
@@ -192,16 +196,18 @@ class MessageTypes:
         if type_name in self._complete:
             return type_name
         name = full_type_name(type_name)
-        waiting = [name]
+        waiting, seen = [name], set[str]()
         while waiting:
             each = waiting.pop()
-            if each in self._store.fielddefs:
+            if each in seen:
                 continue
-            if each not in self._standard.fielddefs:
-                raise _undefined(each)
-            definition = self._standard.fielddefs[each]
-            self._store.register({each: definition})
-            waiting += [field.type_name for field in (_field_of(*one) for one in definition[1]) if field.kind == "message"]
+            seen.add(each)
+            if each not in self._store.fielddefs:
+                if each not in self._standard.fielddefs:
+                    raise _undefined(each)
+                self._store.register({each: self._standard.fielddefs[each]})
+            parts = (_field_of(*one) for one in self._store.fielddefs[each][1])
+            waiting += [field.type_name for field in parts if field.kind == "message"]
         self._complete.add(name)
         return name
 
@@ -231,3 +237,30 @@ def _parse_definition(name: str, text: str) -> Any:
         return get_types_from_msg(text, name)
     except (TypesysError, RecursionError, ValueError, KeyError, IndexError):
         raise InputError(f"{name}: its definition cannot be read; expected the text of a .msg file.") from None
+
+
+def _parse_idl(name: str, text: str) -> Any:
+    """Read the types of an IDL text, those of its parts included. Raises InputError: it is none, or lacks the type."""
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import TypesysError, get_types_from_idl
+
+    if len(text) > MAX_DEFINITION_BYTES:
+        raise InputError(f"{name}: its definition has {len(text)} letters; expected at most {MAX_DEFINITION_BYTES}.")
+
+    def renamed(node: Any) -> Any:
+        kind, detail = node
+        if kind == Nodetype.NAME:
+            return kind, full_type_name(detail)
+        return (kind, (renamed(detail[0]), detail[1])) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else node
+
+    try:
+        parsed = get_types_from_idl(_IDL_SKIPPED_LINES_RE.sub("", text))
+        found = {
+            full_type_name(each): (constants, [(field, renamed(node)) for field, node in fields])
+            for each, (constants, fields) in parsed.items()
+        }
+    except (TypesysError, RecursionError, ValueError, KeyError, IndexError, InputError):
+        raise InputError(f"{name}: its definition cannot be read; expected IDL.") from None
+    if name not in found:
+        raise InputError(f"{name}: its definition in IDL has {', '.join(found) or 'no type'}; expected {name}.")
+    return found

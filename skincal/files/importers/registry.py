@@ -134,14 +134,14 @@ RECORDING_IMPORTERS = (
     Importer(
         "rosbag",
         "Bags of ROS",
-        (".bag", ".active", ".mcap", ".db3"),
+        (".bag", ".active", ".mcap", ".db3", ".zstd", ".zst"),
         "rosbag",
         {
             Stream.WRENCH: "Topic of the force/torque sensor. Default: a likely one.",
             Stream.SKIN: "Topic of the skin, or A+B for patches in this order; TOPIC?field=PATH, TOPIC?msg=FILE.",
             Stream.JOINTS: "Topic of the joint states. Default: a likely one; none with --pose.",
         },
-        folder_patterns=("metadata.yaml", "*.mcap", "*.db3"),
+        folder_patterns=("metadata.yaml", "*.mcap", "*.db3", "*.zstd", "*.zst"),
         example="monday_bag --wrench /ft/wrench --skin /skin/taxels",
         reading_share=0.7,
         one_stream=False,

@@ -113,7 +113,7 @@ def _joined_patches(guesses: Sequence[StreamGuess]) -> list[StreamGuess]:
 
 def list_topics(bag: Bag) -> str:
     """List the topics of a bag with their types, for a sentence."""
-    words = [f"{each.name} ({each.type_name or 'several types'})" for each in list(bag.topics.values())[:TOPICS_LISTED_MAX]]
+    words = [f"{each.name} ({each.kind})" for each in list(bag.topics.values())[:TOPICS_LISTED_MAX]]
     more = len(bag.topics) - len(words)
     return (", ".join(words) + (f" and {more} more" if more else "")) or "no topics"
 
@@ -277,6 +277,8 @@ def _prepare(bag: Bag, stream: Stream, text: str, joints: Sequence[str]) -> _Rec
         topic = bag.topics.get(name)
         if topic is None:
             raise InputError(f"{bag.path}: has no topic {name}; it has {list_topics(bag)}.")
+        if topic.encoding:
+            raise InputError(f"{bag.path}: the messages of {name} are {topic.encoding}; expected those of ROS (cdr or ros1).")
         if not topic.type_name:
             raise InputError(f"{bag.path}: the messages of {name} are of several types; record it again with one type.")
         if choice.msg is not None:
