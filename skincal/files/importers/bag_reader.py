@@ -274,7 +274,7 @@ def _is_storage(file: Path) -> bool:
 
 
 def _unpack_message(data: bytes) -> bytes:
-    """Unpack a message that is compressed by zstd; a damaged one stays as it is, and is no message of its type."""
+    """Unpack a message that is compressed by zstd; a damaged one is returned unchanged, and no message of its type."""
     try:
         return zstandard.ZstdDecompressor().stream_reader(data).read(MESSAGE_MAX_BYTES)
     except zstandard.ZstdError:

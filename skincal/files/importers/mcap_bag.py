@@ -1,7 +1,7 @@
 """MCAP files of any recorder as channels with messages of ROS: whole ones by their index, others from the beginning.
 
-A channel is read if its messages are those of ROS (`cdr` or `ros1`), whatever the file's profile says. The others, such as JSON
-or protobuf, are left out and named. A file without an index or end, such as that of a killed recorder, is read up to its last
+A channel is read if its messages are those of ROS (`cdr` or `ros1`), for any profile of the file. The others, such as JSON or
+protobuf, are left out and named. A file without an index or end, such as that of a killed recorder, is read up to its last
 whole record. Source: MCAP specification (mcap.dev/spec, well-known encodings mcap.dev/spec/registry).
 """
 
