@@ -11,6 +11,7 @@ import traceback
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
+from typing import Any
 
 import typer
 
@@ -68,6 +69,18 @@ def _register() -> None:
         import_module(f"skincal.cli.{name}").add_to(app)
 
 
+def _hide_flag_types(command: Any) -> None:
+    """Leave the type of flags out of the help: `--serve <bool>` looks as if a value followed.
+
+    `command` is a command or group of click, or of the copy of click inside newer versions of typer.
+    """
+    for parameter in command.params:
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+    for each in getattr(command, "commands", {}).values():
+        _hide_flag_types(each)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
@@ -79,9 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _register()
     try:
         # Not standalone: it would end the process and print errors in its own words.
-        result = typer.main.get_command(app).main(
-            args=None if arguments is None else list(arguments), prog_name="skincal", standalone_mode=False
-        )
+        command = typer.main.get_command(app)
+        _hide_flag_types(command)
+        result = command.main(args=None if arguments is None else list(arguments), prog_name="skincal", standalone_mode=False)
     except InputError as error:
         say(f"skincal: {error}", err=True)
         return 2

@@ -379,6 +379,7 @@ def test_help_has_an_example_and_every_command_can_print_json(run, command):
     assert f"skincal {command}".strip() in out.partition("Example")[2]
     wanted = {"": WINDOW_OPTIONS, "import": (), "study": ()}.get(command, ("--json", *["--quick"] * ("study" in command)))
     assert [option for option in wanted if option not in out] == []
+    assert out.count("<bool>") == 1, "a flag has no value; typer shows one for --help itself"
 
 
 def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path, monkeypatch):
