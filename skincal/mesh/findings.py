@@ -26,6 +26,16 @@ class FindingKind(Enum):
         "triangles may differ from those of other programs; export triangles to fix them."
     )
     CROSSING = "Polygons that cross themselves, left out: {}. Export the part as triangles."
+    UNIT_REPLACED = "The file says that its unit is {}; the unit that the scene names is used."
+    UP_AXIS = (
+        "In this file the {} axis points up. Its axes are used unturned, as RViz and Gazebo use those of COLLADA. If the part "
+        "lies on its side, turn it: by the pose in [surface], or by rpy of the visual's origin in the URDF."
+    )
+    GLTF_AXES = (
+        "In glTF the y axis points up. The axes are used unturned, as Pinocchio and yourdfpy use them; Drake, and RViz since "
+        "2025, turn them. If the part lies on its side, turn it: by the pose in [surface], or by rpy of the visual's origin in "
+        "the URDF."
+    )
     MERGED = f"Vertices within {VERTEX_MERGE_DISTANCE_M * 1e6:.0f} um of another, merged: {{}}."
     ZERO_AREA = f"Triangles without area (flatter than {MIN_TRIANGLE_HEIGHT_M * 1e9:.0f} nm), dropped: {{}}."
     DUPLICATES = "Triangles that were there twice, dropped: {}."

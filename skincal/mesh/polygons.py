@@ -9,20 +9,91 @@ Meisters, "Polygons have ears", 1975: each polygon that does not cross itself ha
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.findings import FLAT_POLYGON_MAX_OFFSET
+from skincal.mesh.findings import FLAT_POLYGON_MAX_OFFSET, MeshFinding
 
 MAX_LOST_AREA_FRACTION = 1e-6
 """Of a polygon's area, turned the wrong way in its triangles: above the rounding of a 32-bit file."""
 MAX_EAR_TESTS = 300_000
 """Corners tried as ears in one file, some seconds. A face of 1,000 corners takes about 3,000."""
+MAX_PLACED_CORNERS = 20_000_000
+"""Corners and vertices of a scene: four million triangles, as many as the largest file may have."""
 EAR_ROUNDING = 1e-12
 """Doubled area of a triangle, over the squared size of its polygon, that counts as zero."""
+
+
+class Polygons(NamedTuple):
+    """Polygons of a file."""
+
+    vertices: FloatArray
+    """(nv, 3) float, in the file's unit."""
+    corners: IntArray
+    """(k,) int: the vertices of all polygons in turn."""
+    sizes: IntArray
+    """(n,) int: corners of each polygon."""
+    findings: tuple[MeshFinding, ...] = ()
+    unit: float | None = None
+    """Metres per unit of the file; `None` if its format names none."""
+
+
+def polygons_of(
+    vertices: FloatArray, corners: Sequence[int], sizes: Sequence[int], findings: tuple[MeshFinding, ...] = ()
+) -> Polygons:
+    """Make polygons from lists."""
+    return Polygons(vertices, np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64), findings)
+
+
+def triangles_of(vertices: FloatArray, corners: IntArray, findings: tuple[MeshFinding, ...] = ()) -> Polygons:
+    """Make polygons of three corners each."""
+    return Polygons(vertices, corners.ravel(), np.full(corners.size // 3, 3), findings)
+
+
+NO_POLYGONS = polygons_of(np.empty((0, 3)), [], [])
+
+
+def check_corners(polygons: Polygons) -> None:
+    """Raise ValueError if a corner names a vertex that is not there."""
+    corners, count = polygons.corners, len(polygons.vertices)
+    if corners.size and (corners.min() < 0 or corners.max() >= count):
+        raise ValueError(f"triangles name vertices {corners.min()} to {corners.max()}, and there are {count}")
+
+
+def cut_strip(corners: IntArray) -> IntArray:
+    """Cut a strip into triangles, (n, 3): every second one is turned."""
+    triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1) if len(corners) > 2 else np.empty((0, 3), np.int64)
+    triangles[1::2] = triangles[1::2][:, [1, 0, 2]]
+    return triangles
+
+
+def cut_fan(corners: IntArray) -> IntArray:
+    """Cut a fan into triangles, (n, 3)."""
+    if len(corners) < 3:
+        return np.empty((0, 3), dtype=np.int64)
+    return np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], axis=1)
+
+
+def place_polygons(parts: Iterable[tuple[Polygons, FloatArray]], unit: float, findings: tuple[MeshFinding, ...]) -> Polygons:
+    """Join parts of a scene, each at its (4, 4) matrix in the file's unit. A mirrored part keeps its outside."""
+    vertices, corners, sizes = [NO_POLYGONS.vertices], [NO_POLYGONS.corners], [NO_POLYGONS.sizes]
+    vertex_count = corner_count = 0
+    for part, matrix in parts:
+        corner_count += len(part.corners) + len(part.vertices)
+        if corner_count > MAX_PLACED_CORNERS:
+            raise ValueError(f"its scene has over {MAX_PLACED_CORNERS} corners: a part names others many times")
+        check_corners(part)
+        is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
+        vertices.append(part.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        corners.append((part.corners[::-1] if is_mirrored else part.corners) + vertex_count)
+        sizes.append(part.sizes[::-1] if is_mirrored else part.sizes)
+        vertex_count += len(part.vertices)
+    return Polygons(np.concatenate(vertices), np.concatenate(corners), np.concatenate(sizes), findings, unit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

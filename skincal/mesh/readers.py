@@ -1,4 +1,4 @@
-"""Vertices and faces of a mesh file: STL (binary, ASCII), OBJ, PLY, OFF.
+"""Vertices and faces of a mesh file: STL (binary, ASCII), OBJ, PLY, OFF; COLLADA and glTF by their own modules.
 
 Own small readers: a mesh library takes longer to import than the mesh to read, and loses damage without a word
 (docs/decisions/mesh-readers.md). Only geometry is read. Nothing is repaired here.
@@ -8,9 +8,8 @@ PLY: G. Turk, "The PLY polygon file format", 1994; elements other than `vertex` 
 
 from __future__ import annotations
 
-import codecs
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -19,8 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
+from skincal.mesh.collada import read_collada
+from skincal.mesh.file_numbers import decode_text, drop_mark, parse_number, parse_numbers, parse_whole, show_word
 from skincal.mesh.findings import FindingKind, MeshFinding, count_finding, words_finding
-from skincal.mesh.polygons import cut_polygons
+from skincal.mesh.gltf import read_gltf
+from skincal.mesh.polygons import NO_POLYGONS, Polygons, check_corners, cut_polygons, polygons_of, triangles_of
 from skincal.model.errors import InputError
 
 
@@ -34,18 +36,8 @@ class FileMesh:
     """(nt, 3) int."""
     findings: tuple[MeshFinding, ...] = ()
     """Remarks about the file."""
-
-
-class Polygons(NamedTuple):
-    """Content of a file, before its polygons are cut."""
-
-    vertices: FloatArray
-    """(nv, 3) float, in the file's unit."""
-    corners: IntArray
-    """(k,) int: the vertices of all polygons in turn."""
-    sizes: IntArray
-    """(n,) int: corners of each polygon."""
-    findings: tuple[MeshFinding, ...] = ()
+    unit: float | None = None
+    """Metres per unit; `None` if the format names none."""
 
 
 _STL_HEADER_BYTES = 84
@@ -58,10 +50,6 @@ _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 OFF_KINDS = rb"(ST|C|N)*OFF"
 """First word of OFF files whose lines begin with three coordinates; texture, colours and normals follow them."""
-MAX_TEXT_MESH_BYTES = 64 << 20
-"""Largest mesh in text: a word of some bytes takes forty while it is read. A million triangles of OBJ are 60 MB."""
-NUMBER_TEXT_MAX_CHARS = 64
-"""Longest number in text: a double needs 24. An array of words is as wide as the longest of them."""
 
 
 def read_mesh(path: Path, data: bytes) -> FileMesh:
@@ -71,20 +59,16 @@ def read_mesh(path: Path, data: bytes) -> FileMesh:
     """
     reader = reader_of(path)
     try:
-        vertices, corners, sizes, findings = reader(data)
-        if sizes.min(initial=3) < 3:
-            raise ValueError(f"a face with {sizes.min()} corners")
+        read = reader(data)
+        check_corners(read)
+        if read.sizes.min(initial=3) < 3:
+            raise ValueError(f"a face with {read.sizes.min()} corners")
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise InputError(f"{path}: not a readable {path.suffix[1:].upper()} mesh ({error}); export the mesh again.") from None
-    if corners.size and (corners.min() < 0 or corners.max() >= len(vertices)):
-        raise InputError(
-            f"{path}: triangles name vertices {int(corners.min())} to {int(corners.max())}, and there are {len(vertices)}; "
-            "the file is damaged: export the mesh again."
-        )
-    cut = cut_polygons(vertices, corners, sizes)
+    cut = cut_polygons(read.vertices, read.corners, read.sizes)
     counts = {FindingKind.NOT_FLAT: cut.not_flat, FindingKind.CROSSING: cut.crossing}
     found = (count_finding(kind, count) for kind, count in counts.items() if count)
-    return FileMesh(vertices, cut.triangles, (*findings, *found))
+    return FileMesh(read.vertices, cut.triangles, (*read.findings, *found), read.unit)
 
 
 def reader_of(path: Path) -> Callable[[bytes], Polygons]:
@@ -94,19 +78,6 @@ def reader_of(path: Path) -> Callable[[bytes], Polygons]:
         known = ", ".join(_READERS)
         raise InputError(f"{path}: the suffix {path.suffix or '(none)'!r} is not a mesh format read here; expected {known}.")
     return reader
-
-
-def _polygons(
-    vertices: FloatArray, corners: Sequence[int], sizes: Sequence[int], findings: tuple[MeshFinding, ...] = ()
-) -> Polygons:
-    return Polygons(vertices, np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64), findings)
-
-
-def _triangles(vertices: FloatArray, corners: IntArray, findings: tuple[MeshFinding, ...] = ()) -> Polygons:
-    return Polygons(vertices, corners.ravel(), np.full(corners.size // 3, 3), findings)
-
-
-NO_POLYGONS = _polygons(np.empty((0, 3)), [], [])
 
 
 def _read_stl(data: bytes) -> Polygons:
@@ -120,7 +91,7 @@ def _read_stl(data: bytes) -> Polygons:
         return _soup(corners, (count_finding(FindingKind.BYTES_AFTER_END, after),) if after else ())
     if not data:
         return NO_POLYGONS
-    text = _decode_text(data).lstrip()
+    text = decode_text(data).lstrip()
     if text[:5].lower() != b"solid":
         raise ValueError(f"{len(data)} bytes; {len(data) - after} expected for the {max(count, 0)} triangles announced")
     words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", text, re.IGNORECASE)
@@ -133,61 +104,14 @@ def _read_stl(data: bytes) -> Polygons:
 
 
 def _soup(corners: FloatArray, findings: tuple[MeshFinding, ...]) -> Polygons:
-    return _triangles(corners, np.arange(len(corners)), findings)
-
-
-def _decode_text(data: bytes) -> bytes:
-    """Return a text without its byte order mark, in UTF-8 or an encoding that extends ASCII."""
-    if len(data) > MAX_TEXT_MESH_BYTES:
-        raise ValueError(f"{len(data)} bytes of text; {MAX_TEXT_MESH_BYTES} at most were expected: write it as a binary file")
-    return _drop_mark(data)
-
-
-def _drop_mark(data: bytes) -> bytes:
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data.decode("utf-16").encode()
-    return data.removeprefix(codecs.BOM_UTF8)
-
-
-def parse_numbers(words: list[bytes]) -> FloatArray:
-    """Read numbers in text."""
-    longest = max(map(len, words), default=0)
-    if longest > NUMBER_TEXT_MAX_CHARS:
-        raise ValueError(f"a number of {longest} letters")
-    try:
-        return np.array(words, dtype="S").astype(float)
-    except ValueError:
-        for word in words:
-            _number(word)
-        raise
-
-
-def _show(word: bytes) -> str:
-    return word[:NUMBER_TEXT_MAX_CHARS].decode("utf-8", "replace")
-
-
-def _whole(word: bytes) -> int:
-    try:
-        return int(word)
-    except ValueError:
-        raise ValueError(f"{_show(word)!r} is no whole number") from None
-
-
-def _number(word: bytes) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        seen = _show(word)
-        if re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", seen):
-            raise ValueError(f"the number {seen} has a decimal comma, where a point was expected") from None
-        raise ValueError(f"{seen!r} is no number") from None
+    return triangles_of(corners, np.arange(len(corners)), findings)
 
 
 def _point(words: list[bytes]) -> tuple[float, float, float]:
     # A fourth number (w), colours or a normal may follow.
     if len(words) < 3:
         raise ValueError("a vertex with fewer than 3 numbers")
-    return _number(words[0]), _number(words[1]), _number(words[2])
+    return parse_number(words[0]), parse_number(words[1]), parse_number(words[2])
 
 
 def _vertices(numbers: list[float]) -> FloatArray:
@@ -200,33 +124,33 @@ def _read_obj(data: bytes) -> Polygons:
     points: list[float] = []
     corners: list[int] = []
     sizes: list[int] = []
-    for line in _decode_text(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+    for line in decode_text(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
         words = line.split()
         if words and words[0] == b"v":
             points.extend(_point(words[1:]))
         elif words and words[0] == b"f":
             known = len(points) // 3
-            indices = [_whole(word.partition(b"/")[0]) for word in words[1:]]
+            indices = [parse_whole(word.partition(b"/")[0]) for word in words[1:]]
             # Indices count from 1; a negative one counts back from the last vertex read so far.
             corners.extend([i - 1 if i > 0 else known + i for i in indices])
             sizes.append(len(indices))
     if data and not points and not sizes:
         raise ValueError("no line starts with v or f")
-    return _polygons(_vertices(points), corners, sizes)
+    return polygons_of(_vertices(points), corners, sizes)
 
 
 def _read_off(data: bytes) -> Polygons:
-    lines = [line for line in re.sub(rb"#[^\n]*", b"", _decode_text(data)).splitlines() if line.strip()]
+    lines = [line for line in re.sub(rb"#[^\n]*", b"", decode_text(data)).splitlines() if line.strip()]
     if not lines:
         return NO_POLYGONS
     kind, rest = [*lines[0].split(None, 1), b""][:2]
     if not re.fullmatch(OFF_KINDS, kind):
-        raise ValueError(f"the first word is {_show(kind)!r}; OFF was expected, with or without ST, C and N before it")
+        raise ValueError(f"the first word is {show_word(kind)!r}; OFF was expected, with or without ST, C and N before it")
     if rest.split()[:1] == [b"BINARY"]:
         raise ValueError("it is binary; OFF in text was expected")
     # The counts may stand on the line of the first word.
     lines = [*([rest] if rest.strip() else []), *lines[1:]]
-    vertex_count, face_count = (_whole(word) for word in [*lines[0].split(), b"", b""][:2])
+    vertex_count, face_count = (parse_whole(word) for word in [*lines[0].split(), b"", b""][:2])
     if min(vertex_count, face_count) < 0 or len(lines) < 1 + vertex_count + face_count:
         raise ValueError(f"{len(lines) - 1} lines; {vertex_count} vertices and {face_count} faces announced")
     points: list[float] = []
@@ -236,12 +160,12 @@ def _read_off(data: bytes) -> Polygons:
     sizes: list[int] = []
     for line in lines[1 + vertex_count : 1 + vertex_count + face_count]:
         words = line.split()
-        size = _whole(words[0])
+        size = parse_whole(words[0])
         if len(words) <= size:
             raise ValueError(f"a face of {size} corners with {len(words) - 1} indices")
-        corners.extend([_whole(word) for word in words[1 : 1 + size]])
+        corners.extend([parse_whole(word) for word in words[1 : 1 + size]])
         sizes.append(size)
-    return _polygons(_vertices(points), corners, sizes)
+    return polygons_of(_vertices(points), corners, sizes)
 
 
 class _Property(NamedTuple):
@@ -282,7 +206,7 @@ def _read_ply(data: bytes) -> Polygons:
 
 
 def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
-    head, mark, body = _drop_mark(data).partition(b"end_header")
+    head, mark, body = drop_mark(data).partition(b"end_header")
     # Latin-1 takes every byte: comments in the header come in any encoding.
     lines = [line.split() for line in head.decode("latin-1").splitlines()]
     if not mark or not lines or lines[0] != ["ply"]:
@@ -305,7 +229,7 @@ def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
         # One line end and no more: a binary body may begin with the same bytes.
         return elements, _Body(body[2:] if body[:2] == b"\r\n" else body[1:], order)
     # Words become doubles, so that both kinds of body are read alike.
-    return elements, _Body(parse_numbers(_decode_text(body).split()).astype("<f8").tobytes(), "<")
+    return elements, _Body(parse_numbers(decode_text(body).split()).astype("<f8").tobytes(), "<")
 
 
 class _Body:
@@ -358,12 +282,15 @@ def _ply_faces(element: _Element, body: _Body) -> Polygons:
         raise ValueError("faces without vertex_indices; triangle strips are not read")
     records = body.table(element)
     if records is not None:
-        return _triangles(NO_POLYGONS.vertices, records[named].astype(np.int64))
+        return triangles_of(NO_POLYGONS.vertices, records[named].astype(np.int64))
     polygons = [[int(index) for index in body.row(element)[names.index(named)]] for _ in range(element.count)]
     corners = [corner for polygon in polygons for corner in polygon]
-    return _polygons(NO_POLYGONS.vertices, corners, [len(polygon) for polygon in polygons])
+    return polygons_of(NO_POLYGONS.vertices, corners, [len(polygon) for polygon in polygons])
 
 
-_READERS: dict[str, Callable[[bytes], Polygons]] = {".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off}
+_READERS: dict[str, Callable[[bytes], Polygons]] = {
+    ".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off,
+    ".dae": read_collada, ".glb": read_gltf, ".gltf": read_gltf,
+}  # fmt: skip
 MESH_SUFFIXES = tuple(_READERS)
 """Endings of mesh files that are read."""
