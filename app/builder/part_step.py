@@ -32,8 +32,8 @@ class PartStep(Step):
     tab = "Part"
     title = "Part"
     hint = (
-        "Choose the mesh of the part (STL, OBJ, PLY, OFF), or the URDF of the robot that carries it. Or drop the file on the "
-        "window."
+        "Choose the mesh of the part (STL, OBJ, PLY, OFF, COLLADA, GLB), or the URDF of the robot that carries it. Or drop the "
+        "file on the window."
     )
 
     def __init__(self) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from skincal.streams.links import LinkSpec
 
 DEFAULT_SCENE = "icub-forearm"
-MESH_FILE_ENDINGS = (".stl", ".obj", ".ply", ".off")
+MESH_FILE_ENDINGS = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf")
 PART_FILES = (*MESH_FILE_ENDINGS, ".urdf")  # Endings of files with which a new part begins
 
 

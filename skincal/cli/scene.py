@@ -52,7 +52,10 @@ def new_scene(
     sign: Annotated[Literal["1", "-1"] | None, typer.Option(help="-1 if the sensor reports the reaction force.")] = None,
     unit: Annotated[
         Literal["m", "cm", "mm", "in"] | None,
-        typer.Option(help="Unit of MESH. Default: mm; of a file that the URDF names, as the URDF scales it."),
+        typer.Option(
+            help="Unit of MESH. Default: mm, or the unit that a COLLADA or glTF file names; "
+            "of a file that the URDF names, as the URDF scales it."
+        ),
     ] = None,
     channels: Annotated[int | None, typer.Option(min=1, help="Values of a skin frame; default: those of the layout.")] = None,
     polarity: Annotated[Literal["up", "down"], typer.Option(help="Values rise or fall under pressure.")] = "up",
@@ -66,6 +69,7 @@ def new_scene(
     """Write the scene file of a new part."""
     from skincal.cli import output
     from skincal.files.layout_sources import parse_grid, read_layout_file
+    from skincal.session.mesh_units import unit_without_option
     from skincal.session.part import load_part
     from skincal.session.part_draft import PartDraft
     from skincal.session.robot_copy import ROBOT_FOLDER, size_words
@@ -84,7 +88,7 @@ def new_scene(
         copies_robot=not reference,
         mesh=mesh,
         sign=None if sign is None else int(sign),
-        unit=unit or ("mm" if urdf is None else ""),
+        unit=unit or (unit_without_option(mesh) if urdf is None else ""),
         channels=channels,
         polarity=polarity,
         layout_text=layout_text,

@@ -40,7 +40,7 @@ def read_gltf(data: bytes) -> Polygons:
     """Read a glTF file. Raises ValueError: it cannot be read, or not in full."""
     if not data:
         return NO_POLYGONS
-    document, binary, findings = _open_glb(data) if data.startswith(MAGIC) else (parse_json(decode_text(data)), None, ())
+    document, binary, findings = _open_glb(data) if data.startswith(MAGIC) else (_parse(decode_text(data)), None, ())
     findings = (*findings, words_finding(FindingKind.GLTF_AXES, ""))
     return place_polygons(_File(_typed(document), binary).placed_meshes(), 1.0, findings)
 
@@ -65,7 +65,14 @@ def _open_glb(data: bytes) -> tuple[Any, bytes | None, tuple[MeshFinding, ...]]:
         raise ValueError("it has no JSON part")
     after = len(data) - length
     findings = (count_finding(FindingKind.BYTES_AFTER_END, after),) if after else ()
-    return parse_json(chunks[JSON_CHUNK]), chunks.get(BINARY_CHUNK), findings
+    return _parse(chunks[JSON_CHUNK]), chunks.get(BINARY_CHUNK), findings
+
+
+def _parse(text: bytes) -> Any:
+    try:
+        return parse_json(text)
+    except ValueError as error:
+        raise ValueError(f"its document is no JSON: {error}") from None
 
 
 class _File:

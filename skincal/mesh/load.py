@@ -63,8 +63,9 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
     if len(triangles) == 0:
         raise InputError(f"{spec.path}: the mesh is empty ({len(vertices)} vertices, no triangle); export the part again.")
     _check_finite(spec.path, vertices)
-    size = _check_size(spec, vertices[triangles.ravel()])
-    vertices = vertices * spec.scale @ spec.link_from_mesh[:3, :3].T + spec.link_from_mesh[:3, 3]
+    scale, unit_findings = _choose_scale(spec, mesh.unit)
+    size = _check_size(spec, scale, vertices[triangles.ravel()])
+    vertices = vertices * scale @ spec.link_from_mesh[:3, :3].T + spec.link_from_mesh[:3, 3]
     if np.linalg.det(spec.link_from_mesh[:3, :3]) < 0:
         triangles = triangles[:, [0, 2, 1]]  # a mirror turns the winding
     vertices, triangles, merged = merge_vertices(vertices, triangles)
@@ -84,7 +85,7 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
         **wound,
     }
     found = [count_finding(kind, count) for kind, count in counts.items() if count]
-    return surface, (size, *mesh.findings, *found)
+    return surface, (size, *unit_findings, *mesh.findings, *found)
 
 
 def _check_finite(path: Path, vertices: FloatArray) -> None:
@@ -100,17 +101,27 @@ def _length(metres: float) -> str:
     return f"{metres * 1e3:.4g} mm" if metres < 1 else f"{metres:.4g} m"
 
 
-def _check_size(spec: SurfaceSpec, corners: FloatArray) -> MeshFinding:
+def _choose_scale(spec: SurfaceSpec, file_unit: float | None) -> tuple[float, list[MeshFinding]]:
+    """Choose the metres per unit of a file. A unit that is typed counts more than that of the file."""
+    if file_unit is None:
+        return spec.scale, []
+    if not spec.replaces_unit:
+        return spec.scale * file_unit, []
+    differs = not np.isclose(spec.scale, file_unit, rtol=1e-6)
+    return spec.scale, [words_finding(FindingKind.UNIT_REPLACED, _length(file_unit))] if differs else []
+
+
+def _check_size(spec: SurfaceSpec, scale: float, corners: FloatArray) -> MeshFinding:
     stretches = np.linalg.norm(spec.link_from_mesh[:3, :3], axis=0)
     box = (corners.max(axis=0) - corners.min(axis=0)) * stretches
     raw = float(np.linalg.norm(box))
-    unit = min(UNITS, key=lambda name: abs(UNITS[name] - spec.scale))
-    diagonal = raw * spec.scale
+    unit = min(UNITS, key=lambda name: abs(UNITS[name] - scale))
+    diagonal = raw * scale
     if MIN_DIAGONAL_M <= diagonal <= MAX_DIAGONAL_M:
-        sides = " x ".join(f"{side * spec.scale * 1e3:.4g}" for side in box)
+        sides = " x ".join(f"{side * scale * 1e3:.4g}" for side in box)
         words = f"{sides} mm (diagonal {_length(diagonal)}, unit {unit}); check that it is so"
         return words_finding(FindingKind.SIZE, words)
-    fitting = {name: raw * scale for name, scale in UNITS.items() if MIN_DIAGONAL_M <= raw * scale <= MAX_DIAGONAL_M}
+    fitting = {name: raw * unit_m for name, unit_m in UNITS.items() if MIN_DIAGONAL_M <= raw * unit_m <= MAX_DIAGONAL_M}
     likely = "; ".join(f"unit {name} would give {_length(size)}" for name, size in fitting.items())
     raise InputError(
         f"{spec.path}: the part's box has a diagonal of {_length(diagonal)} with unit {unit}; "

@@ -39,6 +39,11 @@ class FileMesh:
     unit: float | None = None
     """Metres per unit; `None` if the format names none."""
 
+    @property
+    def points(self) -> FloatArray:
+        """(nv, 3) float, in metres if the file names its unit."""
+        return self.vertices * (1.0 if self.unit is None else self.unit)
+
 
 _STL_HEADER_BYTES = 84
 _STL_RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -292,5 +297,7 @@ _READERS: dict[str, Callable[[bytes], Polygons]] = {
     ".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off,
     ".dae": read_collada, ".glb": read_gltf, ".gltf": read_gltf,
 }  # fmt: skip
+SUFFIXES_WITH_UNIT = (".dae", ".glb", ".gltf")
+"""Endings of files that name their unit."""
 MESH_SUFFIXES = tuple(_READERS)
 """Endings of mesh files that are read."""

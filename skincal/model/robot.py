@@ -32,8 +32,8 @@ class RobotSpec:
     """Named arm poses: (moving joints,) float, radians."""
     tolerance: float
     """rad."""
-    mesh: tuple[Path, float, FloatArray] | None
-    """File of the part's mesh, metres per unit, its (4, 4) pose in the part's link, which may stretch or mirror; or `None`."""
+    mesh: tuple[Path, float, FloatArray, bool] | None
+    """The part's mesh as in `SurfaceSpec`: file, metres per unit, (4, 4) pose in the part's link, whether the unit is typed."""
     mesh_link: str
     """Link whose visual mesh that is; empty without a mesh."""
 
@@ -72,7 +72,7 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
     if needs_mesh and found is not None:
         file = folder / own if own else find_mesh(urdf, found[0], packages)
         scale_and_pose = found[0].scale_and_pose(found[1], where) if unit is None else (unit, found[1])
-        mesh = file, *scale_and_pose
+        mesh = file, *scale_and_pose, unit is not None
     table.refuse_unknown_keys()
     return RobotSpec(urdf, sensor, chain, columns, sign, poses, tolerance, mesh, found[0].link if mesh and found else "")
 

@@ -60,6 +60,8 @@ class SurfaceSpec:
     """Metres per unit of the file."""
     link_from_mesh: FloatArray
     """(4, 4) float, metres. That of a URDF's mesh may also stretch or mirror: see `LinkMesh.scales`."""
+    replaces_unit: bool = False
+    """`scale` replaces the unit that the file names (COLLADA, glTF); a URDF's scale multiplies it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,6 +249,7 @@ def _read_surface(table: Table, path: Path) -> SurfaceSpec:
         path=path.parent / table.path("mesh"),
         scale=table.choice("unit", UNITS),
         link_from_mesh=_read_pose(table, "pose", np.eye(4)),
+        replaces_unit=True,
     )
 
 

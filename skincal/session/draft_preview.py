@@ -17,10 +17,8 @@ from skincal.geometry import Arm, FloatArray
 from skincal.mesh.findings import FindingKind
 from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
 from skincal.mesh.load import load_surface
-from skincal.mesh.readers import read_mesh
 from skincal.mesh.surface import Surface, entry_points
 from skincal.model.errors import InputError
-from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec, load_scene
 from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import Robot, read_urdf
@@ -33,9 +31,6 @@ from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape
 from skincal.words.robot_words import sensor_findings
 
 KeptResult = TypeVar("KeptResult")
-PREFERRED_DIAGONAL_M = (0.04, 2.0)
-"""m. Most parts with skin are between a finger and a torso; the unit of a mesh is guessed by it."""
-UNIT_ORDER = ("mm", "m", "cm", "in")
 UNREPORTED_FINDINGS = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS)
 """Findings about a mesh that change nothing for the person: the size is shown anyway."""
 NOT_PLACED = "The layout is shown on the part, but not placed yet: click where its middle lies, or drag it."
@@ -104,24 +99,6 @@ def joints_in_order(chain: UrdfChain) -> list[str]:
     return list(dict.fromkeys(step.driver for step in reversed(chain.steps) if step.driver in moving))
 
 
-def guess_unit(sides: FloatArray) -> str:
-    """Guess the unit of a mesh from the sides of its box, (3,), in its own unit."""
-    diagonal = float(np.linalg.norm(sides))
-    low, high = PREFERRED_DIAGONAL_M
-    return next((unit for unit in UNIT_ORDER if low <= diagonal * UNITS[unit] <= high), "mm")
-
-
-def mesh_sides(path: Path) -> FloatArray:
-    """Measure the box of a mesh file, (3,), in its own unit.
-
-    Raises InputError: it cannot be read, or is empty.
-    """
-    mesh = read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
-    if not len(mesh.triangles) or not np.isfinite(mesh.vertices).all():
-        raise InputError(f"{path}: the mesh is empty or not finite; export the part again.")
-    return np.ptp(mesh.vertices[mesh.triangles.ravel()], axis=0)
-
-
 class PartPreviewer:
     """Makes previews of drafts, one after another."""
 
@@ -167,7 +144,7 @@ class _Work:
                 self._read_robot(draft.urdf)
             elif draft.mesh is not None:
                 pose = np.eye(4) if draft.mesh_pose is None else np.array(draft.mesh_pose)
-                self._load_mesh(SurfaceSpec(draft.mesh, UNITS[draft.unit or "mm"], pose))
+                self._load_mesh(SurfaceSpec(draft.mesh, UNITS[draft.unit or "mm"], pose, replaces_unit=True))
         except InputError as error:
             self.problems["part"] = str(error)
 
@@ -202,7 +179,7 @@ class _Work:
 
     def _load_mesh(self, spec: SurfaceSpec) -> None:
         rows = tuple(tuple(float(value) for value in row) for row in spec.link_from_mesh)
-        surface, findings = self.once(_load_surface, spec.path, spec.scale, rows)
+        surface, findings = self.once(_load_surface, spec.path, spec.scale, rows, spec.replaces_unit)
         self.values["surface"] = surface
         self.values["size_mm"] = tuple(float(side) for side in np.ptp(surface.vertices, axis=0) * 1e3)
         self.findings["part"] = (*self.findings.get("part", ()), *findings)
@@ -361,8 +338,10 @@ def _list_files(path: Path, packages: tuple[tuple[str, Path], ...]) -> RobotFile
     return list_robot_files(read_urdf(path), dict(packages))
 
 
-def _load_surface(path: Path, scale: float, pose: tuple[tuple[float, ...], ...]) -> tuple[Surface, tuple[str, ...]]:
-    surface, findings = load_surface(SurfaceSpec(path, scale, np.array(pose)))
+def _load_surface(
+    path: Path, scale: float, pose: tuple[tuple[float, ...], ...], replaces_unit: bool
+) -> tuple[Surface, tuple[str, ...]]:
+    surface, findings = load_surface(SurfaceSpec(path, scale, np.array(pose), replaces_unit))
     return surface, tuple(finding.sentence for finding in findings if finding.kind not in UNREPORTED_FINDINGS)
 
 

@@ -12,8 +12,8 @@ from skincal.geometry import FloatArray, inverse_pose
 from skincal.mesh.readers import MESH_SUFFIXES
 from skincal.model.skin import Anchor
 from skincal.model.urdf import Robot, read_urdf
-from skincal.session.draft_preview import guess_unit, mesh_sides
 from skincal.session.layout_placing import with_module_anchor
+from skincal.session.mesh_units import choose_unit
 from skincal.session.part_draft import (
     METRE_DIGITS,
     UNIT_DIGITS,
@@ -39,7 +39,7 @@ def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
         )
     )  # fmt: skip
     if path.suffix.lower() in MESH_SUFFIXES:
-        return replace(fresh, mesh=path, unit=guess_unit(mesh_sides(path)), name=draft.name or path.stem)
+        return replace(fresh, mesh=path, unit=choose_unit(path), name=draft.name or path.stem)
     robot = read_urdf(path)
     fresh = replace(fresh, urdf=path, link="")
     return with_link(fresh, robot, next(iter(robot.meshes))) if len(robot.meshes) == 1 else fresh

@@ -15,10 +15,8 @@ from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.mesh_lookup import find_mesh
 from skincal.model.scene import UNITS, SurfaceSpec
 from skincal.model.urdf import LinkMesh, Robot
+from skincal.session.mesh_units import metres_of_file_unit, name_unit, unit_without_option
 from skincal.session.part_draft import IDENTITY_POSE, PartDraft, pose_rows
-
-UNIT_MAX_RELATIVE_DIFFERENCE = 1e-6
-"""Of a mesh's scale in a URDF from a unit: scales are written with a few digits."""
 
 
 def find_part_mesh(robot: Robot, draft: PartDraft) -> tuple[SurfaceSpec, str] | None:
@@ -27,7 +25,7 @@ def find_part_mesh(robot: Robot, draft: PartDraft) -> tuple[SurfaceSpec, str] | 
     `None` without a mesh. Raises InputError: the file that the URDF names is not found.
     """
     if draft.mesh is not None and draft.mesh_pose is not None:
-        return SurfaceSpec(draft.mesh, UNITS[draft.unit or "mm"], np.array(draft.mesh_pose)), ""
+        return SurfaceSpec(draft.mesh, UNITS[draft.unit or "mm"], np.array(draft.mesh_pose), replaces_unit=True), ""
     found = robot.mesh_for(draft.link, _sensor_joint(robot, draft))
     if found is None:
         return None
@@ -35,10 +33,10 @@ def find_part_mesh(robot: Robot, draft: PartDraft) -> tuple[SurfaceSpec, str] | 
     path = draft.mesh or find_mesh(robot, mesh, dict(draft.packages))
     is_own_unit = draft.mesh is not None and draft.unit
     scale, pose = (UNITS[draft.unit], pose) if is_own_unit else mesh.scale_and_pose(pose, str(robot.path))
-    return SurfaceSpec(path, scale, pose), mesh.link
+    return SurfaceSpec(path, scale, pose, replaces_unit=bool(is_own_unit)), mesh.link
 
 
-def with_own_mesh(draft: PartDraft, robot: Robot, mesh: Path | None, unit: str, default_unit: str = "mm") -> PartDraft:
+def with_own_mesh(draft: PartDraft, robot: Robot, mesh: Path | None, unit: str, default_unit: str = "") -> PartDraft:
     """Take a mesh file in place of that of the URDF, at its pose; a link without a mesh gets it at the identity.
 
     A file that the URDF itself names for the link lies where the URDF says.
@@ -46,7 +44,7 @@ def with_own_mesh(draft: PartDraft, robot: Robot, mesh: Path | None, unit: str, 
     Parameters
     ----------
     mesh : `None` for that of the URDF
-    unit : of its numbers; if empty, the URDF's for a file that it names, else `default_unit`
+    unit : of its numbers; if empty, the URDF's for a file that it names, else `default_unit`, the file's or mm
 
     Raises
     ------
@@ -61,13 +59,15 @@ def with_own_mesh(draft: PartDraft, robot: Robot, mesh: Path | None, unit: str, 
         if found is not None and _is_file_of(robot, found[0], mesh, dict(draft.packages)):
             return _as_in_urdf(draft, *found, mesh, unit, is_collision=is_collision)
     has_place = robot.mesh_for(draft.link, joint) is not None
-    return replace(draft, mesh=mesh, unit=unit or default_unit, mesh_pose=None if has_place else IDENTITY_POSE)
+    return replace(
+        draft, mesh=mesh, unit=unit or default_unit or unit_without_option(mesh), mesh_pose=None if has_place else IDENTITY_POSE
+    )
 
 
 def _as_in_urdf(draft: PartDraft, shape: LinkMesh, pose: FloatArray, mesh: Path, unit: str, *, is_collision: bool) -> PartDraft:
     if not is_collision and not unit:
         return replace(draft, mesh=None, mesh_pose=None, unit="mm")
-    own = unit or unit_of(shape)
+    own = unit or unit_of(shape, mesh)
     if not shape.is_uniform or not own:
         kind, advice = ("collision", "") if is_collision else ("visual", " leave --unit out, or")
         raise InputError(
@@ -77,20 +77,21 @@ def _as_in_urdf(draft: PartDraft, shape: LinkMesh, pose: FloatArray, mesh: Path,
     return replace(draft, mesh=mesh, unit=own, mesh_pose=pose_rows(pose) if is_collision else None)
 
 
-def unit_of(shape: LinkMesh) -> str:
-    """Name the unit that a URDF's scale means; empty if it is none."""
-    scale = float(shape.scales[0])
-    return next((name for name, unit in UNITS.items() if abs(scale / unit - 1.0) < UNIT_MAX_RELATIVE_DIFFERENCE), "")
+def unit_of(shape: LinkMesh, file: Path) -> str:
+    """Name the unit that a URDF's scale means for a file; empty if it is none."""
+    return name_unit(float(shape.scales[0]) * metres_of_file_unit(file))
 
 
 def offer_collision_mesh(robot: Robot, draft: PartDraft) -> str:
     """Offer the collision mesh in place of a visual mesh that cannot be used, as a sentence; empty if it is no better."""
     found = robot.mesh_for(draft.link, _sensor_joint(robot, draft), is_collision=True)
-    if found is None or not found[0].is_uniform or not unit_of(found[0]):
+    if found is None or not found[0].is_uniform:
         return ""
     try:
         path = find_mesh(robot, found[0], dict(draft.packages))
         read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
+        if not unit_of(found[0], path):
+            return ""
     except InputError:
         return ""
     return f" Or use the collision mesh of link {found[0].link}: --mesh {path}"

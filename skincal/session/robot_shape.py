@@ -52,7 +52,7 @@ def load_robot_shape(robot: Robot, packages: Mapping[str, Path]) -> RobotShape:
         except InputError as error:
             missing.append(str(error))
             continue
-        points, faces = read.vertices, read.triangles
+        points, faces = read.points, read.triangles
         total += len(faces)
         if total > DRAWN_ROBOT_MAX_TRIANGLES or not len(faces) or not np.isfinite(points).all():
             missing.append(f"{path}: is too large, empty or not finite")

@@ -104,6 +104,29 @@ end_header
 PLY_BYTES = PLY[: PLY.index(b"0 0 0\n")].replace(b"ascii", b"binary_little_endian") + bytes(36) + b"\x03" + bytes(12)
 STL = b"x" * 80 + (2).to_bytes(4, "little") + bytes(100)
 STL_WORDS = b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"
+DAE = b"""<COLLADA><asset><unit meter="0.01"/><up_axis>Z_UP</up_axis></asset><library_geometries><geometry id="g"><mesh>
+<source id="s"><float_array id="a" count="12">0 0 0 1 0 0 0 1 0 0 0 1</float_array><technique_common>
+<accessor source="#a" count="4" stride="3"/></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
+<polylist count="2"><input semantic="VERTEX" source="#v" offset="0"/><vcount>3 4</vcount><p>0 1 2 0 1 2 3</p></polylist>
+<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry>
+</library_geometries><library_visual_scenes><visual_scene id="w"><node><translate>1 0 0</translate><rotate>0 0 1 30</rotate>
+<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#w"/></scene></COLLADA>"""
+GLTF = b"""{"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "scale": [1, 2, 3], "children": [1]},
+{"mesh": 0, "rotation": [0, 0, 0, 1]}], "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1},
+{"attributes": {"POSITION": 0}, "mode": 5}]}], "accessors": [
+{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+{"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"}],
+"buffers": [{"byteLength": 60}],
+"bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 12}]}"""
+GLB_NUMBERS = np.eye(4, 3, dtype="<f4").tobytes() + bytes([0, 0, 1, 0, 2, 0, 1, 0, 2, 0, 3, 0])
+GLB = b"".join(
+    (
+        b"glTF", (2).to_bytes(4, "little"), (28 + len(GLTF) + len(GLB_NUMBERS)).to_bytes(4, "little"),
+        len(GLTF).to_bytes(4, "little"), b"JSON", GLTF, len(GLB_NUMBERS).to_bytes(4, "little"), b"BIN\0", GLB_NUMBERS,
+    )
+)  # fmt: skip
 CSV = b"t_s,fx,fy,fz,mx,my,mz\n" + b"".join(b"%d.5,1,2,3,4,5,6\n" % k for k in range(20))
 
 
@@ -221,6 +244,8 @@ FILES = {
     "obj": file_reader(lambda path: read_mesh(path, path.read_bytes()), ("a.obj", OBJ)),
     "off": file_reader(lambda path: read_mesh(path, path.read_bytes()), ("a.off", OFF)),
     "ply": file_reader(lambda path: read_mesh(path, path.read_bytes()), ("a.ply", PLY), ("b.ply", PLY_BYTES)),
+    "dae": file_reader(lambda path: read_mesh(path, path.read_bytes()), ("a.dae", DAE)),
+    "glb": file_reader(lambda path: read_mesh(path, path.read_bytes()), ("a.glb", GLB), ("a.gltf", GLTF)),
     "stl": file_reader(lambda path: read_mesh(path, path.read_bytes()), ("a.stl", STL), ("b.stl", STL_WORDS)),
 }
 

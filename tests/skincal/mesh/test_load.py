@@ -50,10 +50,10 @@ def stl_bytes(vertices, triangles):
     return b"binary".ljust(80) + struct.pack("<I", len(triangles)) + records.tobytes()
 
 
-def load(folder, data, name="part.off", scale=1e-3, pose=None):
+def load(folder, data, name="part.off", scale=1e-3, pose=None, replaces_unit=False):
     path = folder / name
     path.write_bytes(data)
-    surface, findings = load_surface(SurfaceSpec(path, scale, np.eye(4) if pose is None else pose))
+    surface, findings = load_surface(SurfaceSpec(path, scale, np.eye(4) if pose is None else pose, replaces_unit))
     return surface, {finding.kind: finding for finding in findings}
 
 

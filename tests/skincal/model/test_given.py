@@ -227,7 +227,7 @@ def test_thousands_of_vertices_in_a_micrometre(tmp_path):
 
 
 def test_text_meshes_have_a_limit(monkeypatch, tmp_path):
-    monkeypatch.setattr("skincal.mesh.readers.MAX_TEXT_MESH_BYTES", 100)
+    monkeypatch.setattr("skincal.mesh.file_numbers.MAX_TEXT_MESH_BYTES", 100)
     for name, data in (("a.obj", b"v 1 2 3\n" * 20), ("a.off", b"OFF 1 1\n" * 20), ("a.stl", b"solid " * 20)):
         assert "bytes of text" in sentence_of(read_mesh, tmp_path / name, data)
 

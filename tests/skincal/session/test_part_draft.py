@@ -11,9 +11,10 @@ import trimesh
 from skincal.files.layout_sources import parse_layout, read_layout_file, repeated_modules
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
-from skincal.session.draft_preview import PartPreviewer, completed_draft, guess_unit
+from skincal.session.draft_preview import PartPreviewer, completed_draft
 from skincal.session.draft_summary import State, can_start, summarize
 from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
+from skincal.session.mesh_units import guess_unit
 from skincal.session.part import load_part
 from skincal.session.part_changes import with_link, with_part_file, with_unit
 from skincal.session.part_draft import (
