@@ -26,8 +26,8 @@ MAX_NODES = 100_000
 """Nodes of a scene with all instances. A node that names another twice, and so on, has two to the power of its depth."""
 MAX_XML_DEPTH = 1000
 """Elements within elements. A scene has a few dozen."""
-FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
-NO_SURFACE = ("lines", "linestrips", "source", "vertices", "extra", "asset")
+FACE_TAGS = ("triangles", "polylist", "polygons", "tristrips", "trifans")
+TAGS_WITHOUT_SURFACE = ("lines", "linestrips", "source", "vertices", "extra", "asset")
 """Elements of a mesh that have no surface."""
 
 
@@ -136,10 +136,10 @@ class _File:
             if mesh is None:
                 kinds = ", ".join(child.tag[:40] for child in geometry) or "nothing"
                 raise ValueError(f"a geometry is {kinds}; mesh was expected: convert it to polygons")
-            unknown = [child.tag for child in mesh if child.tag not in (*FACES, *NO_SURFACE)]
+            unknown = [child.tag for child in mesh if child.tag not in (*FACE_TAGS, *TAGS_WITHOUT_SURFACE)]
             if unknown:
                 raise ValueError(f"a mesh has {unknown[0][:40]}, which is not read: export triangles")
-            self._geometries[id(geometry)] = [self._read_faces(child) for child in mesh if child.tag in FACES]
+            self._geometries[id(geometry)] = [self._read_faces(child) for child in mesh if child.tag in FACE_TAGS]
         return self._geometries[id(geometry)]
 
     def _read_faces(self, faces: Element) -> Polygons:
@@ -185,7 +185,9 @@ class _File:
         if accessor.get("source", "").strip():
             array = self._named(accessor, "source")
         numbers = parse_numbers(_words(array))
-        count, stride, offset = parse_wholes([accessor.get(key, default).encode() for key, default in _ACCESSOR]).tolist()
+        count, stride, offset = parse_wholes(
+            [accessor.get(key, default).encode() for key, default in _ACCESSOR_DEFAULTS]
+        ).tolist()
         names = [param.get("name", "").upper() for param in accessor.findall("param")]
         columns = [names.index(axis) for axis in "XYZ"] if {"X", "Y", "Z"} <= set(names) else [0, 1, 2]
         if not (offset >= 0 and max(columns) < stride <= 1000 and 0 <= count <= (len(numbers) - offset) // stride):
@@ -194,7 +196,7 @@ class _File:
 
 
 Number = TypeVar("Number", np.float64, np.int64)
-_ACCESSOR = (("count", "0"), ("stride", "1"), ("offset", "0"))
+_ACCESSOR_DEFAULTS = (("count", "0"), ("stride", "1"), ("offset", "0"))
 
 
 def _is_position(given: Element) -> bool:

@@ -29,11 +29,11 @@ class FindingKind(Enum):
     UNIT_REPLACED = "The file says that its unit is {}; the unit that the scene names is used."
     UP_AXIS = (
         "In this file the {} axis points up. Its axes are used unturned, as RViz and Gazebo use those of COLLADA. If the part "
-        "lies on its side, turn it: by the pose in [surface], or by rpy of the visual's origin in the URDF."
+        "is drawn sideways, turn it: by the pose in [surface], or by rpy of the visual's origin in the URDF."
     )
     GLTF_AXES = (
         "In glTF the y axis points up. The axes are used unturned, as Pinocchio and yourdfpy use them; Drake, and RViz since "
-        "2025, turn them. If the part lies on its side, turn it: by the pose in [surface], or by rpy of the visual's origin in "
+        "2025, turn them. If the part is drawn sideways, turn it: by the pose in [surface], or by rpy of the visual's origin in "
         "the URDF."
     )
     MERGED = f"Vertices within {VERTEX_MERGE_DISTANCE_M * 1e6:.0f} um of another, merged: {{}}."

@@ -27,12 +27,12 @@ from skincal.model.given import parse_json
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
 SAVE_AS_GLB = "save it as GLB, which is one file"
 _NUMBER_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_SIZES = {"SCALAR": 1, "VEC3": 3}
+_ACCESSOR_WIDTHS = {"SCALAR": 1, "VEC3": 3}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _HARMLESS_EXTENSIONS = (
     "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_mesh_quantization", "KHR_xmp", "EXT_texture_", "MSFT_texture_",
 )  # fmt: skip
-"""Beginnings of the names of extensions that leave the geometry as it is read here."""
+"""Beginnings of names: extensions without geometry."""
 _PLACING_EXTENSIONS = ("EXT_mesh_gpu_instancing",)
 
 
@@ -158,7 +158,7 @@ class _File:
         accessor = self._item("accessors", index)
         if accessor.get("type") != kind:
             raise ValueError(f"accessor {index} is {str(accessor.get('type'))[:20]}; {kind} was expected")
-        count, width = _whole(accessor, "count"), _SIZES[kind]
+        count, width = _whole(accessor, "count"), _ACCESSOR_WIDTHS[kind]
         if not 0 <= count <= MAX_PLACED_CORNERS:
             raise ValueError(f"accessor {index} announces {count} entries; at most {MAX_PLACED_CORNERS} were expected")
         number_type = _number_type(accessor)

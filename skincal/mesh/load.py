@@ -102,7 +102,7 @@ def _length(metres: float) -> str:
 
 
 def _choose_scale(spec: SurfaceSpec, file_unit: float | None) -> tuple[float, list[MeshFinding]]:
-    """Choose the metres per unit of a file. A unit that is typed counts more than that of the file."""
+    """Choose the metres per unit of a file. A typed unit replaces the file's."""
     if file_unit is None:
         return spec.scale, []
     if not spec.replaces_unit:
