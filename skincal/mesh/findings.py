@@ -33,8 +33,8 @@ class FindingKind(Enum):
     )
     GLTF_AXES = (
         "In glTF the y axis points up. The axes are used unturned, as Pinocchio and yourdfpy use them; Drake, and RViz since "
-        "2025, turn them. If the part is drawn sideways, turn it: by the pose in [surface], or by rpy of the visual's origin in "
-        "the URDF."
+        "2025, turn them. If the part is drawn sideways, turn it: by the pose in [surface], or by rpy of the visual's origin "
+        "in the URDF."
     )
     MERGED = f"Vertices within {VERTEX_MERGE_DISTANCE_M * 1e6:.0f} um of another, merged: {{}}."
     ZERO_AREA = f"Triangles without area (flatter than {MIN_TRIANGLE_HEIGHT_M * 1e9:.0f} nm), dropped: {{}}."
