@@ -20,6 +20,9 @@ back with another offset.
 * Something that pressed from the first sample on is tared away. When it leaves, skin falls below its baseline. This drops the
   tare until a taxel has answered a poke.
 
+The stream of the joints may pause: the arm may move unseen, or rest while a device sends changes only. A poke with late angles
+is rejected as "arm pose unknown". If the next angles are the same, the arm rested, and the poke is judged again.
+
 All results depend on the sequence of samples only, never on a clock.
 """
 
@@ -29,7 +32,6 @@ import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import replace
-from statistics import median
 from types import MappingProxyType
 
 import numpy as np
@@ -42,9 +44,12 @@ from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
 from skincal.geometry import FloatArray, IntArray, axis_point, length_of, move_wrench
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings, Scene
+from skincal.streams.intervals import longest_interval_of_groups, usual_interval
 
 SAMPLES_FOR_MEDIAN_PERIOD = 15
 """Samples whose median spacing is the period; enough to outvote a few missing frames."""
+MAX_GAP_IN_GROUP_INTERVALS = 1.5
+"""Times between two groups of frames, for frames that come in groups. A longer gap means that a group was lost."""
 
 
 class ContactDetector:
@@ -72,7 +77,7 @@ class ContactDetector:
         self._health = ChannelHealth(scene, self._candidates, dead)
         self._ignored: Set[int] | None = None
         self._spacings: deque[float] = deque(maxlen=SAMPLES_FOR_MEDIAN_PERIOD)
-        self._period_s = 0.0
+        self._period_s, self._group_interval_s = 0.0, 0.0
         self._last: Sample | None = None
         self._untared_since = 0.0
         self._joints = None if scene.arm is None else np.array(scene.arm.arm.joints, np.int64)
@@ -82,6 +87,8 @@ class ContactDetector:
         self._press: Press | None = None
         self._pokes = last_poke
         self._pending: list[FinishedPress] = []
+        self._with_late_angles: dict[int, tuple[FinishedPress, Tare | None]] = {}
+        """Final pokes with late angles, and the tares after them; the next angles decide on them."""
         self._rejudged = {outcome.poke: outcome for outcome in outcomes if outcome.press is not None}
         # The time before the first poke.
         self._times_s: tuple[float, float] | None = None
@@ -117,7 +124,8 @@ class ContactDetector:
         arm_pose = self._arm_pose = self._pose_now(sample, link_from_sensor, pose)
         gap_s = self._gap_before(sample)
         self._last = sample
-        outcomes = self._rejudge() if self._health.on_frame(sample.host_s, sample.skin) and self._ignored is None else []
+        outcomes = self._rejudge_late_angles(sample, arm_pose)
+        outcomes += self._rejudge() if self._health.on_frame(sample.host_s, sample.skin) and self._ignored is None else []
         tare = self._tares.tare
         if self._press is not None:
             outcomes += self._feed_press(self._press, sample, arm_pose, gap_s)
@@ -234,9 +242,11 @@ class ContactDetector:
         if step > 0:
             self._spacings.append(step)  # a gap too: a device that became slower has one gap after the other
             if len(self._spacings) >= 3 and self._press is None:
-                self._period_s = median(self._spacings)
-        # Time that stands still or goes back is a gap, too.
-        return abs(step) if known > 0 and not 0 < step <= MAX_SAMPLE_GAP_IN_SKIN_PERIODS * known else 0.0
+                self._period_s = usual_interval(self._spacings)
+                self._group_interval_s = longest_interval_of_groups(self._spacings)
+        # Time that stands still or goes back is a gap, too. One between two groups of frames is none.
+        limit_s = max(MAX_SAMPLE_GAP_IN_SKIN_PERIODS * known, MAX_GAP_IN_GROUP_INTERVALS * self._group_interval_s)
+        return abs(step) if known > 0 and not 0 < step <= limit_s else 0.0
 
     def _feed_idle(self, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
         outcomes: list[Outcome] = []
@@ -335,12 +345,40 @@ class ContactDetector:
         return [self._judge(poke, after, final=True) for poke in pending]
 
     def _judge(self, press: FinishedPress, after: Tare | None, *, final: bool) -> Outcome:
+        if press.late is not None and not press.late.moved and final:
+            self._with_late_angles[press.number] = press, after
         outcome = judge(press, self._scene, after, final, self._ignored_now())
         if _is_crowded(outcome):
             outcome = replace(outcome, press=press, tare_after=after)
             if final:
                 self._rejudged[press.number] = outcome
         return outcome
+
+    def _rejudge_late_angles(self, sample: Sample, pose: ArmPose) -> list[Outcome]:
+        """Judge pokes with late angles by the first angles after them; return those that now count."""
+        if sample.has_late_angles or pose.angles is None or not (self._with_late_angles or self._pending):
+            return []
+        ended, self._with_late_angles = self._with_late_angles, {}
+        outcomes: list[Outcome] = []
+        for press, after in ended.values():
+            decided = self._decide_late_angles(press, sample.angles_s, pose.angles)
+            if decided is press:
+                self._with_late_angles[press.number] = press, after
+            elif decided.late is None:
+                outcomes.append(self._judge(decided, after, final=True))
+        for place, press in enumerate(self._pending):
+            self._pending[place] = decided = self._decide_late_angles(press, sample.angles_s, pose.angles)
+            if decided is not press and decided.late is None:
+                outcomes.append(self._judge(decided, None, final=False))
+        return outcomes
+
+    def _decide_late_angles(self, press: FinishedPress, angles_s: float, angles: FloatArray) -> FinishedPress:
+        """Decide by newer angles whether the arm moved since those of a press; return the press itself if they are not newer."""
+        late, arm = press.late, self._scene.arm
+        if late is None or late.moved or arm is None or angles_s <= late.angles_s:
+            return press
+        has_moved = bool(np.abs(angles - late.angles).max(initial=0.0) > arm.tolerance)
+        return replace(press, late=replace(late, moved=True) if has_moved else None)
 
     def _rejudge(self) -> list[Outcome]:
         """Judge pokes again after the dead channels changed; return those whose verdict changes."""

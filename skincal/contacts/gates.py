@@ -58,6 +58,8 @@ def _failed_gates(
     tare_age = (press.end_s if mean is None else mean.time_s) - press.before.end_s
     yield _at_most(Reason.NO_TARE, tare_age, TARE_AGE_MAX_S, "s")
     yield _at_least(Reason.NO_POSE, int(mean is None or mean.link_from_sensor is not None), 1, "")
+    if press.late is not None:
+        yield _GateFailure(Reason.NO_POSE, press.late.age_s, press.late.max_age_s, "s")
     # Hand.
     yield _at_most(Reason.ARM_MOVED, press.moved, 0.0 if arm is None else arm.tolerance, "rad")
     yield _at_least(Reason.TOO_SOFT, size, contacts.force_min, "N")
@@ -123,6 +125,7 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
         largest=largest,
         needed=needed,
         thresholds=None if press.settings == scene.contacts else press.settings,
+        late=press.late,
     )
 
 

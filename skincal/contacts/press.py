@@ -136,6 +136,22 @@ class StillMean:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LateAngles:
+    """Angles of a poke that came long before it: the arm may have moved since then."""
+
+    angles: FloatArray
+    """(joints,) float, radians, of the arm's joints."""
+    angles_s: float
+    """Host's clock at their reading, seconds."""
+    age_s: float
+    """s, their age in the still window, or at the end of a press without one."""
+    max_age_s: float
+    """s, the limit of the age."""
+    moved: bool = False
+    """The next angles differ."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FinishedPress:
     """Summary of a press after its release: small, and enough to judge it again."""
 
@@ -165,6 +181,8 @@ class FinishedPress:
     """Threshold of that channel, raw units."""
     thresholds: ContactSettings | None = None
     """Thresholds at the touch; `None` for the scene's."""
+    late: LateAngles | None = field(default=None, metadata={"stored": False})
+    """Angles that are too old; `None` if they came in time, or are those that came after the poke as well."""
 
 
 class Press:
@@ -191,6 +209,8 @@ class Press:
         """The stillest window so far."""
         self.best_skin: FloatArray = np.empty(0)
         """(channels,) float, raw, its mean skin frame."""
+        self.late: LateAngles | None = None
+        """Angles of the stillest window, if they came long before it."""
         # Sort key, smaller is better: 1 if the force is outside its range; spread/limit if above 1; distance to the force range
         # in N; the larger of spread and travel as fractions of their limits. So a slide or a hard hold is not hidden in a ramp.
         self._best_rank: tuple[float, float, float, float] = (math.inf, 0.0, 0.0, math.inf)
@@ -261,6 +281,7 @@ class Press:
         samples, poses = zip(*self._window, strict=True)
         middle: ArmPose = poses[len(poses) // 2]  # the arm hardly moves within the window
         self.best_skin = np.stack([sample.skin for sample in samples]).mean(axis=0)
+        self.late = _late_angles(samples, poses)
         self.best = StillMean(
             start_s=samples[0].host_s,
             end_s=samples[-1].host_s,
@@ -272,6 +293,15 @@ class Press:
             travel=travel,
             tip=_mean_tip(samples),
         )
+
+
+def _late_angles(samples: Sequence[Sample], poses: Sequence[ArmPose]) -> LateAngles | None:
+    """Find the oldest angles of some samples that came too long before; `None` if there are none."""
+    late = [(item.angles_s, item, pose.angles) for item, pose in zip(samples, poses, strict=True) if item.has_late_angles]
+    if not late:
+        return None
+    angles_s, item, angles = late[-1]
+    return None if angles is None else LateAngles(angles, angles_s, item.angles_age_s, item.angles_max_age_s)
 
 
 def _mean_tip(samples: Sequence[Sample]) -> FloatArray | None:

@@ -5,6 +5,7 @@ All values are frozen and in SI units. A batch holds one or more readings of one
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -126,6 +127,20 @@ class Sample:
     """(joints,) float, radians, last streamed joint angles; `None` without a joint stream."""
     tip: FloatArray | None = None
     """(3,) float, metres, last position of the tip in its fixed frame; `None` without a recent one."""
+    angles_s: float = math.inf
+    """Host's clock at the reading of `angles`, seconds."""
+    angles_max_age_s: float = math.inf
+    """s. Several periods of the joint stream: the arm may have moved since older angles."""
+
+    @property
+    def angles_age_s(self) -> float:
+        """Age of the angles at the frame, seconds; never positive without angles."""
+        return self.host_s - self.angles_s
+
+    @property
+    def has_late_angles(self) -> bool:
+        """Whether the stream of the joints has paused, so that the arm may have moved since its last angles."""
+        return self.host_s - self.angles_s > self.angles_max_age_s
 
 
 TEMPERATURE = "temperature, degC"
@@ -210,6 +225,13 @@ class LinkHealth:
     address: str = ""
     warning: str = ""
     """What is suspicious about good readings, such as a joint outside its limits; empty for nothing."""
+    numberless: int = 0
+    """Readings without usable numbers: wrenches and angles with NaN, skin frames of NaN alone."""
+
+    @property
+    def has_usable(self) -> bool:
+        """Whether a reading came with usable numbers."""
+        return self.readings > self.numberless
 
 
 def merge_side_readings(before: Mapping[str, SideReading], later: Mapping[str, SideReading]) -> dict[str, SideReading]:

@@ -274,6 +274,9 @@ class Pipeline:
             self._record(lambda journal: journal.write_sample(sample))
         if self.scene.wrench_sign < 0:
             sample = replace(sample, wrench=-sample.wrench)
+        if sample.has_late_angles and self.session.decisions.pose:
+            # A chosen pose holds without the joints.
+            sample = replace(sample, angles_max_age_s=np.inf)
         name, link_from_sensor = self._current_pose(sample.angles)
         outcomes = self._detector.feed(sample, link_from_sensor, name)
         if self._detector.dead is not self._dead:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from skincal.devices.decoding import WRENCH_VALUES
 from skincal.geometry import FloatArray, mean_rows
 from skincal.model.readings import Batch, Loss, Sample
+from skincal.streams.intervals import usual_interval
 
 FRAME_MAX_WAIT_FOR_WRENCH_S = 0.25
 """s. How long a frame waits for the wrench: longer than any adapter holds bytes back, short enough for a live picture."""
@@ -33,6 +34,8 @@ TIME_STAMP_TOLERANCE_S = 1e-6
 MAX_FRAMES_WAITING_FOR_WRENCH = 4096
 """Largest number of waiting frames, independent of their stamps: a bound for memory."""
 MAX_STORED_JOINT_READINGS = 512
+LATE_ANGLES_MIN_PERIODS, LATE_ANGLES_MIN_S = 5.0, 0.5
+"""Angles that are older than both belong to no skin frame for certain: the arm may have moved since then."""
 TIP_MAX_AGE_S = 0.2
 """s. An older position of the tip does not belong to a skin frame: it moves by millimetres in that time."""
 MAX_STORED_WRENCHES = 16384
@@ -57,6 +60,9 @@ class Pairing:
         self._intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
         self._last_frame_s: float | None = None
         self._joints: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_STORED_JOINT_READINGS)
+        self._joint_intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
+        self._last_joints_s: float | None = None
+        self._angles_max_age_s = LATE_ANGLES_MIN_S
         self._tips: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_STORED_JOINT_READINGS)
 
     def add_wrench(self, host_s: FloatArray, batch: Batch) -> None:
@@ -66,6 +72,10 @@ class Pairing:
 
     def add_joints(self, host_s: float, angles: FloatArray) -> None:
         """Add joint angles, radians."""
+        if self._last_joints_s is not None:
+            self._joint_intervals.append(host_s - self._last_joints_s)
+            self._angles_max_age_s = max(LATE_ANGLES_MIN_S, LATE_ANGLES_MIN_PERIODS * median(self._joint_intervals))
+        self._last_joints_s = host_s
         self._joints.append((host_s, angles))
 
     def add_tip(self, host_s: float, position: FloatArray) -> None:
@@ -77,7 +87,7 @@ class Pairing:
         if self._last_frame_s is not None:
             self._intervals.append(host_s - self._last_frame_s)
         self._last_frame_s = host_s
-        period_s = median(self._intervals) if self._intervals else INITIAL_FRAME_PERIOD_S
+        period_s = usual_interval(self._intervals) if self._intervals else INITIAL_FRAME_PERIOD_S
         self._waiting.append(_Frame(host_s, arrival_s, period_s, values))
         if len(self._waiting) > MAX_FRAMES_WAITING_FOR_WRENCH:
             self._waiting.popleft()
@@ -111,17 +121,26 @@ class Pairing:
             if between is None:
                 return None
             (wrench, among), readings = between, 2
-        flagged, angles = self.ring.has_flagged(among), _last_at(self._joints, frame.host_s)
+        flagged, joints = self.ring.has_flagged(among), _last_at(self._joints, frame.host_s)
         tip = _last_at(self._tips, frame.host_s, TIP_MAX_AGE_S)
-        return Sample(frame.host_s, frame.values, wrench, readings, flagged, angles, tip)
+        position = None if tip is None else tip[1]
+        if joints is None:
+            return Sample(frame.host_s, frame.values, wrench, readings, flagged, None, position)
+        angles_s, angles = joints
+        return Sample(frame.host_s, frame.values, wrench, readings, flagged, angles, position, angles_s, self._angles_max_age_s)
 
 
-def _last_at(readings: deque[tuple[float, FloatArray]], host_s: float, max_age_s: float = math.inf) -> FloatArray | None:
-    """Find the last reading at or before an instant, not older than `max_age_s`; drop those before it: frames come in order."""
+def _last_at(
+    readings: deque[tuple[float, FloatArray]], host_s: float, max_age_s: float = math.inf
+) -> tuple[float, FloatArray] | None:
+    """Find the last reading at or before an instant, not older than `max_age_s`; drop those before it: frames come in order.
+
+    Returns its time and its values.
+    """
     while len(readings) > 1 and readings[1][0] <= host_s:
         readings.popleft()
     is_there = readings and 0.0 <= host_s - readings[0][0] <= max_age_s
-    return readings[0][1] if is_there else None
+    return readings[0] if is_there else None
 
 
 class WrenchRing:

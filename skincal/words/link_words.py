@@ -18,7 +18,7 @@ def silent_links(links: Sequence[LinkHealth]) -> str:
         " ".join(
             f"No usable readings from the {link_name(link)}: {_why_silent(link, brief=brief).rstrip('.')}."
             for link in links
-            if not link.readings
+            if not link.has_usable
         )
         for brief in (False, True)
     ]
@@ -27,6 +27,10 @@ def silent_links(links: Sequence[LinkHealth]) -> str:
 
 def _why_silent(link: LinkHealth, *, brief: bool) -> str:
     verdict = link.verdict
+    if link.readings:
+        every = f"all its {link.readings} readings" if link.readings > 1 else "its only reading"
+        advice = "" if brief else ". Check the sensor and the program that published them"
+        return f"{every} are NaN or infinite{advice}"
     if verdict.answer is LinkAnswer.OTHER_STREAM and verdict.found is not None:
         return f"this is the {STREAM_NAMES[verdict.found]} ({verdict.width} values a line). Exchange the addresses"
     if link.text:  # the device's own error text says more than its bytes

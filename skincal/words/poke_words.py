@@ -47,6 +47,9 @@ POLARITY_ADVICE = (
     "Keep hands off for half a second before each poke. If you did, the polarity is wrong: change it in [skin] of the scene, "
     'to "up" if values rise under pressure, to "down" if they fall.'
 )
+LATE_ANGLES_ADVICE = (
+    "The joint angles have paused: start their program again. The poke counts if the next angles show that the arm rested."
+)
 MISSED_ADVICE = "Press the landmark itself. If you did, its position in the scene may be wrong; N skips it."
 """Advice after a poke too far from the requested landmark."""
 _SHORT_REASONS: Mapping[Reason, str] = {
@@ -68,6 +71,8 @@ def rejection_words(rejection: Rejection) -> str:
         return f"{words}; taxels changed against the scene's polarity"
     if rejection.unit == RAW_UNIT and math.isfinite(value):
         return f"{words}: strongest response {number(value, 1)}, needs {number(limit, 1)}"
+    if has_late_angles(rejection):
+        return f"{words}: its joint angles are {quantity(value, 's')} old (limit {quantity(limit, 's')})"
     if reason in (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED) or not (math.isfinite(value) and math.isfinite(limit)):
         return words
     bound = "needs" if value < limit else "limit"
@@ -89,8 +94,15 @@ def answered_inversely(rejection: Rejection) -> bool:
     return rejection.reason is Reason.NO_TAXEL and rejection.unit == RAW_UNIT and rejection.value < -rejection.limit
 
 
+def has_late_angles(rejection: Rejection) -> bool:
+    """Whether the joint angles of a poke came too long before it, so that the arm may have moved since then."""
+    return rejection.reason is Reason.NO_POSE and rejection.unit == "s"
+
+
 def rejection_advice(rejection: Rejection) -> str:
     """Advise the operator after a rejected poke."""
+    if has_late_angles(rejection):
+        return LATE_ANGLES_ADVICE
     return POLARITY_ADVICE if answered_inversely(rejection) else REJECTION_ADVICE[rejection.reason]
 
 

@@ -37,7 +37,7 @@ import numpy as np
 
 from skincal.devices.decoding import TIME_STAMP_MAX_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
-from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
+from skincal.files.importers.timeline import FINER_TIMES, OpenRecording, Timeline, check_overlap
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
@@ -216,10 +216,10 @@ def _check_times(table: _Table, timeline: Timeline) -> None:
             f"{table.path}: no row with a time was found; {seen}expected a number or a date (2024-05-01T12:00:00.5Z), "
             "and values. Numbers that are not seconds need their unit in the column's name: t_ms, t_ns."
         )
-    if table.dated and timeline.lines > 1 and not timeline.interval:
+    if timeline.is_coarse:
         raise InputError(
             f"{table.path}: most of its rows have the same time as the row before, such as "
-            f"{table.first_time[:FIELD_SHOWN_MAX_CHARS]!r}. Export times with fractions of a second."
+            f"{table.first_time[:FIELD_SHOWN_MAX_CHARS]!r}. {FINER_TIMES}"
         )
     if table.unit_assumed and table.stream is not Stream.JOINTS and timeline.interval > MAX_ROW_INTERVAL_S:
         raise InputError(

@@ -21,7 +21,7 @@ import numpy as np
 from skincal.files.importers.bag_reader import Bag, BagTopic
 from skincal.files.importers.registry import RecordedPlace, StoppedError, StreamGuess
 from skincal.files.importers.tape import NumberFile, Tape
-from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
+from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap, count_repeated
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Stream
@@ -349,16 +349,18 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[Iterator[FloatArra
     -------
     blocks of (n,) seconds for each stream, and sentences on the clocks.
     """
-    delays = [_delays(each) for each in streams]
+    coarse = [_has_coarse_stamps(each) for each in streams]
+    delays = [(np.empty(0), len(each.stamps)) if bad else _delays(each) for each, bad in zip(streams, coarse, strict=True)]
     offsets = [float(np.median(some)) if len(some) else np.nan for some, _ in delays]
     # NaN if a stream has no stamps.
     have_one_clock = max(offsets) - min(offsets) <= SAME_CLOCK_MAX_DIFFERENCE_S and not np.isnan(offsets).any()
     times: list[Iterator[FloatArray]] = []
     findings: list[str] = []
-    for each, offset, (some, unstamped) in zip(streams, offsets, delays, strict=True):
+    for each, offset, (some, unstamped), is_coarse in zip(streams, offsets, delays, coarse, strict=True):
         name, shift = each.stream.value, 0.0
         if unstamped == len(each.stamps):
-            findings.append(f"{name}: its messages have no stamp; they are placed by their arrival at the recorder.")
+            why = "most of its stamps are that of the message before" if is_coarse else "its messages have no stamp"
+            findings.append(f"{name}: {why}; they are placed by their arrival at the recorder.")
             times.append(each.arrivals.blocks())
             continue
         if not have_one_clock and abs(offset) > SAME_CLOCK_MAX_DIFFERENCE_S:
@@ -379,6 +381,11 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[Iterator[FloatArra
             findings.append(f"{name}: {plural(unstamped, 'message')} without a stamp: placed by the arrival.")
         times.append(_shifted_stamps(each, offset, shift))
     return times, findings
+
+
+def _has_coarse_stamps(each: _Recorded) -> bool:
+    """Whether most stamps are that of the message before: they have too few digits, or the sender's clock stands still."""
+    return 2 * sum(count_repeated(np.diff(stamps)) for stamps in each.stamps.blocks()) > len(each.stamps)
 
 
 def _shifted_stamps(each: _Recorded, offset: float, shift: float) -> Iterator[FloatArray]:

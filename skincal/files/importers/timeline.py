@@ -48,9 +48,16 @@ CHUNK_MAX_LINES = 128
 """Bounds the memory of a chunk."""
 STEPS_IN_MEDIAN_INTERVAL = 500
 """Number of steps in the median for the usual interval: 5 s at 100 Hz."""
+COARSE_STEP_MIN_S = 0.05
+"""If most lines repeat the time of the line before and the others go on by more than this, the times have too few digits: a
+poke is held still for 0.3 s."""
+REPORT_REPEATED_FROM_SHARE = 0.05
+"""Share of lines with a repeated time that is reported."""
 CHUNKS_CONVERTED_AT_ONCE = 1 << 12
 """Chunks that are made Python numbers at once: these take ten times the memory."""
 MAX_LISTED_JUMPS = 3
+FINER_TIMES = "Export times with fractions of a second."
+"""Advice for times with too few digits."""
 SESSION_START_TIME_NS = 1_000_000_000
 """A recording begins at this time of the host's clock; 0 would mean never."""
 
@@ -87,10 +94,13 @@ class Timeline:
         self.stamps = NumberFile()
         self.earlier = 0
         """Lines with a stamp before that of the line before."""
+        self.repeated = 0
+        """Lines with the time of the line before, where the times have too few digits."""
         forward, last = np.empty(0), np.empty(0)
         for block in stamps:
             steps = np.diff(np.append(last, block))
             self.earlier += int(np.count_nonzero(steps < 0))
+            self.repeated += count_repeated(steps)
             forward = np.append(forward, steps[steps >= 0][: STEPS_IN_MEDIAN_INTERVAL - len(forward)])
             last = np.append(last, block)[-1:]
             self.stamps.extend(block)
@@ -120,6 +130,11 @@ class Timeline:
         """First stamp, s."""
         self.last = self._highest + self._shift
         """Highest stamp, shifted, s."""
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether most lines have the time of the line before, since the times have too few digits."""
+        return self.lines > 1 and 2 * self.repeated > self.lines
 
     def _find_jumps(self) -> None:
         self._highest = float(self.stamps.read(0, 1)[0])
@@ -206,6 +221,11 @@ class Timeline:
         found = [f"{plural(self.lines, 'line')} in {self.last - self.first:.1f} s{rate}."]
         if self.gaps:
             found.append(f"{plural(self.gaps, 'gap')} in time, the longest {self.longest_gap:.2f} s.")
+        if self.repeated > REPORT_REPEATED_FROM_SHARE * self.lines:
+            found.append(
+                f"{plural(self.repeated, 'line')} with the time of the line before, since the times have too few digits; a poke "
+                f"there may be wrong. {FINER_TIMES}"
+            )
         if self.out_of_order:
             found.append(f"{plural(self.out_of_order, 'stamp')} before the one before it; kept in the file's order.")
         if self.outliers:
@@ -250,6 +270,12 @@ class Timeline:
             yield stamps, times
 
 
+def count_repeated(steps: FloatArray) -> int:
+    """Count the zeros among (n,) steps of the times, s, if most are zero and the others are long."""
+    repeated, positive = int(np.count_nonzero(steps == 0)), steps[steps > 0]
+    return repeated if 2 * repeated > len(steps) and not (len(positive) and np.median(positive) <= COARSE_STEP_MIN_S) else 0
+
+
 def share_clock_jumps(timelines: Sequence[Timeline]) -> None:
     """Give jumps of nearly the same amount in several files the same shift, that of the first file."""
     known: list[float] = []
@@ -263,9 +289,15 @@ def share_clock_jumps(timelines: Sequence[Timeline]) -> None:
 def check_overlap(timelines: Sequence[Timeline]) -> None:
     """Check that every file goes on in time and shares time with the first.
 
-    Raises InputError: a file runs backwards or spans years, or two have no time in common, so that nothing can be paired.
+    Raises InputError: the times of a file have too few digits, run backwards or span years, or two files have no time in
+    common, so that nothing can be paired.
     """
     for timeline in timelines:
+        if timeline.is_coarse:
+            raise InputError(
+                f"{timeline.name}: most of its lines have the same time as the line before, such as "
+                f"{timeline.first:.3f} s. {FINER_TIMES}"
+            )
         if timeline.earlier * 2 > timeline.lines:
             raise InputError(
                 f"{timeline.name}: its times run backwards: {timeline.earlier} of {timeline.lines} lines are earlier than the "
