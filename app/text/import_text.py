@@ -49,6 +49,7 @@ def curve_words(preview: RecordingPreview) -> str:
 def imported_words(imported: Imported) -> str:
     """Announce the imported session."""
     pokes = count(imported.pokes, "poke")
+    folder, found = plain_text(str(imported.folder)), "".join(f" {each}" for each in imported.findings)
     if imported.unpoked:
-        return f"{imported.unpoked} The recording is the session {plain_text(str(imported.folder))}."
-    return f"The recording is the session {plain_text(str(imported.folder))}: {pokes}, {imported.accepted} accepted."
+        return f"{imported.unpoked} The recording is the session {folder}.{found}"
+    return f"The recording is the session {folder}: {pokes}, {imported.accepted} accepted.{found}"

@@ -335,7 +335,7 @@ def finish(
         Not everything could be recorded, or a link gave nothing that could be used.
     """
     from skincal.cli import output
-    from skincal.session.importing import KeptError
+    from skincal.session.importing import KeptError, stream_findings
     from skincal.session.results import SessionResults
     from skincal.words.link_words import silent_links
     from skincal.words.poke_words import no_poke_sentence
@@ -347,13 +347,16 @@ def finish(
     losses = output.loss_counts(live.links, live.losses_unpaired)
     methods = output.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout, snapshot.part_size)
     silent = silent_links(live.links)
-    unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds)] if not (snapshot.pokes or silent) else []
-    found = [*unpoked, *findings, *output.link_notes(live.links)]
+    unpoked: list[str] = []
+    if not (snapshot.pokes or silent):
+        unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds, live.links)]
+    found = [*unpoked, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
     setup = setup_sentences(SessionResults(pipeline).setup)
     text = [*found, *output.poke_lines(counts), *(output.method_line(name, summary) for name, summary in methods.items())]
     text += setup
     # Without a byte of one of its devices no poke can ever be found in a recording.
-    useless = silent and not snapshot.pokes and (imported or not all(link.last_host_ns for link in live.links))
+    no_result = not counts["accepted"] if imported else not snapshot.pokes
+    useless = silent and no_result and (imported or not all(link.last_host_ns for link in live.links))
     kept = (bool(pipeline.journal_failure) or not useless) and out.exists()
     text += [*output.loss_lines(live.links), *([f"session {out}"] if kept else [])]
     result: dict[str, Any] = {

@@ -373,7 +373,7 @@ class ContactDetector:
         return outcomes
 
     def _decide_late_angles(self, press: FinishedPress, angles_s: float, angles: FloatArray) -> FinishedPress:
-        """Decide by newer angles whether the arm moved since those of a press; return the press itself if they are not newer."""
+        """Decide by newer angles whether the arm moved since those of a press; they decide nothing if they are not newer."""
         late, arm = press.late, self._scene.arm
         if late is None or late.moved or arm is None or angles_s <= late.angles_s:
             return press

@@ -169,7 +169,7 @@ class TopicDecoder(FrameDecoder):
         """Add the readings of a message; the times are seconds since 1970, NaN if they are not known."""
         reader = self._readers[topic]
         try:
-            values = reader.values_of(message)
+            values = reader.values_of(message, arrival_s)
             if values is not None and not len(values):
                 raise MessageError("it has no values")
         except MessageError as error:

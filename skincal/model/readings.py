@@ -200,6 +200,16 @@ class LinkVerdict:
 
 
 @dataclass(frozen=True, slots=True)
+class Freeze:
+    """Time in which a stream with noise repeated one reading: its sensor or program had stopped."""
+
+    stream: Stream
+    from_ns: int
+    until_ns: int | None
+    """Host's monotonic clock, nanoseconds; `None` if it lasts."""
+
+
+@dataclass(frozen=True, slots=True)
 class LinkHealth:
     """State of a link, for the devices panel."""
 
@@ -225,6 +235,10 @@ class LinkHealth:
     address: str = ""
     warning: str = ""
     """What is suspicious about good readings, such as a joint outside its limits; empty for nothing."""
+    freezes: tuple[Freeze, ...] = ()
+    """In order of time, without short ones."""
+    levels: tuple[float, ...] = ()
+    """The two values that all channels of the skin ever had; empty if they had one, or more."""
     numberless: int = 0
     """Readings without usable numbers: wrenches and angles with NaN, skin frames of NaN alone."""
 

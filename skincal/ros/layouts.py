@@ -7,6 +7,7 @@ and array lengths are those of that message, and refuses all others. Values and 
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -143,12 +144,16 @@ class MessageLayout:
     stamps: tuple[_Column, ...]
     """Seconds and nanoseconds, seconds alone, or none."""
 
-    def read(self, messages: Sequence[bytes]) -> tuple[FloatArray, FloatArray] | None:
-        """Read the (n, width) values and (n,) stamps of messages; NaN for no stamp. `None`: one has another layout."""
+    def read(self, messages: Sequence[bytes], arrivals_s: FloatArray | None = None) -> tuple[FloatArray, FloatArray] | None:
+        """Read the (n, width) values and (n,) stamps of messages; NaN for no stamp. `None`: one has another layout.
+
+        `arrivals_s` is (n,) float, s of one clock, if it is known.
+        """
         rows = self._rows(messages)
         if rows is None:
             return None
-        return self.reader.rows_of(self.values.read(rows), self.names), self._stamps(rows)
+        stamps = self._stamps(rows)
+        return self.reader.rows_of(self.values.read(rows), self.names, stamps if arrivals_s is None else arrivals_s), stamps
 
     def _rows(self, messages: Sequence[bytes]) -> NDArray[np.uint8] | None:
         if any(len(each) != self.size for each in messages):
@@ -177,11 +182,11 @@ class MessageLayout:
         )
 
 
-def find_layout(types: MessageTypes, reader: MessageReader, data: bytes) -> MessageLayout | None:
+def find_layout(types: MessageTypes, reader: MessageReader, data: bytes, arrival_s: float = math.nan) -> MessageLayout | None:
     """Find the layout of a message; `reader` reads it. `None` if it has no values, or its offsets are not sure."""
     try:
         # The first message decides on the field of XELA's sensors, and on the order of joints.
-        if reader.values_of(types.decode(data, reader.type_name)) is None:
+        if reader.values_of(types.decode(data, reader.type_name), arrival_s) is None:
             return None
     except MessageError:
         return None
@@ -219,15 +224,19 @@ class RunReader:
         self._layout: MessageLayout | None = None
         self._searches_left = FAILED_LAYOUT_SEARCHES_BEFORE_GIVING_UP
 
-    def read(self, messages: Sequence[bytes]) -> tuple[FloatArray, FloatArray] | None:
-        """Read (n, width) values and (n,) stamps, NaN for no stamp. `None`: few messages, or they have not one layout."""
+    def read(self, messages: Sequence[bytes], arrivals_s: FloatArray | None = None) -> tuple[FloatArray, FloatArray] | None:
+        """Read (n, width) values and (n,) stamps, NaN for no stamp. `None`: few messages, or they have not one layout.
+
+        `arrivals_s` is as for `MessageLayout.read`.
+        """
         if len(messages) < LAYOUT_SEARCH_MIN_MESSAGES:
             return None
-        found = self._layout.read(messages) if self._layout is not None else None
+        found = self._layout.read(messages, arrivals_s) if self._layout is not None else None
         if found is not None:
             self._searches_left = FAILED_LAYOUT_SEARCHES_BEFORE_GIVING_UP
         elif self._searches_left:
             self._searches_left -= 1
-            self._layout = find_layout(self._types, self._reader, messages[0])
-            found = self._layout.read(messages) if self._layout is not None else None
+            first_s = math.nan if arrivals_s is None else float(arrivals_s[0])
+            self._layout = find_layout(self._types, self._reader, messages[0], first_s)
+            found = self._layout.read(messages, arrivals_s) if self._layout is not None else None
         return found

@@ -43,10 +43,13 @@ FIELD_PATH_MAX_DEPTH = 12
 """Nested messages in a field path; a type that contains itself has no end."""
 LAYOUT_TYPE = "std_msgs/msg/MultiArrayLayout"
 JOINT_STATE = "sensor_msgs/msg/JointState"
+INTERVALS_OF_JOINT_KEPT = 2
 NAMES_LISTED_MAX = 8
 """Names that a sentence lists."""
+JOINT_SILENT_MIN_S, JOINT_SILENT_MIN_INTERVALS = 0.2, 5.0
+"""A joint whose last position is older than both, while those of other joints come, is silent: it may have moved."""
 REPORT_JOINT_SILENT_AFTER_S = 1.0
-"""s by the stamps, after which a joint that other messages do not have is reported."""
+"""s after which a silent joint is reported on a running robot."""
 _XELA_RAW, _XELA_FORCES = "sensors.taxels.z", "sensors.forces.z"
 _ANY_STREAM = (Stream.SKIN, Stream.WRENCH, Stream.JOINTS, Stream.TIP)
 _KNOWN_TYPES: dict[str, tuple[tuple[Stream, ...], str]] = {
@@ -75,6 +78,37 @@ class _Step:
     index: int = -1
     many: bool = False
     """The field is an array of messages, and the path goes through all of them."""
+
+
+@dataclass(slots=True)
+class _JointTimes:
+    """Times of the positions of one joint, s."""
+
+    last_s: float = math.inf
+    """Of the newest one; infinite before the first."""
+    intervals: tuple[float, ...] = ()
+    """The newest, s."""
+
+    def add(self, time_s: float) -> None:
+        """Add a time; NaN if it is not known, which is no time of silence."""
+        if not math.isnan(time_s) and time_s != self.last_s:
+            step = (time_s - self.last_s,) if math.isfinite(self.last_s) else ()
+            self.intervals = (*self.intervals, *step)[-INTERVALS_OF_JOINT_KEPT:]
+            self.last_s = time_s
+
+    @property
+    def max_age_s(self) -> float:
+        """Age from which the joint is silent, s. The shorter of two intervals counts: one of them may be a silence."""
+        return max(JOINT_SILENT_MIN_S, JOINT_SILENT_MIN_INTERVALS * min(self.intervals, default=0.0))
+
+
+@dataclass(slots=True)
+class _Silence:
+    """Messages in which a wanted joint was silent."""
+
+    since_s: float
+    """Time of the last position before the first silence, s."""
+    messages: int = 0
 
 
 def streams_of(types: MessageTypes, type_name: str, field: str = "") -> tuple[Stream, ...]:
@@ -137,7 +171,13 @@ class MessageReader:
         """Names of the joints, in the order of the values; empty before the first `JointState`, and for other types."""
         self.seen_joints: dict[str, float] = {}
         """Last position of each wanted joint that came, rad, and of a few others."""
-        self._joint_stamps: dict[str, float] = {}
+        self._joint_times: dict[str, _JointTimes] = {}
+        self._clock_offsets: dict[str, float] = {}
+        """From the stamps of the publisher of a joint to those of the first one, s."""
+        self._now_s = -math.inf
+        """Time of the newest joint state."""
+        self.silences: dict[str, _Silence] = {}
+        """Wanted joints that were silent while others came."""
         self.by_name = self.type_name == JOINT_STATE and stream is Stream.JOINTS and field in ("", "position")
         """Joints are found by their names."""
         try:
@@ -173,23 +213,28 @@ class MessageReader:
             stamp = getattr(stamp, step.name) if step.index < 0 and type(stamp) is not dict else _step_into(stamp, step)
         return stamp
 
-    def values_of(self, message: Any) -> FloatArray | None:
+    def values_of(self, message: Any, arrival_s: float = math.nan) -> FloatArray | None:
         """Return the values of a message, (n,) float: N and N m, raw values of the skin, or degrees.
 
-        `None` if a `JointState` has none of the wanted joints, or one of them never came; see `missing_joints`.
+        `None` if a `JointState` has none of the wanted joints, or one of them never came; see `missing_joints`. A joint that is
+        silent is NaN; see `silent_joints`.
+
+        Parameters
+        ----------
+        arrival_s : seconds of one clock for all messages, NaN if unknown. Publishers of joints may have several clocks
 
         Raises MessageError: the message has not the fields of its type.
         """
         try:
-            return self._values_of(message)
+            return self._values_of(message, arrival_s)
         except MessageError:
             raise
         except (AttributeError, TypeError, ValueError, LookupError, OverflowError):
             raise MessageError("a field is of another kind than in the definition of its type") from None
 
-    def _values_of(self, message: Any) -> FloatArray | None:
+    def _values_of(self, message: Any, arrival_s: float) -> FloatArray | None:
         if self.by_name:
-            angles = self._angles(message)
+            angles = self._angles(message, arrival_s)
             return None if angles is None else np.degrees(angles)
         if self._forces is not None:
             # Only calibrated sensors have forces. The first message decides, since the unit must stay the same.
@@ -206,19 +251,25 @@ class MessageReader:
         """
         return _numbers(_member(message, "position")) if self.by_name else self._get(message)
 
-    def rows_of(self, numbers: FloatArray, names: Sequence[str]) -> FloatArray:
+    def rows_of(self, numbers: FloatArray, names: Sequence[str], times_s: FloatArray) -> FloatArray:
         """Make the values of n messages, one after the other, from their (n, numbers), see `numbers_of`.
 
         Parameters
         ----------
         names : of the joints of a `JointState`, the same in all messages; `values_of` read one with them before
+        times_s : (n,) float, arrival of the messages, as for `values_of`, or else their stamps
         """
         if self.by_name:
             columns = dict(zip(names, range(len(names)), strict=True))
             self._keep_joints(names, numbers[-1].tolist())
             rows = np.empty((len(numbers), len(self.joints)))
             for joint, name in enumerate(self.joints):
-                rows[:, joint] = numbers[:, columns[name]] if name in columns else self.seen_joints[name] if name else 0.0
+                if name in columns:
+                    rows[:, joint] = numbers[:, columns[name]]
+                    self._note_times(name, times_s)
+                else:
+                    rows[:, joint] = self._held_position(name, times_s)
+            self._now_s = float(times_s[-1])
             return np.degrees(rows)
         return np.degrees(numbers) if self.stream is Stream.JOINTS else numbers
 
@@ -233,19 +284,55 @@ class MessageReader:
 
     @property
     def silent_joints(self) -> str:
-        """Sentence on the wanted joints whose last position is over a second older than the newest; empty if none is."""
-        newest_s = max(self._joint_stamps.values(), default=0.0)
-        silent = [name for name, stamp in self._joint_stamps.items() if newest_s - stamp > REPORT_JOINT_SILENT_AFTER_S]
+        """Sentence on the wanted joints that are silent while others come; empty if none is."""
+        silent = [
+            name
+            for name, times in self._joint_times.items()
+            if self._now_s - times.last_s > max(REPORT_JOINT_SILENT_AFTER_S, times.max_age_s)
+        ]
         return (
-            f"No position of {', '.join(silent)} comes any more; the last one is used. Check its publisher." if silent else ""
+            f"No position of {', '.join(silent)} comes any more, so the arm pose is unknown. Check its publisher."
+            if silent
+            else ""
         )
+
+    def _joints_time(self, message: Any, names: Sequence[str]) -> float:
+        """Return the time of a joint state by its stamp, s; NaN without one.
+
+        The clocks of several publishers are set to one by the first message of each.
+        """
+        stamp = self.stamp_of(message)
+        if stamp is None:
+            return math.nan
+        known = next((self._clock_offsets[name] for name in names if name in self._clock_offsets), None)
+        offset = known if known is not None else self._now_s - stamp if math.isfinite(self._now_s) else 0.0
+        for name in names[:NAMES_LISTED_MAX]:
+            self._clock_offsets.setdefault(name, offset)
+        return stamp + offset
+
+    def _note_times(self, name: str, times_s: FloatArray) -> None:
+        """Note the (n,) times of messages with a joint, s."""
+        known = self._joint_times.setdefault(name, _JointTimes())
+        for time_s in times_s[-INTERVALS_OF_JOINT_KEPT - 1 :].tolist():
+            known.add(time_s)
+
+    def _held_position(self, name: str, times_s: FloatArray) -> FloatArray:
+        """Return the last position of a joint for messages without it, (n,) rad: NaN where it is silent, 0 without a name."""
+        if not name:
+            return np.zeros(len(times_s))
+        known = self._joint_times.setdefault(name, _JointTimes())
+        is_silent = times_s - known.last_s > known.max_age_s
+        if is_silent.any():
+            found = self.silences.setdefault(name, _Silence(known.last_s))
+            found.messages += int(np.count_nonzero(is_silent))
+        return np.where(is_silent, np.nan, self.seen_joints[name])
 
     def _keep_joints(self, names: Sequence[str], positions: Sequence[float]) -> None:
         for name, position in zip(names, positions, strict=True):
             if name in self.joints or name in self.seen_joints or len(self.seen_joints) < NAMES_LISTED_MAX:
                 self.seen_joints[name] = position
 
-    def _angles(self, message: Any) -> FloatArray | None:
+    def _angles(self, message: Any, arrival_s: float) -> FloatArray | None:
         """Return the wanted positions, rad. Several nodes may publish parts of a robot: each joint's last position counts."""
         found, positions = list(_member(message, "name")), _numbers(_member(message, "position"))
         names = [name for name in found if isinstance(name, str)]
@@ -256,12 +343,16 @@ class MessageReader:
         self.joints = self.joints or tuple(names)
         self._keep_joints(names, positions.tolist())
         wanted = [name for name in self.joints if name]
-        stamp = self.stamp_of(message)
-        if stamp is not None:
-            self._joint_stamps.update((name, stamp) for name in wanted if name in names)
+        times_s = np.array([self._joints_time(message, names) if math.isnan(arrival_s) else arrival_s])
+        for name in wanted:
+            if name in names:
+                self._note_times(name, times_s)
         if not any(name in names for name in wanted) or any(name not in self.seen_joints for name in wanted):
             return None
-        return np.array([self.seen_joints[name] if name else 0.0 for name in self.joints])
+        self._now_s = float(times_s[0])
+        return np.array(
+            [self.seen_joints[name] if name in names else self._held_position(name, times_s)[0] for name in self.joints]
+        )
 
 
 # ------------------------------------------------------------------ paths

@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skincal.contacts.outcome import Contact
+from skincal.contacts.outcome import Contact, Rejection
 from skincal.files.importers.preview import RecordingFiles
 from skincal.files.importers.registry import StoppedError
 from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
@@ -21,7 +21,7 @@ from skincal.session.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 from skincal.words.link_words import silent_links
-from skincal.words.poke_words import no_poke_sentence
+from skincal.words.poke_words import late_angles_sentence, no_poke_sentence
 
 CHUNKS_PER_PROGRESS_REPORT = 20
 """Chunks between two progress reports: a second of a recording, some 0.01 s of work."""
@@ -112,6 +112,13 @@ def play_recording(
         pipeline.close()
 
 
+def stream_findings(pipeline: Pipeline) -> list[str]:
+    """List sentences on streams that paused or repeated one reading, after the last reading."""
+    outcomes = [record.outcome for record in pipeline.snapshot().pokes]
+    late = late_angles_sentence([each for each in outcomes if isinstance(each, Rejection)])
+    return [*([late] if late else []), *pipeline.freeze_findings()]
+
+
 def joint_columns(scene: Scene) -> tuple[str, ...]:
     """Name the columns of the scene's joint stream, empty for one that the arm does not need; empty if it names none."""
     robot = scene.robot
@@ -140,6 +147,8 @@ class Imported:
     accepted: int
     unpoked: str = ""
     """A sentence why there is no poke; empty with pokes."""
+    findings: tuple[str, ...] = ()
+    """Sentences on the readings, such as a sensor that stopped."""
 
 
 def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = lambda _: True) -> Imported:
@@ -156,11 +165,14 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
     with new_session(request.folder, scene, recording.links, copy=True) as pipeline:
         play_recording(pipeline, recording, request.pose or None, lambda share: go_on(read_share + (1 - read_share) * share))
         outcomes = [record.outcome for record in pipeline.snapshot().pokes]
-        silent = silent_links(pipeline.live(0).links)
+        links = pipeline.live(0).links
+        silent = silent_links(links)
         if pipeline.journal_failure:
             raise InputError(pipeline.journal_failure)
-        if silent and not outcomes:
+        accepted = sum(isinstance(outcome, Contact) for outcome in outcomes)
+        if silent and not accepted:
             raise InputError(f"{silent} No session was made.")
-        unpoked = "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts)
-    accepted = sum(isinstance(outcome, Contact) for outcome in outcomes)
-    return Imported(request.folder, len(outcomes), accepted, unpoked)
+        unpoked = "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts, links)
+        warnings = [f"{link.link}: {link.warning}" for link in links if link.warning]
+        findings = (*stream_findings(pipeline), *warnings)
+    return Imported(request.folder, len(outcomes), accepted, unpoked, findings)

@@ -33,6 +33,7 @@ from skincal.session.session import Session
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
+from skincal.words.link_words import BINARY_LEVELS, binary_skin, freeze_sentences
 
 if TYPE_CHECKING:
     from skincal.mesh.lay import PlacedLayout
@@ -87,13 +88,14 @@ class Pipeline:
     def _connect(self, links: Sequence[LinkSpec]) -> None:
         self.links = tuple(links)
         arm = self.scene.arm
-        joints = 0 if arm is None else max(arm.arm.joints, default=-1) + 1
+        used = () if arm is None else tuple(arm.arm.joints)
         names = () if self.scene.robot is None else self.scene.robot.columns
-        self._intake = Intake(self.scene.skin.channels, links, joints, names)
+        self._intake = Intake(self.scene.skin.channels, links, max(used, default=-1) + 1, names, used)
         self._frozen = frozenset[str]()
         self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
         self._totals_ns: int | None = None
+        self._begin_ns = 0
         self._ended_links = set[str]()
         self._decoded_ns, self._decoded_s = 0, -np.inf
         self._current_pose(None)
@@ -101,6 +103,7 @@ class Pipeline:
     def feed(self, item: Chunk | LinkEvent) -> None:
         """Process the next item of the queue, the journal or a recording; `InputError` for an unknown link."""
         self._intake.check(item)  # before anything is recorded
+        self._begin_ns = self._begin_ns or item.host_ns
         outcomes: list[Outcome] = []
         try:
             for sample in self._intake.feed(item):
@@ -183,10 +186,19 @@ class Pipeline:
         )
 
     def _links(self, now_ns: int) -> tuple[LinkHealth, ...]:
-        """State of the links; that of the joints says if an angle lies outside the limits of the URDF."""
-        links = self._intake.health(now_ns)
-        warning = self.poses.limit_warning
-        return tuple(replace(link, warning=warning) if warning and Stream.JOINTS in link.carries else link for link in links)
+        """State of the links, with a warning: an angle lies outside the limits of the URDF, or the skin is binary."""
+        return tuple(replace(link, warning=self._warning(link)) for link in self._intake.health(now_ns))
+
+    def _warning(self, link: LinkHealth) -> str:
+        # The noise of a skin at rest may have two values as well.
+        is_binary = link.levels in BINARY_LEVELS or bool(self.session.last_poke)
+        binary = binary_skin(link.levels) if is_binary else ""
+        return binary or (self.poses.limit_warning if Stream.JOINTS in link.carries else "")
+
+    def freeze_findings(self) -> list[str]:
+        """Say when the sensor or the skin repeated one reading, since the devices began."""
+        freezes = [each for link in self._intake.health(0) for each in link.freezes]
+        return freeze_sentences(sorted(freezes, key=lambda each: each.from_ns), self._begin_ns)
 
     @property
     def before_pokes(self) -> BeforePokes:

@@ -17,7 +17,7 @@ import numpy as np
 
 from skincal.devices.decoding import WRENCH_VALUES
 from skincal.devices.family import AUTO
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.readings import (
     SENSOR_STREAMS,
@@ -52,11 +52,20 @@ class Intake:
     """Decodes, dates and pairs the data of a session's links: skin frames of `channels` values, at least `joints` angles.
 
     `joint_names` are those of the columns of angles, for formats that name their joints; empty if the scene has none.
+    `used_joints` are the columns that must be numbers; all of them if it is empty.
     The constructor raises InputError: a format is not known, or two links have one name.
     """
 
-    def __init__(self, channels: int, links: Sequence[LinkSpec], joints: int = 0, joint_names: tuple[str, ...] = ()) -> None:
-        self._links = {spec.name: LinkIntake(channels, spec, joints, joint_names) for spec in links}
+    def __init__(
+        self,
+        channels: int,
+        links: Sequence[LinkSpec],
+        joints: int = 0,
+        joint_names: tuple[str, ...] = (),
+        used_joints: Sequence[int] = (),
+    ) -> None:
+        self._links = {spec.name: LinkIntake(channels, spec, joints, joint_names, used_joints) for spec in links}
+        self._used_joints = np.array(used_joints, np.int64)
         if len(self._links) < len(links):
             raise InputError("Two links have the same name; expected a name of its own for each.")
         self.frozen: frozenset[str] = frozenset()
@@ -106,12 +115,10 @@ class Intake:
         for stamp, values in zip(stamps.tolist(), batch.values, strict=True):
             if batch.stream is Stream.SKIN:
                 self._pairing.add_frame(stamp, arrived.arrival_s, values)
-            elif not all(map(math.isfinite, values.tolist())):
-                continue
             elif batch.stream is Stream.TIP:
-                if len(values) >= TIP_WIDTH:
+                if len(values) >= TIP_WIDTH and all(map(math.isfinite, values.tolist())):
                     self._pairing.add_tip(stamp, values[:TIP_WIDTH])
-            elif len(values) >= self._joints:
+            elif len(values) >= self._joints and _has_angles(values, self._used_joints):
                 self._pairing.add_joints(stamp, values)
 
     def recent_wrench(self, after_s: float = -math.inf) -> tuple[FloatArray, FloatArray]:
@@ -143,11 +150,25 @@ class TimestampedBatch(NamedTuple):
     """Differences between the readings, if they were read ahead."""
 
 
+def _has_angles(values: FloatArray, used: IntArray) -> bool:
+    """Whether the `used` columns of a reading, all of them if none is named, are numbers."""
+    return bool(np.isfinite(values.take(used) if len(used) else values).all())
+
+
 class LinkIntake:
     """One link: its decoder, its clocks and its figures."""
 
-    def __init__(self, channels: int, spec: LinkSpec, joints: int = 0, joint_names: tuple[str, ...] = ()) -> None:
-        self.spec, self._joint_names = spec, joint_names
+    def __init__(
+        self,
+        channels: int,
+        spec: LinkSpec,
+        joints: int = 0,
+        joint_names: tuple[str, ...] = (),
+        used_joints: Sequence[int] = (),
+    ) -> None:
+        self.spec, self._joint_names, self._joints = spec, joint_names, joints
+        self._used_joints = np.array(used_joints, np.int64)
+        self._numberless = 0
         self._stamper = Timestamper()
         self._format = format_of(spec.address, spec.format)
         # Frames that need a recipe do not say what they hold, so no other decoder can read them.
@@ -206,6 +227,7 @@ class LinkIntake:
         if self._uncountable_losses() > before:
             self._stamper.note_loss()
         self._count_readings(batches)
+        self._numberless += sum(self._count_numberless(batch) for _, batch in batches)
         self.monitor.on_data(chunk.data, chunk.host_ns, [batch for _, batch in batches])
         return self._dated(batches)
 
@@ -215,6 +237,7 @@ class LinkIntake:
         if event.state is LinkState.ENDED:
             batches = self._decoder.finish()
             self._count_readings(batches)
+            self._numberless += sum(self._count_numberless(batch) for _, batch in batches)
         elif event.state is LinkState.OPEN and self._last_ns:
             # A new decoder: half a record from before the break must not be joined to the first one after it.
             self._losses_before += self._decoder.current.counts
@@ -228,6 +251,15 @@ class LinkIntake:
     def _dated(self, batches: Sequence[tuple[int, Batch]]) -> list[TimestampedBatch]:
         arrived = [(batch, host_ns * 1e-9) for host_ns, batch in batches]
         return [TimestampedBatch(batch, self._stamper.stamp(batch, arrival_s), arrival_s) for batch, arrival_s in arrived]
+
+    def _count_numberless(self, batch: Batch) -> int:
+        """Count the readings that are no use for want of numbers: one channel is enough for a skin."""
+        finite = np.isfinite(batch.values)
+        if batch.stream is Stream.SKIN:
+            return int(np.count_nonzero(~finite.any(axis=1)))
+        if batch.stream is Stream.JOINTS and len(self._used_joints) and batch.values.shape[1] >= self._joints:
+            finite = finite[:, self._used_joints]
+        return int(np.count_nonzero(~finite.all(axis=1)))
 
     def _uncountable_losses(self) -> int:
         counts = self._decoder.current.counts
@@ -258,6 +290,9 @@ class LinkIntake:
             units="; ".join(words for stream, words in decoder.units.items() if stream in spec.carries),
             verdict=self.monitor.diagnose(now_ns),
             address=spec.address,
+            freezes=self.monitor.freezes,
+            levels=self.monitor.levels,
+            numberless=self._numberless,
         )
 
     def side_readings(self) -> Mapping[str, SideReading]:

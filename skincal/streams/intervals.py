@@ -1,8 +1,8 @@
 """Usual time between the readings of a stream, also of one whose readings come in groups.
 
-A buffer of an adapter, a radio or a network hands on two or more readings at a time. If they are dated by their arrival, a short
-interval follows on long ones, and the median is either of them, but never the period. Lost readings make intervals longer, too,
-but rarely: at least `GROUPS_MIN_LONG_INTERVALS` of the newest intervals are long in a stream with groups.
+A buffer of an adapter, a radio or a network hands on two or more readings at a time. If these are dated by their arrival, short
+and long intervals alternate, and the median is one of them, but never the period. Lost readings make intervals longer, too, but
+rarely: at least `GROUPS_MIN_LONG_INTERVALS` of the newest intervals are long in a stream with groups.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ still repeat every bit, and so does a skin of eight bits behind a threshold: the
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
@@ -20,13 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray
-from skincal.model.readings import LINK_SILENT_AFTER_S, Batch, LinkAnswer, LinkEvent, LinkState, LinkVerdict, Stream
+from skincal.model.readings import LINK_SILENT_AFTER_S, Batch, Freeze, LinkAnswer, LinkEvent, LinkState, LinkVerdict, Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 
 REPORT_NO_READING_AFTER_NS = 1_000_000_000
 """ns of bytes without a reading: text is believed after 0.3 s, and a slow board sends ten readings in this time."""
 SILENT_NS = round(LINK_SILENT_AFTER_S * 1e9)
 FROZEN_IF_UNCHANGED_FOR_NS = 1_000_000_000
+NOISE_MIN_SHARE = {Stream.WRENCH: 0.5, Stream.SKIN: 0.9, Stream.JOINTS: math.inf, Stream.TIP: math.inf}
+"""Share of the readings that differ from the one before them, from which a stream has noise. A skin behind a threshold has a
+small one; joints and a tip may rest."""
+MAX_SKIN_LEVELS = 2
+"""Values of a skin that was made binary."""
 NOISE_MIN_CHANGED_READINGS = 20
 """Readings that differ from the one before, until a stream is known to have noise."""
 MIN_READINGS_FOR_DIAGNOSIS = 5
@@ -50,7 +56,9 @@ class Differences(NamedTuple):
 class _StreamHistory:
     """Arrival times of one stream's readings, and whether their values change or repeat."""
 
-    def __init__(self, last: NDArray[np.uint64], host_ns: int) -> None:
+    def __init__(self, stream: Stream, last: NDArray[np.uint64], host_ns: int) -> None:
+        self._noise_share = NOISE_MIN_SHARE[stream]
+        self._ended_freezes: list[tuple[int, int | None]] = []
         self.last_ns = self._changed_ns = host_ns
         self.last = last
         """(1, width) bits of the last reading."""
@@ -63,6 +71,8 @@ class _StreamHistory:
     def add(self, change: Differences, host_ns: int) -> None:
         """Add readings, in their order."""
         if change.changes:
+            if self.is_frozen:
+                self._ended_freezes.append((self._changed_ns, host_ns))
             self._earlier += change.newest + (0 if self.is_frozen else self._equal)
             self._changes, self._changed_ns, self._equal = self._changes + change.changes, host_ns, -change.newest
         self._equal += change.readings
@@ -78,12 +88,36 @@ class _StreamHistory:
 
     @property
     def is_frozen(self) -> bool:
-        """Whether no bit has changed for long, and before that at least every second reading differed from the one before."""
-        return self._is_constant and self._changes >= NOISE_MIN_CHANGED_READINGS and 2 * self._changes > self._earlier
+        """Whether no bit has changed for long, and most readings before that differed from the one before them."""
+        is_noisy = self._changes >= NOISE_MIN_CHANGED_READINGS and self._changes > self._noise_share * self._earlier
+        return is_noisy and self._is_constant
 
     @property
     def never_changed(self) -> bool:
         return self._is_constant and not self._changes
+
+    @property
+    def freezes(self) -> list[tuple[int, int | None]]:
+        """Begin and end of each time in which it was frozen, ns; no end for the present one."""
+        return [*self._ended_freezes, *([(self._changed_ns, None)] if self.is_frozen else [])]
+
+    @property
+    def constant_since_ns(self) -> int:
+        """Arrival of the last reading that differed from the one before it, or of the first one."""
+        return self._changed_ns
+
+
+def _add_levels(levels: set[float], values: FloatArray) -> set[float] | None:
+    """Add the values of skin frames, (n, channels); `None` if there are more than `MAX_SKIN_LEVELS`."""
+    known = list(levels)
+    if len(known) == MAX_SKIN_LEVELS and ((values == known[0]) | (values == known[1]) | np.isnan(values)).all():
+        return levels
+    # The usual skin has more values in one frame.
+    for row in (values[:1], values):
+        levels = levels | set(np.unique(row[np.isfinite(row)]).tolist())
+        if len(levels) > MAX_SKIN_LEVELS:
+            return None
+    return levels
 
 
 def _bits(values: FloatArray) -> NDArray[np.uint64]:
@@ -111,6 +145,10 @@ class LinkMonitor:
         self._carries, self._widths, self._noisy = tuple(carries), widths, noisy
         self._make_fallback = make_fallback
         self._streams: dict[Stream, _StreamHistory] = {}
+        self._freezes_before: list[Freeze] = []
+        """Of the devices that the link had before."""
+        self._levels: set[float] | None = set()
+        """Values of the skin so far; `None` for more than `MAX_SKIN_LEVELS`."""
         self._bauds_tried: tuple[int, ...] = ()
         self._has_failed = False
         self._ended_ns: int | None = None
@@ -118,6 +156,7 @@ class LinkMonitor:
 
     def _forget_data(self, host_ns: int) -> None:
         """Forget the data: another device may be connected now."""
+        self._freezes_before = list(self.freezes)
         self._streams.clear()
         self._opened_ns, self._last_ns = host_ns, 0
         self._missing_since_ns: int | None = None
@@ -163,8 +202,10 @@ class LinkMonitor:
                 news = change or self.compare(batch, [len(batch.seq)])[0]
                 known = self._streams.get(batch.stream)
                 if known is None or known.width != news.last.shape[1]:
-                    known = self._streams[batch.stream] = _StreamHistory(news.last, host_ns)
+                    known = self._streams[batch.stream] = _StreamHistory(batch.stream, news.last, host_ns)
                 known.add(news, host_ns)
+            if batch.stream is Stream.SKIN and self._levels is not None:
+                self._levels = _add_levels(self._levels, batch.values)
         if self._wanted_streams and not self._missing(host_ns):
             self._missing_since_ns, self._fallback = None, None
             self._unexpected.clear()
@@ -179,6 +220,21 @@ class LinkMonitor:
             width = batch.values.shape[1]
             if batch.stream not in self._carries or width != self._widths.get(batch.stream, width):
                 self._unexpected[batch.stream, width] += len(batch.seq)
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The two values that all channels of the skin ever had; empty if they had one, or more."""
+        return tuple(sorted(self._levels)) if self._levels is not None and len(self._levels) == MAX_SKIN_LEVELS else ()
+
+    @property
+    def freezes(self) -> tuple[Freeze, ...]:
+        """Times in which a stream with noise repeated one reading."""
+        found = list(self._freezes_before)
+        for stream, history in self._streams.items():
+            found += [Freeze(stream, *span) for span in history.freezes]
+            if stream in self._noisy and history.never_changed:
+                found.append(Freeze(stream, history.constant_since_ns, None))
+        return tuple(found)
 
     @property
     def is_frozen(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, plural
-from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
+from skincal.model.readings import Freeze, LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
 
 FILE_SCHEME = "file:"
 CHARS_KEPT_FOR_NEXT_SENTENCE = 30
@@ -59,6 +59,37 @@ EXPECTED_BY = {
     Stream.JOINTS: "the arm needs",
     Stream.TIP: "a tip has",
 }
+
+
+BINARY_LEVELS = ((0.0, 100.0), (0.0, 255.0))
+"""Values of a skin that skinManager made binary: it writes 0 and 100; its help and the simulator say 255."""
+
+
+def binary_skin(levels: Sequence[float]) -> str:
+    """Warn of a skin whose only values are the two `levels`; empty without them."""
+    if not levels:
+        return ""
+    off = "skinManager was binarising" if tuple(levels) in BINARY_LEVELS else "it is made binary"
+    return (
+        f"every value is {levels[0]:g} or {levels[1]:g}: {off}, so all taxels of a poke weigh the same; record raw values (of "
+        "skinManager: set binarization off, or the raw port), and expect worse positions from these."
+    )
+
+
+def freeze_sentences(freezes: Sequence[Freeze], begin_ns: int) -> list[str]:
+    """Say when streams repeated one reading, in seconds from `begin_ns`."""
+    return [
+        f"{each.stream.value}: repeats one reading {_when(each, begin_ns)}: the {STREAM_NAMES[each.stream]} or its program "
+        "stopped, and pokes in this time are lost. Check its power, cable and publisher."
+        for each in freezes
+    ]
+
+
+def _when(freeze: Freeze, begin_ns: int) -> str:
+    begin_s = max(0.0, (freeze.from_ns - begin_ns) * 1e-9)
+    if freeze.until_ns is not None:
+        return f"from {begin_s:.1f} to {(freeze.until_ns - begin_ns) * 1e-9:.1f} s"
+    return f"from {begin_s:.1f} s on"
 
 
 def link_name(link: LinkHealth) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from skincal.contacts.outcome import RAW_UNIT, BeforePokes, Reason, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
+from skincal.model.readings import LinkHealth, Stream
 from skincal.model.scene import ContactSettings
+from skincal.words.link_words import link_name
 from skincal.words.units import number, quantity
 
 REASON_WORDS: Mapping[Reason, str] = {
@@ -99,6 +101,17 @@ def has_late_angles(rejection: Rejection) -> bool:
     return rejection.reason is Reason.NO_POSE and rejection.unit == "s"
 
 
+def late_angles_sentence(rejections: Sequence[Rejection]) -> str:
+    """Say how many pokes lack their joint angles; empty for none."""
+    pokes = sum(map(has_late_angles, rejections))
+    if not pokes:
+        return ""
+    return (
+        f"joints: {plural(pokes, 'poke')} without joint angles: the last ones before are too old, and the next ones differ or "
+        "never came. Their arm pose is unknown, and they do not count."
+    )
+
+
 def rejection_advice(rejection: Rejection) -> str:
     """Advise the operator after a rejected poke."""
     if has_late_angles(rejection):
@@ -121,8 +134,14 @@ def missed_words(missed: MissedLandmark) -> str:
     return f"{missed.miss * 1e3:.0f} mm from {missed.name} (limit {missed.limit * 1e3:.0f} mm)"
 
 
-def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
+def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequence[LinkHealth] = ()) -> str:
     """Describe a recording without a poke: its content, the needs of a poke, and the next check."""
+    mostly = next((link for link in links if link.link != Stream.JOINTS.value and 2 * link.numberless > link.readings), None)
+    if mostly is not None:
+        return (
+            f"No poke was found: {mostly.numberless} of the {mostly.readings} readings of the {link_name(mostly)} are NaN or "
+            "infinite. Check the sensor and the program that published them."
+        )
     if not seen.samples:
         return (
             "No poke was found: the force/torque readings and the skin readings never overlap in time. "

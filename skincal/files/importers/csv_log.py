@@ -37,7 +37,7 @@ import numpy as np
 
 from skincal.devices.decoding import TIME_STAMP_MAX_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
-from skincal.files.importers.timeline import FINER_TIMES, OpenRecording, Timeline, check_overlap
+from skincal.files.importers.timeline import FINER_TIMES, OpenRecording, Timeline, check_overlap, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
@@ -203,6 +203,7 @@ def open_recording(places: Mapping[Stream, RecordedPlace]) -> OpenRecording:
         if table.skipped:
             findings.append(f"{name}: {plural(table.skipped, 'row')} without a time: left out.")
     check_overlap(timelines)
+    findings += late_streams(timelines)
     return OpenRecording(
         tuple(table.link for table in tables), tuple(timelines), tuple(table.lines for table in tables), tuple(findings)
     )

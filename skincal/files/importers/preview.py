@@ -18,6 +18,8 @@ from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Batch, Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
+from skincal.streams.link_diagnosis import LinkMonitor
+from skincal.words.link_words import BINARY_LEVELS, binary_skin, freeze_sentences
 
 if TYPE_CHECKING:
     from skincal.model.scene import Scene
@@ -202,11 +204,14 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
     """
     importer, opened = files.importer, files.open()
     decoders = {link.name: LinkDecoder(link.format, None, link.carries) for link in opened.links}
+    monitors = {link.name: LinkMonitor(link.carries, {}, None) for link in opened.links}
     readings: dict[str, list[Batch]] = defaultdict(list)
     for chunk in opened.chunks():
         if chunk.host_ns > SESSION_START_TIME_NS + PREVIEWED_TIME_S * 1e9 or not wanted():
             break
-        readings[chunk.link] += [batch for _, batch in decoders[chunk.link].feed(chunk.data, chunk.host_ns)]
+        batches = [batch for _, batch in decoders[chunk.link].feed(chunk.data, chunk.host_ns)]
+        monitors[chunk.link].on_data(chunk.data, chunk.host_ns, batches)
+        readings[chunk.link] += batches
     streams: list[StreamPreview] = []
     for link, timeline in zip(opened.links, opened.timelines, strict=True):
         values = _values(readings[link.name])
@@ -223,6 +228,9 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
     # `streams` has the size of each file already.
     sizes = {timeline.sentences()[0] for timeline in opened.timelines}
     findings = [finding for finding in opened.findings if finding not in sizes] + lost
+    for name, monitor in monitors.items():
+        findings += freeze_sentences(monitor.freezes, SESSION_START_TIME_NS)
+        findings += [f"{name}: {binary_skin(monitor.levels)}"] if monitor.levels in BINARY_LEVELS else []
     return RecordingPreview(importer, tuple(streams), tuple(findings), *_force_curve(readings[Stream.WRENCH.value]))
 
 

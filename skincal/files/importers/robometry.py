@@ -20,7 +20,7 @@ import numpy as np
 
 from skincal.devices.decoding import WRENCH_VALUES
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
-from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
+from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
@@ -137,6 +137,7 @@ def open_recording(
         timelines.append(timeline)
         sources.append(partial(_lines, path, channel, stamps, columns, factor))
     check_overlap(timelines)
+    findings += late_streams(timelines)
     return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from skincal.files.importers.bag_reader import Bag, BagTopic
 from skincal.files.importers.registry import RecordedPlace, StoppedError, StreamGuess
 from skincal.files.importers.tape import NumberFile, Tape
-from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap, count_repeated
+from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap, count_repeated, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Stream
@@ -50,8 +50,6 @@ MESSAGES_DECODED_TOGETHER_MAX_BYTES = 1 << 20
 """Bounds their memory."""
 DELAYS_IN_MEDIAN_MAX = 1 << 18
 """Delays whose median is the difference of two clocks: those of four minutes at 1 kHz, from the whole recording."""
-REPORT_LATE_START_OR_EARLY_END_FROM_S = 2.0
-"""A stream that starts or ends by more than this after or before the others is reported."""
 TOPICS_LISTED_MAX = 8
 """Topics that a sentence lists."""
 
@@ -166,12 +164,13 @@ class _Recorded:
     def _read_run(self, types: MessageTypes, topic: str, run: Sequence[tuple[int, bytes]]) -> bool:
         """Read messages of one length together. Returns False, and takes nothing, if they have not one layout."""
         reader = self.runs.setdefault(topic, RunReader(types, self.readers[topic]))
-        read = reader.read([data for _, data in run])
+        arrivals_s = np.array([arrival_ns for arrival_ns, _ in run]) * 1e-9
+        read = reader.read([data for _, data in run], arrivals_s)
         if read is None:
             return False
         values, stamps = read
         self.tape.add_many(values)
-        self.arrivals.extend(np.array([arrival_ns for arrival_ns, _ in run]) * 1e-9)
+        self.arrivals.extend(arrivals_s)
         self.stamps.extend(stamps)
         return True
 
@@ -179,7 +178,7 @@ class _Recorded:
         reader = self.readers[topic]
         try:
             message = types.decode(data, reader.type_name)
-            values = reader.values_of(message)
+            values = reader.values_of(message, arrival_ns * 1e-9)
         except MessageError as error:
             self.unreadable += 1
             self.why_unreadable = self.why_unreadable or str(error)
@@ -209,6 +208,12 @@ class _Recorded:
         found = [f"{self.choice} ({reader.type_name})" + (f", field {reader.field}." if self.choice.field else ".")]
         if self.stream is Stream.JOINTS and reader.joints:
             found.append(f"the order of the joints is {', '.join(name or 'unused' for name in reader.joints)}.")
+        for name, silence in reader.silences.items():
+            after_s = silence.since_s - float(self.arrivals.read(0, 1)[0])
+            found.append(
+                f"no position of {name} came with {plural(silence.messages, 'message')}, first after {after_s:.1f} s: "
+                "they are left out, and the arm pose is unknown until it comes again."
+            )
         if self.unreadable:
             found.append(f"{plural(self.unreadable, 'message')} left out: {self.why_unreadable}.")
         for topic, count in zip(self.choice.topics, self.patches.superseded if self.patches else [], strict=False):
@@ -254,7 +259,7 @@ def open_recording(
     for each, timeline in zip(streams, timelines, strict=True):
         findings += [*each.findings(), *timeline.sentences()]
     check_overlap(timelines)
-    findings += [*clock_findings, *_late_streams(timelines)]
+    findings += [*clock_findings, *late_streams(timelines)]
     return OpenRecording(
         tuple(LinkSpec(each.stream.value, f"file:{bag.path}::{each.choice}", (each.stream,), "records") for each in streams),
         tuple(timelines),
@@ -402,17 +407,3 @@ def _delays(each: _Recorded) -> tuple[FloatArray, int]:
         some.append(known[::step].copy())
         unstamped += len(delay) - len(known)
     return np.concatenate(some), unstamped
-
-
-def _late_streams(timelines: Sequence[Timeline]) -> list[str]:
-    """Report streams that start later or end earlier than the others: nothing is paired there."""
-    first, last = min(each.first for each in timelines), max(each.last for each in timelines)
-    found: list[str] = []
-    for each in timelines:
-        if each.first - first > REPORT_LATE_START_OR_EARLY_END_FROM_S:
-            found.append(
-                f"{each.name}: starts {each.first - first:.1f} s after the first stream; pokes before it are not found."
-            )
-        if last - each.last > REPORT_LATE_START_OR_EARLY_END_FROM_S:
-            found.append(f"{each.name}: ends {last - each.last:.1f} s before the last stream; pokes after it are not found.")
-    return found

@@ -56,6 +56,8 @@ REPORT_REPEATED_FROM_SHARE = 0.05
 CHUNKS_CONVERTED_AT_ONCE = 1 << 12
 """Chunks that are made Python numbers at once: these take ten times the memory."""
 MAX_LISTED_JUMPS = 3
+REPORT_LATE_START_OR_EARLY_END_FROM_S = 2.0
+"""A stream that starts or ends by more than this after or before the others is reported."""
 FINER_TIMES = "Export times with fractions of a second."
 """Advice for times with too few digits."""
 SESSION_START_TIME_NS = 1_000_000_000
@@ -223,8 +225,8 @@ class Timeline:
             found.append(f"{plural(self.gaps, 'gap')} in time, the longest {self.longest_gap:.2f} s.")
         if self.repeated > REPORT_REPEATED_FROM_SHARE * self.lines:
             found.append(
-                f"{plural(self.repeated, 'line')} with the time of the line before, since the times have too few digits; a poke "
-                f"there may be wrong. {FINER_TIMES}"
+                f"{plural(self.repeated, 'line')} with the time of the line before, since the times have too few digits; "
+                f"a poke there may be wrong. {FINER_TIMES}"
             )
         if self.out_of_order:
             found.append(f"{plural(self.out_of_order, 'stamp')} before the one before it; kept in the file's order.")
@@ -316,6 +318,25 @@ def check_overlap(timelines: Sequence[Timeline]) -> None:
                 f"{other.first:.3f} to {other.last:.3f} s; expected recordings of the same time: choose logs of one run, with "
                 "clocks that agree."
             )
+
+
+def late_streams(timelines: Sequence[Timeline]) -> list[str]:
+    """Report streams that start later or end earlier than the others: nothing is paired there."""
+    first, last = min(each.first for each in timelines), max(each.last for each in timelines)
+    found: list[str] = []
+    for each in timelines:
+        late, early = each.first - first, last - each.last
+        if late > REPORT_LATE_START_OR_EARLY_END_FROM_S:
+            found.append(f"{each.name}: starts {late:.1f} s after the first stream; {_lost_pokes(each.name, 'before')}.")
+        if early > REPORT_LATE_START_OR_EARLY_END_FROM_S:
+            found.append(f"{each.name}: ends {early:.1f} s before the last stream; {_lost_pokes(each.name, 'after')}.")
+    return found
+
+
+def _lost_pokes(name: str, side: str) -> str:
+    if name == Stream.JOINTS.value:
+        return f"the arm pose of pokes {side} it is unknown, and they do not count"
+    return f"pokes {side} it are not found"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ import numpy as np
 from skincal.devices.bottles import MEASURES_LISTS, MEASURES_WRENCH
 from skincal.devices.decoding import WRENCH_VALUES
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
-from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
+from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular, read_regular
@@ -46,8 +46,6 @@ UNIX_TIME_MIN_S = 1e8
 """s. A stamp of a computer's clock is later (1973); no force, angle or raw value of a taxel is as large."""
 LINES_READ_TO_FIND_GRAMMAR = 50
 """Lines from which the grammar of an old log is found."""
-BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
-"""Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
 INFO_LOG_MAX_BYTES = 1 << 16
 """Bytes of `info.log`, which has some lines."""
 READ_BLOCK_BYTES = 1 << 16
@@ -101,8 +99,6 @@ class _Log:
 class _Contents:
     """Counts of the unusual lines of a log, from its first reading."""
 
-    # Distinct values of a skin; None for others, and once they are not those of a binarised skin.
-    levels: set[float] | None
     # Lines whose first stamp is 0: their sender gave none.
     untimed: int = 0
     empty: int = 0
@@ -130,7 +126,7 @@ def open_recording(places: Mapping[Stream, RecordedPlace]) -> OpenRecording:
         timelines.append(timeline)
         findings += [*log.findings, *timeline.sentences(), *_content_findings(log, contents, timeline.lines)]
     check_overlap(timelines)
-    findings += _clock_findings(logs)
+    findings += [*late_streams(timelines), *_clock_findings(logs)]
     return OpenRecording(tuple(log.link for log in logs), tuple(timelines), tuple(log.lines for log in logs), tuple(findings))
 
 
@@ -269,7 +265,7 @@ def _ends_open(path: Path) -> bool:
 
 def _read_through(log: _Log) -> tuple[Timeline, _Contents]:
     """Read a log once: its timeline, and what it holds."""
-    contents = _Contents(levels=set() if log.stream is Stream.SKIN else None)
+    contents = _Contents()
     timeline = Timeline(log.name, _stamps(log, contents))
     if not timeline.lines:
         seen = f"has {plural(contents.unreadable, 'line')}, none of them of the form <number> <time> <values>"
@@ -286,7 +282,7 @@ def _stamps(log: _Log, contents: _Contents) -> Iterator[FloatArray]:
     for block in _whole_lines(log.path):
         times = split_stamps(block, log.stamps)
         data = b"".join(block)
-        width = 0 if times is None or contents.levels is not None or b"(" in data else even_width(data)
+        width = 0 if times is None or b"(" in data else even_width(data)
         if times is not None and width > 1 + log.stamps:
             # The usual block: lines of words alone, all of one width.
             contents.untimed += int(np.count_nonzero(times[:, 0] == 0))
@@ -316,8 +312,6 @@ def _count_line(payload: bytes, contents: _Contents) -> None:
     elif not contents.nested:
         contents.nested = True
         contents.sensors = _count_sensors(payload)
-    if contents.levels is not None:
-        contents.levels = _levels(words, contents.levels)
 
 
 def _count_sensors(payload: bytes) -> int:
@@ -327,15 +321,6 @@ def _count_sensors(payload: bytes) -> int:
         return 0
     sensors = bottle[MEASURES_WRENCH] if len(bottle) >= MEASURES_LISTS else None
     return len(sensors) if isinstance(sensors, list) else 0
-
-
-def _levels(words: list[bytes], levels: set[float]) -> set[float] | None:
-    """Return the distinct values so far; None where a skin with them is not binarised."""
-    try:
-        levels = levels | {float(word.strip(b"()")) for word in set(words)}
-    except ValueError:
-        return levels
-    return levels if any(levels <= binary for binary in BINARY_LEVELS) else None
 
 
 def _check_width(log: _Log, contents: _Contents) -> None:
@@ -363,11 +348,6 @@ def _content_findings(log: _Log, contents: _Contents, lines: int) -> list[str]:
         found.append(f"{plural(contents.unreadable, 'line')} not of the form <number> <time> <values>: left out.")
     if contents.cut:
         found.append("the last line has no end: it was cut while it was written, and is left out.")
-    if contents.levels is not None and max(contents.levels, default=0.0) > 0:
-        found.append(
-            f"every value is 0 or {max(contents.levels):.0f}: skinManager was binarising, so all taxels of a poke weigh the "
-            "same; switch it off (set binarization off) or record the raw port, and expect worse positions from this log."
-        )
     return [f"{log.name}: {sentence}" for sentence in found]
 
 

@@ -337,21 +337,6 @@ def test_empty_unreadable_and_cut_lines_are_counted(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("high", [100, 255])
-def test_a_binarised_skin_is_said(tmp_path, high):
-    rows = [(k, EPOCH + k / 50, text([0, high if k > 70 else 0, 0])) for k in range(150)]
-    wrench = recording(tmp_path)["wrench"]
-    _, _, findings = read_recording("yarp", wrench, write_log(tmp_path / "s", rows))
-    assert any(approved("yarp_log.binarised", high=high) in finding for finding in findings)
-
-
-@pytest.mark.parametrize("values", [[0, 100, 40], [0, 0, 0], [100, 255, 0], [244, 240, 0]])
-def test_a_skin_that_is_not_binarised_is_not_said_to_be(tmp_path, values):
-    rows = [(k, EPOCH + k / 50, text(values)) for k in range(150)]
-    _, _, findings = read_recording("yarp", recording(tmp_path)["wrench"], write_log(tmp_path / "s", rows))
-    assert not any("binarising" in finding for finding in findings)
-
-
 def test_the_new_ports_structure_is_read(tmp_path):
     rows = [
         (k, EPOCH + k / 100, f"() () () () () (((1 2 3 4 5 {k}) 1.5) ((9 9 9 9 9 9) 1)) () () () () () ()") for k in range(300)
