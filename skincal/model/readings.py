@@ -201,7 +201,7 @@ class LinkVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Freeze:
-    """Time in which a stream with noise repeated one reading: its sensor or program had stopped."""
+    """Span of one repeated reading in a stream with noise: its sensor or program had stopped."""
 
     stream: Stream
     from_ns: int

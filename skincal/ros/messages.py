@@ -104,7 +104,7 @@ class _JointTimes:
 
 @dataclass(slots=True)
 class _Silence:
-    """Messages in which a wanted joint was silent."""
+    """Count of the messages without a wanted joint that was silent."""
 
     since_s: float
     """Time of the last position before the first silence, s."""
@@ -284,7 +284,7 @@ class MessageReader:
 
     @property
     def silent_joints(self) -> str:
-        """Sentence on the wanted joints that are silent while others come; empty if none is."""
+        """Sentence on the wanted joints that are silent while others come, or an empty string."""
         silent = [
             name
             for name, times in self._joint_times.items()

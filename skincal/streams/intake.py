@@ -151,7 +151,7 @@ class TimestampedBatch(NamedTuple):
 
 
 def _has_angles(values: FloatArray, used: IntArray) -> bool:
-    """Whether the `used` columns of a reading, all of them if none is named, are numbers."""
+    """Whether the `used` columns of a reading are numbers; without `used`, all columns."""
     return bool(np.isfinite(values.take(used) if len(used) else values).all())
 
 

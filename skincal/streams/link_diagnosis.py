@@ -98,7 +98,7 @@ class _StreamHistory:
 
     @property
     def freezes(self) -> list[tuple[int, int | None]]:
-        """Begin and end of each time in which it was frozen, ns; no end for the present one."""
+        """Begin and end of each freeze, ns; no end for the present one."""
         return [*self._ended_freezes, *([(self._changed_ns, None)] if self.is_frozen else [])]
 
     @property
@@ -228,7 +228,7 @@ class LinkMonitor:
 
     @property
     def freezes(self) -> tuple[Freeze, ...]:
-        """Times in which a stream with noise repeated one reading."""
+        """Freezes of the streams with noise."""
         found = list(self._freezes_before)
         for stream, history in self._streams.items():
             found += [Freeze(stream, *span) for span in history.freezes]

@@ -102,7 +102,7 @@ def has_late_angles(rejection: Rejection) -> bool:
 
 
 def late_angles_sentence(rejections: Sequence[Rejection]) -> str:
-    """Say how many pokes lack their joint angles; empty for none."""
+    """Count the pokes without joint angles in a sentence, or return an empty string."""
     pokes = sum(map(has_late_angles, rejections))
     if not pokes:
         return ""
