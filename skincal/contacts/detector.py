@@ -92,7 +92,7 @@ class ContactDetector:
         self._rejudged = {outcome.poke: outcome for outcome in outcomes if outcome.press is not None}
         # The time before the first poke.
         self._times_s: tuple[float, float] | None = None
-        self._samples, self._strongest = 0, 0.0
+        self._samples, self._strongest, self._gaps, self._longest_gap_s = 0, 0.0, 0, 0.0
         self._answered, self._fell = np.zeros((2, len(self._candidates)), dtype=bool)
 
     @property
@@ -132,7 +132,7 @@ class ContactDetector:
         else:
             outcomes += self._feed_idle(sample, arm_pose, gap_s)
         if not self._pokes:
-            self._note_before_pokes(sample, tare)
+            self._note_before_pokes(sample, tare, gap_s)
         # Pokes that waited too long become final, so that the list of pending pokes stays short.
         while self._pending and sample.host_s - self._pending[0].end_s > TARE_AGE_MAX_S:
             outcomes.append(self._judge(self._pending.pop(0), None, final=True))
@@ -143,7 +143,10 @@ class ContactDetector:
         """Summary of the samples before the first poke."""
         first_s, last_s = self._times_s or (0.0, 0.0)
         fell, tared = self._fell & ~self._answered, self._tares.rest_skin is not None
-        return BeforePokes(self._samples, last_s - first_s, tared, self._strongest, int(self._answered.sum()), int(fell.sum()))
+        answered, fallen = int(self._answered.sum()), int(fell.sum())
+        return BeforePokes(
+            self._samples, last_s - first_s, tared, self._strongest, answered, fallen, self._gaps, self._longest_gap_s
+        )
 
     def reset(self, host_s: float | None = None) -> list[Outcome]:
         """Start again after a break at `host_s`, or at the last sample: a device vanished, or a recording is continued.
@@ -211,8 +214,10 @@ class ContactDetector:
         # Two samples are always alike; a quarter of the window says something.
         return PressPhase.STILL if is_hard and press.still >= 0.25 else PressPhase.PRESSING
 
-    def _note_before_pokes(self, sample: Sample, tare: Tare | None) -> None:
-        """Note a sample before the first poke, with the tare at it."""
+    def _note_before_pokes(self, sample: Sample, tare: Tare | None, gap_s: float) -> None:
+        """Note a sample before the first poke, with the tare at it and the gap before it."""
+        self._gaps += gap_s > 0
+        self._longest_gap_s = max(self._longest_gap_s, gap_s)
         self._times_s = (sample.host_s if self._times_s is None else self._times_s[0]), sample.host_s
         self._samples += 1
         if tare is None or sample.saturated:

@@ -158,6 +158,9 @@ class BeforePokes:
     """Taxels that answered."""
     fell: int
     """Taxels whose values fell below the baseline by as much."""
+    gaps: int = 0
+    """Gaps between the samples, each of which ends a quiet window."""
+    longest_gap_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -190,13 +190,18 @@ class IndexClock:
     readings is dated by these numbers as by a clock: they tell a lost reading from a late one. If readings are only counted,
     a lost one makes all later ones late by a period; the line then restarts at the present one. A lasting queue has the same
     effect, and the line lies too late until the queue is gone.
+
+    Parameters
+    ----------
+    period_s : pace, if it is known already: that of a whole recording
     """
 
-    def __init__(self) -> None:
+    def __init__(self, period_s: float | None = None) -> None:
         self._hull = ConvexHullClock(MAX_INITIAL_CLOCK_RATE_ERROR)
         self._restarts: deque[float] = deque()
         self._number, self._has_numbers = 0, False
         self._forget_pace()
+        self._period = period_s
 
     def map(self, arrival_s: float, number: int = NO_SEQ) -> float:
         """Return when the next reading was made, up to the constant least delay, on the host's clock, seconds.

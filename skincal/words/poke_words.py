@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from skincal.contacts.outcome import RAW_UNIT, BeforePokes, Reason, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
-from skincal.model.readings import LinkHealth, Stream
+from skincal.model.readings import LinkHealth, Loss, Stream
 from skincal.model.scene import ContactSettings
 from skincal.words.link_words import link_name
 from skincal.words.units import number, quantity
@@ -45,6 +45,8 @@ REJECTION_ADVICE: Mapping[Reason, str] = {
     Reason.NO_POSE: "Choose the arm pose, or connect its joints.",
     Reason.ARM_MOVED: "Keep the arm still during a poke.",
 }
+GAPS_MIN_SHARE = 0.2
+"""Share of the time in quiet windows that gaps end, from which these are why no window was quiet."""
 POLARITY_ADVICE = (
     "Keep hands off for half a second before each poke. If you did, the polarity is wrong: change it in [skin] of the scene, "
     'to "up" if values rise under pressure, to "down" if they fall.'
@@ -148,6 +150,15 @@ def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequ
             "Check that the recordings belong together."
         )
     looked = f"No poke was found in {plural(seen.samples, 'skin reading')} with force, over {seen.seconds:.0f} s"
+    if not seen.tared and seen.gaps * thresholds.quiet_s > GAPS_MIN_SHARE * seen.seconds:
+        skin = next((link for link in links if link.link == Stream.SKIN.value), None)
+        unpaired = 0 if skin is None else sum(skin.losses.get(loss, 0) for loss in (Loss.UNPAIRED, Loss.LATE))
+        stream = "force/torque sensor" if unpaired > seen.gaps else "skin"
+        return (
+            f"{looked}: the readings of the {stream} have {seen.gaps} gaps, the longest of {seen.longest_gap_s:.2g} s; "
+            f"expected {thresholds.quiet_s:g} s without a gap and without a touch before a poke. Check what hands them on: cable, "
+            "adapter, network and program."
+        )
     if not seen.tared:
         return (
             f"{looked}: the force was never steady; expected {thresholds.quiet_s:g} s without a touch before a poke. "

@@ -96,6 +96,12 @@ def record_rig(scene: Scene, moves: bool = True, seed: int = 4) -> Recording:
     return found
 
 
+def arrive_in_groups(times: FloatArray, size: int, step_s: float = 0.001) -> FloatArray:
+    """Let readings arrive `size` at a time, `step_s` apart, when the last one of a group was made, (n,) s."""
+    index = np.arange(len(times))
+    return times[np.minimum(index - index % size + size - 1, len(times) - 1)] + step_s * (index % size)
+
+
 def write_tables(folder: Path, recording: Recording, digits: str = ".6f") -> list[str]:
     """Write the tables of `import csv`, with times in seconds; return its arguments."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -128,15 +134,23 @@ def write_logs(folder: Path, recording: Recording, digits: str = ".6f") -> list[
 
 
 def write_rig_bag(
-    folder: Path, recording: Recording, names: Mapping[int, tuple[str, ...]] | None = None, kind: str = "mcap"
+    folder: Path,
+    recording: Recording,
+    names: Mapping[int, tuple[str, ...]] | None = None,
+    kind: str = "mcap",
+    skin_group: int = 1,
 ) -> list[str]:
     """Write the bag of `import rosbag`, its skin without a stamp; return its arguments.
 
-    `names` are the joints that a joint state has, by its index, where it has not both.
+    Parameters
+    ----------
+    names : joints that a joint state has, by its index, where it has not both
+    skin_group : number of skin frames that arrive together, 1 ms apart
     """
     messages: list[tuple[int, Stream, int]] = []
     for stream, times in recording.times.items():
-        messages += [(round((EPOCH + time) * 1e9), stream, k) for k, time in enumerate(times)]
+        arrivals = times if stream is not Stream.SKIN else arrive_in_groups(times, skin_group)
+        messages += [(round((EPOCH + time) * 1e9), stream, k) for k, time in enumerate(arrivals)]
     with BagFile(folder, kind) as bag:
         for ns, stream, k in sorted(messages, key=lambda each: each[0]):
             row = recording.rows[stream][k]

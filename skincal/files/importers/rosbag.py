@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from skincal.files.importers.bag_reader import Bag, BagTopic
+from skincal.files.importers.even_times import space_evenly
 from skincal.files.importers.registry import RecordedPlace, StoppedError, StreamGuess
 from skincal.files.importers.tape import NumberFile, Tape
 from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap, count_repeated, late_streams
@@ -365,8 +366,16 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[Iterator[FloatArra
         name, shift = each.stream.value, 0.0
         if unstamped == len(each.stamps):
             why = "most of its stamps are that of the message before" if is_coarse else "its messages have no stamp"
-            findings.append(f"{name}: {why}; they are placed by their arrival at the recorder.")
-            times.append(each.arrivals.blocks())
+            evenly = space_evenly(np.concatenate(list(each.arrivals.blocks()))) if each.stream is not Stream.JOINTS else None
+            if evenly is None:
+                findings.append(f"{name}: {why}; they are placed by their arrival at the recorder.")
+                times.append(each.arrivals.blocks())
+                continue
+            findings.append(
+                f"{name}: {why}, and they arrive in groups; they are placed evenly, by their count, "
+                f"{1 / evenly[1]:.3g} a second."
+            )
+            times.append(iter([evenly[0]]))
             continue
         if not have_one_clock and abs(offset) > SAME_CLOCK_MAX_DIFFERENCE_S:
             low, high = np.quantile(some, [0.1, 0.9])

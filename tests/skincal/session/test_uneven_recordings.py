@@ -16,6 +16,7 @@ from tests.approved import approved
 from tests.skincal.uneven_rig import (
     MOVE_S,
     POKES,
+    arrive_in_groups,
     errors_mm,
     record_rig,
     write_arm_scene,
@@ -249,3 +250,35 @@ def test_the_window_hears_what_the_command_says(rig, tmp_path):
     ):
         assert frozen in findings
         assert any(each.startswith(binary) for each in findings)
+
+
+@pytest.mark.parametrize("size", [2, 3, 10])
+def test_stampless_frames_in_groups_are_placed_by_their_count(rig, imported, size, tmp_path):
+    code, said, snapshot = imported(write_rig_bag(tmp_path / "r", rig, skin_group=size))
+    assert code == 0
+    assert len(poke_times(snapshot)) == POKES
+    assert max(errors_mm(snapshot)) < RIGHT_MM
+    assert approved("recording.evenly") in said
+    assert "gap" not in said
+
+
+@pytest.mark.parametrize("write", [write_tables, write_logs])
+@pytest.mark.parametrize(("size", "step_s"), [(2, 0.005), (3, 0.001)])
+def test_times_of_arrival_in_pairs_are_no_gaps(rig, imported, write, size, step_s, tmp_path):
+    """A table of arrivals: its times are all that is known, and the period is not that of a pair."""
+    rig.times[Stream.SKIN] = arrive_in_groups(rig.times[Stream.SKIN], size, step_s)
+    code, _, snapshot = imported(write(tmp_path / "r", rig))
+    assert code == 0
+    assert len(poke_times(snapshot)) == POKES
+    assert max(errors_mm(snapshot)) < RIGHT_MM
+
+
+@pytest.mark.parametrize(("stream", "name"), [(Stream.SKIN, "skin"), (Stream.WRENCH, "force/torque sensor")])
+def test_a_stream_with_gaps_is_named_and_not_the_noise_of_the_sensor(rig, imported, stream, name, tmp_path):
+    """A pause of 0.25 s in every half second: no quiet time is whole."""
+    rig.keep(stream, rig.times[stream] % 0.5 < 0.25)
+    code, said, snapshot = imported(write_tables(tmp_path / "r", rig))
+    assert code == 0
+    assert not snapshot.pokes
+    assert approved("recording.no_poke_gaps", name=name) in said
+    assert "noise" not in said
