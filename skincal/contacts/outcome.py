@@ -159,7 +159,7 @@ class BeforePokes:
     fell: int
     """Taxels whose values fell below the baseline by as much."""
     gaps: int = 0
-    """Gaps between the samples, each of which ends a quiet window."""
+    """Gaps between the samples. Each ends a quiet window."""
     longest_gap_s: float = 0.0
 
 

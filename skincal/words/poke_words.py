@@ -156,8 +156,8 @@ def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequ
         stream = "force/torque sensor" if unpaired > seen.gaps else "skin"
         return (
             f"{looked}: the readings of the {stream} have {seen.gaps} gaps, the longest of {seen.longest_gap_s:.2g} s; "
-            f"expected {thresholds.quiet_s:g} s without a gap and without a touch before a poke. Check what hands them on: cable, "
-            "adapter, network and program."
+            f"expected {thresholds.quiet_s:g} s without a gap and without a touch before a poke. Check what hands them on: "
+            "cable, adapter, network and program."
         )
     if not seen.tared:
         return (
