@@ -16,7 +16,7 @@ all pokes alike are shown by landmarks alone. Their pokes are held out, too, and
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb, inf
 from typing import TYPE_CHECKING
 
@@ -26,6 +26,7 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.contact_scatter import PokeMisses, learn_scatter
 from skincal.guide.guidance import Guidance
+from skincal.guide.plan_check import find_pads_off_plan
 from skincal.guide.progress import GuideSettings, Need, Why, working_time
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import predicted_misses
@@ -66,6 +67,8 @@ class Check:
 
     checked: int
     inside: int
+    off_plan: float | None = None
+    """m, distance of pads from the plan of their modules, sd in each direction; `None` without evidence of one."""
 
     @property
     def chance(self) -> float:
@@ -83,8 +86,8 @@ class Check:
 
     @property
     def agrees(self) -> bool:
-        """Whether the p-value is high: the held-out pokes agree with the predicted errors."""
-        return self.chance >= AGREE_IF_P_VALUE_AT_LEAST
+        """Whether the p-value is high and no pad is off its plan: the held-out pokes agree with the predicted errors."""
+        return self.off_plan is None and self.chance >= AGREE_IF_P_VALUE_AT_LEAST
 
     @property
     def believed(self) -> bool:
@@ -195,7 +198,11 @@ def _check_modules(
     at = np.flatnonzero(fitted.misses[touches.of] <= FORCE_AXIS_MAX_MISS_M)
     rows = touches.rows[at]
     levers = touches.contact_centres(fitted.pads)[0][at] - answers.sensors[rows]
-    return _check_misses(contacts, answers, rows, levers, *predicted_misses(touches, fitted, noise, at))
+    misses, covariances, own = predicted_misses(touches, fitted, noise, at)
+    found = _check_misses(contacts, answers, rows, levers, misses, covariances, own)
+    counts = {contact.poke: len(contact.channels) for contact in contacts}
+    answered = np.array([counts[poke] for poke in answers.pokes[rows].tolist()], dtype=np.int64)
+    return replace(found, off_plan=find_pads_off_plan(touches, fitted, model, at, misses, own, answered))
 
 
 def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
@@ -282,7 +289,8 @@ class Verdict:
     @property
     def doubted(self) -> bool:
         """Whether anything contradicts the predicted errors."""
-        return self.has_moved or not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
+        contradicted = not self.check.believed or self.check.off_plan is not None
+        return self.has_moved or contradicted or (self.landmarks is not None and not self.landmarks.agrees)
 
     @property
     def has_moved(self) -> bool:

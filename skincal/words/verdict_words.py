@@ -64,9 +64,20 @@ def _skin_words(verdict: Verdict) -> str:
         return "Something has moved since the start."
     if not check.believed:
         return "Test pokes contradict it."
+    if check.off_plan is not None:
+        return off_plan_sentence(check.off_plan)
     if not check.has_enough:
         return "There are too few test pokes to check it." if verdict.done else ""
     return "Test pokes agree." if check.agrees else "Test pokes hardly agree."
+
+
+def off_plan_sentence(off_plan: float) -> str:
+    """Warn of pads that answer `off_plan` metres (sd in each direction) off the plan of their modules."""
+    return (
+        f"Taxels answer about {1e3 * off_plan:.1f} mm off the plan of their modules (a wrong plan, or uneven sensitivities). "
+        "The expected error leaves this out. "
+        "Use the surface method, or the free one if there is no mesh: they do not need the plan."
+    )
 
 
 def _landmark_words(verdict: Verdict) -> str:
@@ -114,6 +125,8 @@ def check_words(verdict: Verdict) -> str:
     words = f"{check.inside} of {plural(check.checked, 'held-out poke')} inside the expected range"
     if check.believed and not check.has_enough:
         return f"{words}: too few for a statement"
+    if check.believed and check.off_plan is not None:
+        return f"{words}. {off_plan_sentence(check.off_plan)}"
     if check.agrees:
         return words
     if check.believed:
