@@ -293,7 +293,7 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
     assert facts.method.value == solved["leads"]
     for each in facts.methods:
         own = solved["methods"][each.method.value]
-        assert [1e3 * length for length in astuple(each.predicted)] == list(own["predicted_error_mm"].values())
+        assert [1e3 * length for length in astuple(each.predicted)[:4]] == list(own["predicted_error_mm"].values())
         assert each.spacing == own["spacing_ratio"]
         assert f"{own['predicted_error_mm']['mean']:.2f}" in found
     (used,) = facts.results.snapshot.decisions.corrections.values()
