@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
+from skincal.files.consumers import consumers_help
 from skincal.files.formats import ExportFormat, ExportOptions, Inertia, formats_help
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
@@ -69,7 +70,10 @@ MethodOption = Annotated[
 def add_to(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command(epilog="Example: skincal solve my-session --out results")(solve)
-    purpose = f"Write the calibration file of a session.\n\nFormats:\n\n{formats_help()}"
+    purpose = (
+        f"Write the calibration file of a session.\n\nFormats:\n\n{formats_help()}\n\nFormat for a program:\n\n"
+        f"{consumers_help()}"
+    )
     app.command(help=purpose, epilog="Example: skincal export my-session --format icub --out right_forearm.txt")(export)
 
 

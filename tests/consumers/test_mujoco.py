@@ -18,6 +18,12 @@ PRESS_N = 5.0
 PRESS_S = 0.4
 
 
+@pytest.fixture(autouse=True)
+def work_in_a_folder_of_its_own(tmp_path, monkeypatch):
+    """MuJoCo writes its warnings into a file of the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
 def pose_in_body(icub) -> np.ndarray:
     mine = read_kinematics(icub)
     still = dict.fromkeys(mine.moving, 0.0)
