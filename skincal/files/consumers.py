@@ -27,7 +27,7 @@ class Consumer:
         return f"{self.format_.value} {self.options}".strip()
 
 
-CONSUMERS = (
+EXPORT_CONSUMERS = (
     Consumer(
         "MuJoCo",
         ExportFormat.MJCF,
@@ -73,4 +73,4 @@ CONSUMERS = (
 
 def consumers_help() -> str:
     """List the format for each program with a line each, for the help of a command, which keeps paragraphs apart."""
-    return "\n\n".join(f"{each.program}: {each.choice}. {each.hint}" for each in CONSUMERS)
+    return "\n\n".join(f"{each.program}: {each.choice}. {each.hint}" for each in EXPORT_CONSUMERS)

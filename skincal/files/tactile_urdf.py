@@ -92,11 +92,16 @@ def read_tactile_sensors(path: Path) -> list[TactileSensor]:
         if parent is None or not parent.get("link"):
             raise InputError(f"{where}: has no <parent link>; expected the link that its positions are in.")
         pose = element_pose(sensor.find("origin"), where)
-        places = {_index(taxel, where): pose @ element_pose(taxel, where) for taxel in tactile.findall("taxel")}
+        places = {_index(taxel, where): pose @ element_pose(_pose_alone(taxel), where) for taxel in tactile.findall("taxel")}
         found.append(TactileSensor(name, parent.get("link", ""), {channel: taxel[:3, 3] for channel, taxel in places.items()}))
     if not found:
         raise InputError(f"{path}: has no tactile sensor; expected a URDF with <sensor><tactile><taxel idx xyz rpy>.")
     return found
+
+
+def _pose_alone(taxel: ET.Element) -> ET.Element:
+    """Return a taxel without its `idx`: a pose knows no other attributes than its own."""
+    return ET.Element(taxel.tag, {name: text for name, text in taxel.attrib.items() if name != "idx"})
 
 
 def _index(taxel: ET.Element, where: str) -> int:

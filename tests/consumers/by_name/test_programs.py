@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from skincal.files.consumers import CONSUMERS
+from skincal.files.consumers import EXPORT_CONSUMERS
 from skincal.files.formats import ExportOptions, Inertia
 from skincal.files.reference import read_place_sets
 from tests.consumers.by_name.installed import read_with
@@ -25,7 +25,7 @@ from tests.consumers.robots import (
 )
 
 pytestmark = pytest.mark.timeout(1200)  # installs the programs
-CHOICE = {each.program: each for each in CONSUMERS}
+CHOICE = {each.program: each for each in EXPORT_CONSUMERS}
 SMALL_SDF = f"""<sdf version="1.9"><model name="arm">
   <link name="base"><inertial><mass>2.5</mass></inertial></link>
   <link name="{LINK}"><pose>0.1 0.2 0.3 0.4 0.5 0.6</pose><inertial><mass>0.5</mass></inertial></link>

@@ -211,3 +211,9 @@ def test_a_name_of_strangers_goes_into_the_robot_as_it_is(calibration, tmp_path)
     write_calibration(replace(calibration, scene=scene), "urdf", out, Method.FREE, ExportOptions(into=robot))
     parents = [each.get("link") for each in ET.parse(out).iter("parent")]
     assert parents.count(hostile) == 33
+
+
+def test_lines_of_taxels_are_short(calibration, tmp_path):
+    """PyBullet cuts lines after 8191 characters."""
+    write_calibration(calibration, "urdf", tmp_path / "out.urdf", Method.FREE, ExportOptions(inertia=Inertia.TINY))
+    assert max(len(line) for line in (tmp_path / "out.urdf").read_text().splitlines()) < 200
