@@ -110,7 +110,9 @@ def _import(
 
     read_share = importer.reading_share
     with _progress() as go_on:
-        recording = importer.open_recording(places, joint_columns(scene), lambda share: go_on(read_share * share))
+        recording = importer.open_recording(
+            places, joint_columns(scene), lambda share: go_on(read_share * share), scene.skin.channels
+        )
         # Modules live as long as the command: looking through them for garbage takes a tenth of the time.
         gc.freeze()
         with new_session(out, scene, recording.links, warn, copy=True) as pipeline:

@@ -143,7 +143,7 @@ def _parse_number(text: str, where: str) -> int:
 
 
 def _parse_table(session: Session, begin_s: float, path: Path) -> list[Pair]:
-    from skincal.files.importers.csv_log import COLUMN_SEPARATORS
+    from skincal.files.importers.table_form import COLUMN_SEPARATORS
 
     try:
         content = read_regular(path, MAX_TEXT_BYTES).decode("utf-8-sig")

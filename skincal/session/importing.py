@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from skincal.contacts.outcome import Contact, Rejection
@@ -161,7 +161,8 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         left.
     """
     scene, read_share = load_scene(request.scene), request.files.importer.reading_share
-    recording = request.files.open(joint_columns(scene), lambda share: go_on(read_share * share))
+    files = replace(request.files, channels=scene.skin.channels)
+    recording = files.open(joint_columns(scene), lambda share: go_on(read_share * share))
     with new_session(request.folder, scene, recording.links, copy=True) as pipeline:
         play_recording(pipeline, recording, request.pose or None, lambda share: go_on(read_share + (1 - read_share) * share))
         outcomes = [record.outcome for record in pipeline.snapshot().pokes]

@@ -1,128 +1,118 @@
-"""Recordings as CSV files, one each for wrench, skin and joints, as the chunks of a session.
+"""Recordings as CSV files as the chunks of a session: one each for wrench, skin and joints, or one table with all of them.
 
 With a header, columns are found by name, in any order and case:
 
-    time     `t`, `time`, `stamp` or `timestamp`, with `_s`, `_ms`, `_us` or `_ns`; seconds where no unit is named, or
-             nanoseconds where the first value is one of our days in nanoseconds since 1970; or `datetime`. Dates with a
-             time of day (ISO 8601, `2024-05-01T12:00:00.123Z`, a space for the T) are read as what they are
+    time     `t`, `time`, `stamp` or `timestamp`, with `_s`, `_ms`, `_us` or `_ns`, or `millis`, `ms`, `micros`, `us`; seconds
+             where no unit is named, or nanoseconds where the first value is one of our days in nanoseconds since 1970; or
+             `datetime`. Dates with a time of day (ISO 8601, `2024-05-01T12:00:00.123Z`, a space for the T,
+             `01.05.2024 12:00:00.5`) are read as what they are, also in two columns; `sec` and `nanosec` are one time
     number   `seq`, `index`, `counter` or `frame`: optional
-    wrench   `fx fy fz` (N) and `mx my mz` or `tx ty tz` (N m, or N mm with `_nmm`); also `force_x`, `torque_x`
-    skin     every other column; `t0 t1 ...` in the order of their numbers
+    wrench   `fx fy fz` (N) and `mx my mz` or `tx ty tz` (N m); also `force_x`, `torque_x`, and other units that are named
+    skin     one family of numbered columns, `t0 t1 ...`, in the order of their numbers, or every column without another meaning
     joints   every other column, each with `_deg` or `_rad`
 
 Before a name may stand where ROS or PlotJuggler has it from (`field.wrench.force.x`, `/ft/wrench/force/x`, `%time`); what is of
-a message's header or layout, but its time and number, is left out.
+a message's header or layout, but its time and number, is left out. `FILE::NAMES` are the columns whose names begin so.
 
-Without a header, the first column is the time in seconds and the others follow in this order; joints are degrees. Fields
-are separated by comma, semicolon (then a comma is a decimal point), tab or spaces.
+Without a header, the first column is the time in seconds and the others follow in this order; joints are degrees. Rows of
+`ros2 topic echo --csv` begin with seconds, nanoseconds and frame. Fields are separated by comma, semicolon, tab or spaces.
+`table_form` finds header and separator, `table_values` reads numbers, `table_columns` chooses columns.
 
 Each row becomes the line `<number> <seconds> <values>` of a YARP log, joints in degrees: the plainest form of the same content
-that a decoder reads. The session's journal holds these lines, not the rows.
+that a decoder reads. A row without any value of the stream is none of its readings: tables of several streams have such rows.
+The session's journal holds these lines, not the rows.
 """
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from functools import lru_cache, partial
-from io import TextIOWrapper
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
 
-from skincal.devices.decoding import TIME_STAMP_MAX_S
+from skincal.devices.decoding import TIME_STAMP_MAX_S, WRENCH_VALUES
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
+from skincal.files.importers.table_columns import TIME_UNITS, TableColumns, TimeColumns, ValueColumns, names_time
+from skincal.files.importers.table_form import EMPTY_WORDS, TableForm, read_form
+from skincal.files.importers.table_values import FIELD_SHOWN_MAX_CHARS, date_order, date_reader, time_kind, to_float
 from skincal.files.importers.timeline import FINER_TIMES, OpenRecording, Timeline, check_overlap, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
-from skincal.model.given import open_regular
 from skincal.model.readings import Stream
 from skincal.streams.links import LinkSpec
 
-MAX_LINE_CHARS = 4 << 20
-"""100,000 channels have a quarter of it."""
-FIELD_SHOWN_MAX_CHARS = 40
-"""Characters of a field that a sentence shows."""
 ROWS_PARSED_AT_ONCE = 64
 MAX_CACHED_FIELDS = 1 << 12
 """Raw values of a skin repeat, so their text is kept."""
 MAX_ROW_INTERVAL_S = 0.2
 """A tool holds still for 0.3 s in a poke: rows further apart, if their time has no unit, are not seconds."""
-COLUMN_SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
-"""The first of these in the first line separates the columns, else spaces do."""
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 UNIX_NS = (1e18, 5e18)
 """Nanoseconds since 1970 of the years 2001 to 2128; as seconds they would be no time of any clock."""
-_TIME_COLUMN_RE = re.compile(
-    r"(?:t|[%_]*time|datetime|rosbagtimestamp|(?:.*[./])?(?:stamp|timestamp))(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?"
-)
-_COUNTER_COLUMN_RE = re.compile(r"(?:(?:.*[./])?header[./])?seq|index|counter|frame")
-_DATE_RE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d{1,12})?(Z|[+-]\d\d(?::?\d\d)?)?", re.IGNORECASE)
-_HEADER_FIELD_RE = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
-_WRENCH_AXIS_RE = re.compile(
-    r"(?:.*[./])?(?:wrench_)?([fmt]|force|torque|moment)[._/ ]?([xyz])(?:[ _]*[\[(]?(n|nm|nmm|n\.m|n\*m|n\.mm)[\])]?)?"
-)
-_NUMBERED_COLUMN_RE = re.compile(r"(?:.*[./])?\D*(\d+)\]?")
-_JOINT_COLUMN_RE = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
-_NEWTON_MILLIMETRES = ("nmm", "n.mm")
+NANOSECONDS_MIN = 1000
+"""A column of nanoseconds has a value of at least this."""
+ECHO_COLUMNS = 3
+"""Columns of `ros2 topic echo --csv` before the values: seconds, nanoseconds, frame."""
 
 
 class _Table:
-    """One CSV file and how its rows are read.
+    """Rows of one stream in a CSV file.
 
-    Raises InputError: the file cannot be read, is no text, has no row, or lacks a column or a unit.
+    Raises InputError: the file cannot be read, is no text, has no row, or lacks a column or a unit; or its numbers have two
+    readings.
+
+    Parameters
+    ----------
+    channels : of the skin; 0 if unknown
     """
 
-    def __init__(self, stream: Stream, path: Path) -> None:
-        self.stream, self.path = stream, path
-        header = _commented_header(path)
-        first = header or next(_rows(path, "\n"), [""])[0]
-        if not first:
-            raise InputError(f"{path}: the file is empty; expected rows of a time and values, with or without a header.")
-        if "\ufffd" in first or not first.replace("\t", " ").isprintable():
-            raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
-        self._separator = _separator_of(first)
-        row = _fields(header, self._separator) if header else next(_rows(path, self._separator))
-        self.named = any(_time_kind(field) == "" for field in row if field)
+    def __init__(self, stream: Stream, place: RecordedPlace, channels: int = 0) -> None:
+        self.stream, self.path = stream, place.path
+        self._form = form = read_form(place.path, names_time)
+        self.named = bool(form.names)
         """Whether it has a header."""
-        self._skips_row = self.named and not header
-        self.width = len(row)
-        self._time, self._number = 0, None
-        unit = None
-        if self.named:
-            names = [name.lower() for name in row]
-            self._time, unit, self._number, others = _special_columns(names, path)
-            self.values, factors = _VALUE_COLUMNS[stream](names, others, path)
-            column = f"the time column {names[self._time]!r}"
+        columns = TableColumns(form) if self.named else None
+        if columns:
+            self._time, self._number = columns.time, columns.number
+            values = columns.of_stream(stream, place.topic, channels)
+            has_others = len(columns.wrench) + len(columns.joints) + len(columns.others) > len(values.at)
         else:
-            _check_width(stream, self.width, path)
-            self.values, column = list(range(1, self.width)), "no header: the first column"
-            factors = [1.0] * len(self.values)
-        texts = {factor: lru_cache(MAX_CACHED_FIELDS)(partial(_scaled_text, factor)) for factor in factors}
-        self._texts = [texts[factor] for factor in factors]
-        first_row = next(self._rows(self._time + 1), list[str]())
-        self.first_time = first_row[self._time] if self._time < len(first_row) else ""
-        """Time field of the first row; empty if there is none."""
-        self._seconds_of, self.finding = self._detect_time(unit, column)
+            self._time, self._number = _unnamed_time(form), None
+            values, has_others = _unnamed_values(form, self._time, stream, channels), False
+        self.values = values.at
+        self._empty_words = EMPTY_WORDS if has_others else frozenset(("",))
+        self._uses = form.number_uses()
+        self._has_gaps = form.has_gaps()
+        if self._has_gaps and has_others:
+            # The numbers are those of rows, and not of this stream's readings.
+            self._number = None
+        texts = {factor: lru_cache(MAX_CACHED_FIELDS)(partial(_scaled_text, factor, self._uses)) for factor in values.factors}
+        self._texts = [texts[factor] for factor in values.factors]
+        self.first_time = self._time_text(next((row for row in form.examples if self._time_text(row)), ()))
+        """Time of the first row as text; empty if there is none."""
+        self._seconds_of, finding = self._detect_time()
+        self.findings = [*form.findings, *values.findings, *([finding] if finding else [])]
         self.skipped = 0
-        """Rows without a time in the last reading."""
+        """Rows without a time in the last reading..."""
+        self.without_values = 0
+        """...and rows without a value of the stream."""
 
-    def _detect_time(self, unit: str | None, column: str) -> tuple[Callable[[str], float | None], str]:
+    def _detect_time(self) -> tuple[Callable[[str], float | None], str]:
         """Choose the parser of the times, to seconds, by the first of them; say what was assumed."""
-        kind, number = _time_kind(self.first_time), _to_float(self.first_time)
+        column, unit, first = self._time.title, self._time.unit, self.first_time
+        kind, number = time_kind(first, self._uses), to_float(first, self._uses)
         self.dated, self.unit_assumed = kind.startswith("date"), False
         if self.dated:
             finding = "" if kind == "date with a zone" else f"{column} holds dates without a zone and was read as UTC."
-            return partial(_date_seconds, kind), finding
+            order = date_order(first)
+            said = f"{finding} Dates with slashes were read as {order}/year." if order else finding
+            return date_reader(first), said.strip()
         no_unit = " names no unit and" if self.named else ""
         if unit is None and number is not None and UNIX_NS[0] <= number <= UNIX_NS[1]:
-            return partial(_number_seconds, TIME_UNITS["ns"]), (
+            return partial(_number_seconds, TIME_UNITS["ns"], self._uses), (
                 f"{column}{no_unit} was read as nanoseconds since 1970, as its values are."
             )
         self.unit_assumed = unit is None
@@ -130,7 +120,7 @@ class _Table:
             (" names no unit and", "") if self.named else ("", ", joints degrees" * (self.stream is Stream.JOINTS))
         )
         finding = f"{column}{no_unit} was read as seconds{degrees}." if unit is None else ""
-        return partial(_number_seconds, TIME_UNITS[unit or "s"]), finding
+        return partial(_number_seconds, TIME_UNITS[unit or "s"], self._uses), finding
 
     @property
     def link(self) -> LinkSpec:
@@ -138,8 +128,8 @@ class _Table:
 
     def stamps(self) -> Iterator[FloatArray]:
         """Give the times of the rows in blocks; count the rows that have none."""
-        # Nothing after the time is read.
-        rows = self._rows(self._time + 1)
+        # Nothing after the time is read, unless a row may be another stream's.
+        rows = self._rows() if self._has_gaps else self._rows(max(self._time.columns) + 1)
         while block := list(islice(rows, ROWS_PARSED_AT_ONCE)):
             stamps = [seconds for row in block if (seconds := self._seconds(row)) is not None]
             if len(stamps) < len(block):
@@ -151,8 +141,8 @@ class _Table:
         """Raise InputError: some of these rows have a time of another kind than the first row of the file."""
         first = self.first_time
         for row in rows:
-            other = row[self._time] if self._time < len(row) else ""
-            if _time_kind(other) not in ("", _time_kind(first)):
+            other = self._time_text(row)
+            if time_kind(other, self._uses) not in ("", time_kind(first, self._uses)):
                 raise InputError(
                     f"{self.path}: its times are {first[:FIELD_SHOWN_MAX_CHARS]!r} and {other[:FIELD_SHOWN_MAX_CHARS]!r}; "
                     "expected one kind in the whole column: numbers, dates with a zone, or dates without one. "
@@ -166,30 +156,55 @@ class _Table:
             yield [self._line(*each, seconds) for each in block if (seconds := self._seconds(each[1])) is not None]
 
     def _rows(self, splits: int = -1) -> Iterator[list[str]]:
-        return islice(_rows(self.path, self._separator, splits), int(self._skips_row), None)
+        """Yield the rows with a value of the stream."""
+        self.without_values = 0
+        for line in self._form.lines():
+            row = self._form.split(line, splits)
+            if self._has_gaps and self._is_without_values(row):
+                self.without_values += 1
+            else:
+                yield row
 
-    def _seconds(self, row: list[str]) -> float | None:
-        seconds = self._seconds_of(row[self._time]) if self._time < len(row) else None
+    def _is_without_values(self, row: Sequence[str]) -> bool:
+        words = self._empty_words
+        # A row that ends early is damaged, and counted so.
+        return len(row) >= self._form.width and all(at < 0 or row[at].lower() in words for at in self.values)
+
+    def _time_text(self, row: Sequence[str]) -> str:
+        columns = self._time.columns
+        return " ".join(row[at] for at in columns) if max(columns) < len(row) else ""
+
+    def _seconds(self, row: Sequence[str]) -> float | None:
+        if self._time.is_split:
+            first, second = (to_float(row[at]) if at < len(row) else None for at in self._time.columns)
+            seconds = None if first is None or second is None else first + second * TIME_UNITS["ns"]
+        else:
+            seconds = self._seconds_of(self._time_text(row))
         return None if seconds is None or not abs(seconds) <= TIME_STAMP_MAX_S else seconds
 
     def _line(self, index: int, row: list[str], seconds: float) -> bytes:
         """Format a row as a log line. A row of another width keeps it, so that it is counted."""
-        number = _to_float(row[self._number]) if self._number is not None and self._number < len(row) else None
-        if len(row) == self.width:
-            values = [text(row[at]) for text, at in zip(self._texts, self.values, strict=True)]
+        number = to_float(row[self._number]) if self._number is not None and self._number < len(row) else None
+        places = zip(self._texts, self.values, strict=True)
+        if len(row) == self._form.width:
+            values = [text(row[at]) if at >= 0 else "nan" for text, at in places]
         else:
-            values = [text(row[at]) if at < len(row) else "" for text, at in zip(self._texts, self.values, strict=True)]
-            values += ["nan"] * (len(row) - self.width)
+            values = [(text(row[at]) if at >= 0 else "nan") if at < len(row) else "" for text, at in places]
+            values += ["nan"] * (len(row) - self._form.width)
         line = f"{index if number is None or not math.isfinite(number) else int(number)} {seconds:.9f} {' '.join(values)}\n"
         return line.encode("ascii", "replace")
 
 
-def open_recording(places: Mapping[Stream, RecordedPlace]) -> OpenRecording:
+def open_recording(places: Mapping[Stream, RecordedPlace], channels: int = 0) -> OpenRecording:
     """Read the CSV files of one recording through.
+
+    Parameters
+    ----------
+    channels : of the skin; 0 if unknown
 
     Raises InputError: a file cannot be read, has no row, lacks a column or a unit, or the files are of different times.
     """
-    tables = [_Table(stream, place.path) for stream, place in places.items()]
+    tables = [_Table(stream, place, channels) for stream, place in places.items()]
     findings: list[str] = []
     timelines: list[Timeline] = []
     for table in tables:
@@ -198,10 +213,13 @@ def open_recording(places: Mapping[Stream, RecordedPlace]) -> OpenRecording:
         _check_times(table, timeline)
         timelines.append(timeline)
         findings += timeline.sentences()
-        if table.finding:
-            findings.append(f"{name}: {table.finding}")
+        findings += [f"{name}: {finding}" for finding in table.findings]
         if table.skipped:
             findings.append(f"{name}: {plural(table.skipped, 'row')} without a time: left out.")
+        if table.without_values:
+            findings.append(
+                f"{name}: {plural(table.without_values, 'row')} of the table without its values: not counted as lost."
+            )
     check_overlap(timelines)
     findings += late_streams(timelines)
     return OpenRecording(
@@ -230,164 +248,80 @@ def _check_times(table: _Table, timeline: Timeline) -> None:
 
 
 def guess_streams(path: Path) -> list[StreamGuess]:
-    """Guess the stream of a file from its columns.
+    """Guess the streams of a file from its columns.
 
     Raises InputError: it cannot be read, or no column is the time.
     """
-    table = _Table(Stream.SKIN, path)
-    found = Stream.SKIN if table.named else None
-    for stream in (Stream.JOINTS, Stream.WRENCH) if table.named else ():
+    form = read_form(path, names_time)
+    place = RecordedPlace(path)
+    if not form.names:
+        return [StreamGuess(place, None, len(_Table(Stream.SKIN, place).values))]
+    columns = TableColumns(form)
+    guesses: list[StreamGuess] = []
+    for stream in (Stream.WRENCH, Stream.JOINTS):
         with contextlib.suppress(InputError):
-            table, found = _Table(stream, path), stream
-    return [StreamGuess(RecordedPlace(path), found, len(table.values))]
+            guesses.append(StreamGuess(place, stream, len(columns.of_stream(stream, "", 0).at)))
+    families = columns.skin_families()
+    if guesses and not families:
+        return guesses
+    if guesses or len(families) > 1:
+        return guesses + [StreamGuess(RecordedPlace(path, base), Stream.SKIN, width) for base, width in families]
+    return [StreamGuess(place, Stream.SKIN, len(columns.of_stream(Stream.SKIN, "", 0).at))]
 
 
-def _separator_of(line: str) -> str | None:
-    unquoted = re.sub(r'"[^"]*"', "", line)
-    return next((mark for mark in COLUMN_SEPARATORS if mark in unquoted), None)
+# ------------------------------------------------------------------ tables without names
 
 
-def _commented_header(path: Path) -> str:
-    """Read a header in a comment, as `numpy.savetxt` writes it; empty if the first line is no comment."""
-    with contextlib.suppress(OSError), TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
-        line = file.readline(MAX_LINE_CHARS).strip()
-        text = line.lstrip("# ")
-        names = _fields(text, _separator_of(text))
-        if line.startswith("#") and len(names) > 1 and any(_TIME_COLUMN_RE.fullmatch(name.lower()) for name in names):
-            return text
-    return ""
+def _unnamed_time(form: TableForm) -> TimeColumns:
+    """Find the time of a table without names: the first column, or whole seconds and nanoseconds as ROS has them."""
+    head = [[to_float(field) for field in row[:2]] for row in form.examples if len(row) > 2]
+    pairs = [(first, second) for first, second in head if first is not None and second is not None]
+    whole = len(pairs) == len(head) > 1 and all(a == int(a) and b == int(b) and 0 <= b < 1e9 for a, b in pairs)
+    if whole and max(b for _, b in pairs) >= NANOSECONDS_MIN:
+        seconds = np.array([a + b * TIME_UNITS["ns"] for a, b in pairs])
+        if len({a for a, _ in pairs}) < len(pairs) and (np.diff(seconds) >= 0).all() and seconds[-1] > seconds[0]:
+            return TimeColumns((0, 1), "s", "no header: the first two columns", is_split=True)
+    return TimeColumns((0,), None, "no header: the first column")
 
 
-def _fields(line: str, separator: str | None, splits: int = -1) -> list[str]:
-    """Split a line into its fields. A separator within double quotes belongs to its field."""
-    fields = line.split(separator, splits)
-    if '"' in line and separator not in (None, "\n"):
-        with contextlib.suppress(csv.Error):
-            fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-    return [field.strip(" \t\"'") for field in fields]
+def _unnamed_values(form: TableForm, time: TimeColumns, stream: Stream, channels: int) -> ValueColumns:
+    """Return the columns after the time; of ROS without the frame."""
+    first = len(time.columns)
+    findings: tuple[str, ...] = ()
+    if time.is_split:
+        frames = [row[first] for row in form.examples if first < len(row)]
+        first += all(to_float(frame) is None for frame in frames)
+        findings = (f"no header: read as rows of ros2 topic echo, {'with' if first == ECHO_COLUMNS else 'without'} a frame.",)
+    count = form.width - first
+    if count < 1 or (stream is Stream.WRENCH and count != WRENCH_VALUES):
+        expected = "time fx fy fz mx my mz" if stream is Stream.WRENCH else "the time and at least one value"
+        raise InputError(f"{form.path}: has {plural(form.width, 'column')} and no header; expected {expected}.")
+    if stream is Stream.SKIN and channels and count != channels:
+        raise InputError(
+            f"{form.path}: has {plural(count, 'column')} after the time and no header, and the scene has "
+            f"{plural(channels, 'channel')}.{_rising_columns(form, first)} Write names above the columns (t_s, t0, t1, ...), "
+            "so that the taxels are known."
+        )
+    return ValueColumns(tuple(range(first, form.width)), (1.0,) * count, findings)
 
 
-def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[str]]:
-    """Yield the fields of each row, in quotes or not. Empty lines and lines that begin with # are left out.
-
-    With `splits` the rest of the line after that many fields stays together.
-    """
-    marks = [mark for mark in " \t\"'" if mark != separator and separator != "\n"]
-    try:
-        # Spreadsheets begin a file with a byte order mark.
-        with TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
-            for text in iter(partial(file.readline, MAX_LINE_CHARS), ""):
-                if len(text) == MAX_LINE_CHARS:
-                    raise InputError(f"{path}: a line has {MAX_LINE_CHARS} letters or more; expected a row a reading.")
-                # A tab at an end follows or precedes an empty field.
-                line = text.strip(" \r\n") if separator == "\t" else text.strip()
-                if line and not line.startswith("#"):
-                    quoted = any(mark in line for mark in marks)
-                    yield _fields(line, separator, splits) if quoted else line.split(separator, splits)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
+def _rising_columns(form: TableForm, first: int) -> str:
+    """Name the columns that only rise, as clocks and counters do; empty if there are none."""
+    rising: list[int] = []
+    for column in range(first, form.width):
+        values = [to_float(row[column]) if column < len(row) else None for row in form.examples]
+        numbers = [value for value in values if value is not None]
+        if len(numbers) == len(values) > 2 and all(b > a for a, b in pairwise(numbers)):
+            rising.append(column + 1)
+    return f" Column {', '.join(map(str, rising))} only rises, as a clock or a counter does." if rising else ""
 
 
-def _to_float(field: str) -> float | None:
-    # `float` takes 1_000 for a number.
-    if "_" in field:
-        return None
-    try:
-        return float(field.replace(",", "."))
-    except ValueError:
-        return None
-
-
-def _scaled_text(factor: float, field: str) -> str:
+def _scaled_text(factor: float, uses: dict[str, str], field: str) -> str:
     """Format a number times `factor`. Text that is no number is passed on, so that the decoder counts it."""
-    value = _to_float(field)
+    value = to_float(field, uses)
     return repr(value * factor) if value is not None else field.replace(" ", "?") or "nan"
 
 
-def _number_seconds(unit_s: float, field: str) -> float | None:
-    value = _to_float(field)
+def _number_seconds(unit_s: float, uses: dict[str, str], field: str) -> float | None:
+    value = to_float(field, uses)
     return None if value is None else value * unit_s
-
-
-def _date_seconds(kind: str, field: str) -> float | None:
-    """Convert a date with a time of day to seconds since 1970; `None` if it is no date of this kind."""
-    if _time_kind(field) != kind:
-        return None
-    try:
-        moment = datetime.fromisoformat(field.upper())
-        return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
-    except (ValueError, OverflowError):  # the 30th of February
-        return None
-
-
-def _time_kind(field: str) -> str:
-    """Classify the time in a field; empty if it is no time."""
-    date = _DATE_RE.fullmatch(field)
-    if date is None:
-        return "" if _to_float(field) is None else "number"
-    return "date with a zone" if date.group(1) else "date without one"
-
-
-def _check_width(stream: Stream, width: int, path: Path) -> None:
-    if width < 2 or (stream is Stream.WRENCH and width != 7):
-        expected = "time fx fy fz mx my mz" if stream is Stream.WRENCH else "the time and at least one value"
-        raise InputError(f"{path}: has {plural(width, 'column')} and no header; expected {expected}.")
-
-
-def _special_columns(names: Sequence[str], path: Path) -> tuple[int, str | None, int | None, list[int]]:
-    """Find the time's column and unit, the counter's column, and the columns of values."""
-    times = ((index, found[1]) for index, name in enumerate(names) if (found := _TIME_COLUMN_RE.fullmatch(name)))
-    time, unit = next(times, (-1, None))
-    if time < 0:
-        seen = ", ".join(names[:8])
-        raise InputError(f"{path}: no column is the time; seen {seen}; expected one named t_s, t_ms, t_us or t_ns.")
-    number = next((index for index, name in enumerate(names) if _COUNTER_COLUMN_RE.fullmatch(name)), None)
-    others = [k for k, name in enumerate(names) if name and k not in (time, number) and not _HEADER_FIELD_RE.fullmatch(name)]
-    return time, unit, number, others
-
-
-def _wrench_columns(names: Sequence[str], others: list[int], path: Path) -> tuple[list[int], list[float]]:
-    at: dict[str, int] = {}
-    factor: dict[str, float] = {}
-    for index in others:
-        found = _WRENCH_AXIS_RE.fullmatch(names[index])
-        if found is not None:
-            axis = ("f" if found.group(1).startswith("f") else "m") + found.group(2)
-            if axis in at:
-                raise InputError(
-                    f"{path}: columns {names[at[axis]]!r} and {names[index]!r} both are {axis}; expected one sensor's: "
-                    "leave out those of the other."
-                )
-            at[axis] = index
-            factor[axis] = 1e-3 if found.group(3) in _NEWTON_MILLIMETRES else 1.0
-    missing = [axis for axis in WRENCH_AXES if axis not in at]
-    if missing:
-        raise InputError(
-            f"{path}: columns {', '.join(missing)} are missing; seen {', '.join(names[:8])}; expected fx fy fz mx my mz, in N "
-            "and N m: name them so."
-        )
-    return [at[axis] for axis in WRENCH_AXES], [factor[axis] for axis in WRENCH_AXES]
-
-
-def _skin_columns(names: Sequence[str], others: list[int], path: Path) -> tuple[list[int], list[float]]:
-    if not others:
-        raise InputError(f"{path}: no column besides the time; expected one a channel, such as t0, t1, ...")
-    numbers = {index: int(found[1]) for index in others if (found := _NUMBERED_COLUMN_RE.fullmatch(names[index]))}
-    if len(set(numbers.values())) == len(others):
-        others = sorted(others, key=numbers.__getitem__)
-    return others, [1.0] * len(others)
-
-
-def _joint_columns(names: Sequence[str], others: list[int], path: Path) -> tuple[list[int], list[float]]:
-    factors: list[float] = []
-    for index in others:
-        found = _JOINT_COLUMN_RE.fullmatch(names[index])
-        if found is None:
-            raise InputError(f"{path}: column {names[index]!r} names no unit; expected names such as j0_deg or j0_rad.")
-        factors.append(1.0 if found.group(1) == "deg" else math.degrees(1.0))
-    if not others:
-        raise InputError(f"{path}: no column besides the time; expected one a joint, such as j0_deg, j1_deg, ...")
-    return others, factors
-
-
-_VALUE_COLUMNS = {Stream.WRENCH: _wrench_columns, Stream.SKIN: _skin_columns, Stream.JOINTS: _joint_columns}

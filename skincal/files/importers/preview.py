@@ -51,6 +51,8 @@ class RecordingFiles:
     joints: RecordedPlace | None = None
     candidates: tuple[RecordedPlace, ...] = field(default=(), compare=False, kw_only=True)
     """All places in the recording that may hold a stream."""
+    channels: int = field(default=0, compare=False, kw_only=True)
+    """Of the skin; 0 if unknown."""
 
     @property
     def places(self) -> dict[Stream, RecordedPlace]:
@@ -78,7 +80,7 @@ class RecordingFiles:
 
         Raises InputError: as for `importer`, or a file cannot be read.
         """
-        return self.importer.open_recording(self.places, joints, go_on)
+        return self.importer.open_recording(self.places, joints, go_on, self.channels)
 
 
 def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
@@ -110,7 +112,9 @@ def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
     for guess in sorted(guesses, key=lambda guess: (guess.width != channels, guess.rank, -guess.width, guess.place)):
         found.setdefault(_likely_stream(guess, channels), guess.place)
     candidates = tuple(sorted(guess.place for guess in guesses))
-    return RecordingFiles(found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates)
+    return RecordingFiles(
+        found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates, channels=channels
+    )
 
 
 def _has_topics(files: Sequence[Path]) -> bool:

@@ -64,7 +64,7 @@ class Importer:
     Its module has `guess_streams(path)`, which returns a `StreamGuess` for each stream in a file or folder, and
     `open_recording(places)`, which returns an `OpenRecording` of the places by stream. Both raise InputError if a path is no
     such recording. The streams of one recording may be in several files, or in one file by topic. In the latter case
-    `open_recording` also gets `joints` and `go_on` of the method here.
+    `open_recording` also gets `joints` and `go_on` of the method here; with `knows_channels` it gets `channels`.
     """
 
     name: str
@@ -86,6 +86,8 @@ class Importer:
     """Share of the time of an import in which `open_recording` reads, before the session begins."""
     one_stream: bool = True
     """Whether a file or folder holds one stream, so that those beside it belong to the same recording."""
+    knows_channels: bool = False
+    """Whether the number of channels decides which columns of a file are the skin."""
 
     @property
     def guess_streams(self) -> Callable[[Path], Sequence[StreamGuess]]:
@@ -97,6 +99,7 @@ class Importer:
         places: Mapping[Stream, RecordedPlace],
         joints: Sequence[str] = (),
         go_on: Callable[[float], bool] = lambda _: True,
+        channels: int = 0,
     ) -> OpenRecording:
         """Read the places of one recording through.
 
@@ -104,6 +107,7 @@ class Importer:
         ----------
         joints : names of the joint stream's columns, empty for an unused column; only topics name their joints
         go_on : gets the finished share, 0 to 1, and says whether to continue; single streams are read at once
+        channels : of the skin; 0 if unknown
 
         Raises
         ------
@@ -113,6 +117,8 @@ class Importer:
             `go_on` said no.
         """
         read = self._function("open_recording")
+        if self.knows_channels:
+            return read(places, channels)
         return read(places) if self.one_stream else read(places, joints, go_on)
 
     def _function(self, name: str) -> Any:
@@ -126,10 +132,11 @@ RECORDING_IMPORTERS = (
         (".csv", ".tsv", ".txt"),
         "csv_log",
         {
-            Stream.WRENCH: "CSV file: time and fx fy fz mx my mz.",
+            Stream.WRENCH: "CSV file: time and fx fy fz mx my mz. FILE::NAME takes the columns whose names begin so.",
             Stream.SKIN: "CSV file: time and one column a channel.",
             Stream.JOINTS: "CSV file: time and one column a joint.",
         },
+        knows_channels=True,
     ),
     Importer(
         "rosbag",

@@ -1,0 +1,429 @@
+"""Columns of a table by their names: the time, a counter, and the values of each stream.
+
+A column that is known by its name is never a taxel. Of the others, taxels are one family of numbered columns (`t0 t1 ...`),
+with the number of the scene's channels where it is known, else all of them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from skincal.devices.netft import FORCE_UNITS, TORQUE_UNITS
+from skincal.files.importers.table_form import TableForm
+from skincal.files.importers.table_values import is_date, is_time_of_day, to_float
+from skincal.model.errors import InputError, plural
+from skincal.model.readings import Stream
+
+WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+NAMES_SHOWN_MAX = 8
+_TIME_UNIT = (
+    "(s|ms|us|ns|sec(?:ond)?s?|msecs?|millis(?:econds?)?|usecs?|micros(?:econds?)?|\u00b5s|\u03bcs|nsecs?|nanos(?:econds?)?)"
+)
+_TIME_COLUMN_RE = re.compile(
+    r"(?:t|[%_]*time|datetime|date[ _/]?time|elapsed(?:[ _]time)?|clock|rosbagtimestamp|"
+    rf"(?:.*[./])?(?:stamp|timestamp|time[ _]stamp))(?:[ _/,]*[\[(]?{_TIME_UNIT}[\])]?)?"
+)
+_CLOCK_COLUMN_RE = re.compile(r"(ms|us|msec|usec|millis|micros|milliseconds|microseconds)(?:\(\))?")
+_DATE_COLUMN_RE = re.compile(r"(?:date|day|datum)(?: \[.*\])?")
+_SECONDS_COLUMN_RE = re.compile(r"((?:.*[./_ ])?)(?:sec|secs|seconds)")
+_NANOSECONDS_COLUMN_RE = re.compile(r"((?:.*[./_ ])?)(?:nanosec|nanosecs|nsec|nsecs|nanoseconds)")
+_COUNTER_COLUMN_RE = re.compile(
+    r"(?:(?:.*[./])?header[./])?(?:seq|sequence|index|counter|count|frame|sample|samples|row|line|packet|no|nr|number|id)\.?"
+    r"(?:[ _](?:no|nr|number|id|index|count|counter))?\.?|(?:rdt|f/t|ft)[ _]?seq(?:uence)?"
+)
+_STATUS_COLUMN_RE = re.compile(r"(?:.*[./_ ])?status(?: ?\(hex\))?")
+_HEADER_FIELD_RE = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
+_WRENCH_AXIS_RE = re.compile(
+    r"(?:.*[./_ ])?([fmt]|force|torque|moment)[._/ ,-]*([xyz])((?:[ _,/]*[\[(].*[\])]|[ _,/]*[a-z][a-z .*\u00b7-]*)?)"
+)
+_BRACKETS_RE = re.compile(r"[\[(]")
+_NUMBERED_COLUMN_RE = re.compile(r"((?:.*[./])?\D*?)(\d+)[\])]?(?:[ _]*[\[(].*[\])])?")
+_JOINT_COLUMN_RE = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
+_JOINT_NAME_RE = re.compile(r".+[ _\[(](?:deg|rad)[\])]?")
+_PRESSURE_CENTRE_RE = re.compile(r"(?:.*[./_ ])?(?:a|cop|cop_|cop |p|cp)[xy](?:[ _]*[\[(].*)?")
+
+
+@dataclass(frozen=True, slots=True)
+class TimeColumns:
+    """Columns that say the time of a row."""
+
+    columns: tuple[int, ...]
+    """One, a day and a time of day, or seconds and nanoseconds."""
+    unit: str | None
+    """Of the first column; `None` if its name has none."""
+    title: str
+    is_split: bool = False
+    """Whether the columns are seconds and nanoseconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class ValueColumns:
+    """Columns of the values of a stream."""
+
+    at: tuple[int, ...]
+    """-1 for a taxel whose column is missing."""
+    factors: tuple[float, ...]
+    """To N, N m, degrees or raw values."""
+    findings: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Family:
+    """Columns whose names differ by a number alone."""
+
+    base: str
+    at: dict[int, int] = field(default_factory=dict[int, int])
+    """Column by number."""
+
+    def __str__(self) -> str:
+        first, last = min(self.at), max(self.at)
+        return f"{self.base}{first} to {self.base}{last}" if last > first else f"{self.base}{first}"
+
+    @property
+    def span(self) -> int:
+        return max(self.at) - min(self.at) + 1
+
+    @property
+    def missing(self) -> list[int]:
+        return [number for number in range(min(self.at), max(self.at)) if number not in self.at]
+
+
+def names_time(names: Sequence[str]) -> bool:
+    """Check whether some of the names say the time."""
+    has_pair = any(_SECONDS_COLUMN_RE.fullmatch(name) for name in names) and any(map(_NANOSECONDS_COLUMN_RE.fullmatch, names))
+    return has_pair or any(_TIME_COLUMN_RE.fullmatch(name) or _CLOCK_COLUMN_RE.fullmatch(name) for name in names)
+
+
+class TableColumns:
+    """Columns of one table by their names.
+
+    Raises InputError: no column is the time.
+    """
+
+    def __init__(self, form: TableForm) -> None:
+        self.names, self.path = form.names, form.path
+        self._form = form
+        self._first = form.examples[0] if form.examples else ()
+        self.time = self._find_time()
+        numbers = (k for k, name in enumerate(self.names) if k not in self.time.columns and _COUNTER_COLUMN_RE.fullmatch(name))
+        self.number = next(numbers, None)
+        self.texts = [k for k in range(len(self.names)) if self._is_text(k)]
+        """Columns without a number in their first rows."""
+        self.wrench = [k for k, name in enumerate(self.names) if self._is_free(k) and _axis_of(name)]
+        """Columns of forces and moments."""
+        joints = [k for k, name in enumerate(self.names) if self._is_free(k) and _JOINT_NAME_RE.fullmatch(name)]
+        self.joints = [k for k in joints if k not in self.wrench]
+        """Columns of angles with a unit."""
+        known = {*self.wrench, *self.joints}
+        self.others = [k for k in range(len(self.names)) if self._is_free(k) and k not in known]
+        """Columns that no name explains: taxels, or what the program does not know."""
+
+    def _is_free(self, column: int) -> bool:
+        name = self.names[column]
+        return bool(name) and column not in (*self.time.columns, self.number, *self.texts) and not _is_known(name)
+
+    def _is_text(self, column: int) -> bool:
+        fields = [row[column] for row in self._form.examples if column < len(row) and row[column]]
+        return bool(fields) and all(to_float(text) is None for text in fields)
+
+    def _find_time(self) -> TimeColumns:
+        names, first = self.names, self._first
+        for seconds, name in enumerate(names):
+            if (found := _SECONDS_COLUMN_RE.fullmatch(name)) is not None:
+                pair = (
+                    k
+                    for k, other in enumerate(names)
+                    if (more := _NANOSECONDS_COLUMN_RE.fullmatch(other)) and more[1] == found[1]
+                )
+                for nanoseconds in pair:
+                    return TimeColumns(
+                        (seconds, nanoseconds), "s", f"the time columns {name!r} and {names[nanoseconds]!r}", True
+                    )
+        times = [(k, found[1]) for k, name in enumerate(names) if (found := _TIME_COLUMN_RE.fullmatch(name))]
+        times += [(k, found[1]) for k, name in enumerate(names) if (found := _CLOCK_COLUMN_RE.fullmatch(name))]
+        days = [k for k, text in enumerate(first) if is_date(text) and k < len(names)]
+        clocks = [k for k, text in enumerate(first) if is_time_of_day(text) and k in [each for each, _ in times]]
+        if days and clocks:
+            title = f"the columns {names[days[0]]!r} and {names[clocks[0]]!r}"
+            return TimeColumns((days[0], clocks[0]), "s", title)
+        if not times:
+            raise InputError(
+                f"{self.path}: no column is the time; seen {self._list_names(range(len(names)))}; expected one named t_s, t_ms, "
+                "t_us or t_ns."
+            )
+        at, unit = times[0]
+        return TimeColumns((at,), _short_unit(unit), f"the time column {names[at]!r}")
+
+    def of_stream(self, stream: Stream, within: str, channels: int) -> ValueColumns:
+        """Choose the columns of a stream.
+
+        Parameters
+        ----------
+        within : begin of the names of the wanted columns; empty for all
+        channels : of the skin; 0 if unknown
+
+        Raises InputError: columns are missing, or more than one choice is possible.
+        """
+        within = within.lower()
+        if within and not any(name.startswith(within) for name in self.names):
+            raise InputError(f"{self.path}: no column begins with {within}; seen {self._list_names(range(len(self.names)))}.")
+        match stream:
+            case Stream.WRENCH:
+                return self._wrench_columns([k for k in self.wrench if self.names[k].startswith(within)])
+            case Stream.JOINTS:
+                return self._joint_columns(within)
+            case _:
+                return self._skin_columns([k for k in self.others if self.names[k].startswith(within)], channels)
+
+    def _list_names(self, columns: Sequence[int]) -> str:
+        return ", ".join(repr(name) if "," in name else name for name in (self.names[k] for k in columns[:NAMES_SHOWN_MAX]))
+
+    # Force/torque
+
+    def _wrench_columns(self, columns: Sequence[int]) -> ValueColumns:
+        at: dict[str, int] = {}
+        factor: dict[str, float] = {}
+        for index in columns:
+            axis, unit = _axis_of(self.names[index]) or ("", "")
+            if axis in at:
+                raise InputError(
+                    f"{self.path}: columns {self.names[at[axis]]!r} and {self.names[index]!r} both are {axis}; expected one "
+                    "sensor's: leave out those of the other, or write the begin of the names after the file (FILE::/left)."
+                )
+            at[axis] = index
+            factor[axis] = self._unit_factor(axis, unit, self.names[index])
+        missing = [axis for axis in WRENCH_AXES if axis not in at]
+        if missing:
+            raise InputError(self._missing_axes(missing))
+        counts, finding = self._counts_per_unit([at[axis] for axis in WRENCH_AXES], set(factor.values()))
+        factors = tuple(factor[axis] * counts.get(axis[0], 1.0) for axis in WRENCH_AXES)
+        return ValueColumns(tuple(at[axis] for axis in WRENCH_AXES), factors, finding)
+
+    def _missing_axes(self, missing: Sequence[str]) -> str:
+        seen = self._list_names(range(len(self.names)))
+        if {"mx", "my"} <= {*missing} and len(
+            [k for k, name in enumerate(self.names) if _PRESSURE_CENTRE_RE.fullmatch(name)]
+        ) >= 2:
+            return (
+                f"{self.path}: has the centre of pressure of a force plate (seen {seen}), and no moments mx and my. These need "
+                "the height of the plate's surface, too: export the moments Mx My Mz about the plate's origin."
+            )
+        return (
+            f"{self.path}: columns {', '.join(missing)} are missing; seen {seen}; expected fx fy fz mx my mz, in N "
+            "and N m: name them so."
+        )
+
+    def _unit_factor(self, axis: str, unit: str, name: str) -> float:
+        factors = FORCE_UNITS if axis.startswith("f") else _MOMENT_UNITS
+        if unit in ("", "count", "counts", "raw"):
+            return 1.0
+        if unit not in factors:
+            expected = "N" if axis.startswith("f") else "N m"
+            raise InputError(f"{self.path}: the unit of column {name!r} is not known; expected {expected}: convert its values.")
+        return factors[unit]
+
+    def _counts_per_unit(self, columns: Sequence[int], units: set[float]) -> tuple[dict[str, float], tuple[str, ...]]:
+        """Return factors of force and moment from the facts before the names, where the values are counts."""
+        facts = "\n".join(self._form.facts)
+        counts = {kind: to_float(found[1].replace(",", "")) for kind, found in _facts(_COUNTS_RE, facts).items()}
+        if not counts:
+            return {}, ()
+        values = [to_float(row[k]) for row in self._form.examples for k in columns if k < len(row)]
+        are_counts = all(
+            value is not None and value == round(value) for value in values if value is None or math.isfinite(value)
+        )
+        named = {kind: _plain_unit(found[1]) for kind, found in _facts(_FACT_UNIT_RE, facts).items()}
+        factors: dict[str, float] = {}
+        for kind, table in (("force", FORCE_UNITS), ("torque", _MOMENT_UNITS)):
+            unit, count = named.get(kind, "n" if kind == "force" else "nm"), counts.get(kind)
+            if unit not in table or not count or units != {1.0}:
+                raise InputError(
+                    f"{self.path}: its values are counts, and the lines before the names do not say the counts a unit; "
+                    "expected 'Counts per Unit Force', 'Force Units' and those of the torque."
+                )
+            factors["f" if kind == "force" else "m"] = table[unit] / (count if are_counts else 1.0)
+        said = (
+            f"divided by {counts['force']:g} and {counts['torque']:g} counts a unit"
+            if are_counts
+            else "not counts, as they have decimals"
+        )
+        return factors, (f"the values are {said}, by the lines before the names.",)
+
+    # Joints
+
+    def _joint_columns(self, within: str) -> ValueColumns:
+        known = [k for k, name in enumerate(self.names) if self._is_joint(k, name) and name.startswith(within)]
+        bases = {_family_base(self.names[k]) for k in known}
+        families = self._families(self.others)
+        has_more = bool(self.wrench) or any(len(each.at) > 1 and each.base not in bases for each in families)
+        unnamed = [k for k in self.others if k not in known and (not has_more or _family_base(self.names[k]) in bases)]
+        if unnamed or (self.wrench and not known):
+            name = self.names[(unnamed or self.wrench)[0]]
+            raise InputError(f"{self.path}: column {name!r} names no unit; expected names such as j0_deg or j0_rad.")
+        if not known:
+            raise InputError(f"{self.path}: no column besides the time; expected one a joint, such as j0_deg, j1_deg, ...")
+        factors = [1.0 if _joint_unit(self.names[k]) == "deg" else math.degrees(1.0) for k in known]
+        return ValueColumns(tuple(known), tuple(factors))
+
+    def _is_joint(self, column: int, name: str) -> bool:
+        return column not in self.wrench and self._is_free(column) and _JOINT_COLUMN_RE.fullmatch(name) is not None
+
+    # Skin
+
+    def _families(self, columns: Sequence[int]) -> list[_Family]:
+        found: dict[str, _Family] = {}
+        for column in columns:
+            numbered = _NUMBERED_COLUMN_RE.fullmatch(self.names[column])
+            if numbered is None:
+                continue
+            family = found.setdefault(numbered[1], _Family(numbered[1]))
+            number = int(numbered[2])
+            if number in family.at:
+                raise InputError(
+                    f"{self.path}: columns {self.names[family.at[number]]!r} and {self.names[column]!r} are number {number}; "
+                    "expected one column a channel: leave out one of them."
+                )
+            family.at[number] = column
+        return list(found.values())
+
+    def skin_families(self) -> list[tuple[str, int]]:
+        """List begin of the names and number of channels of each family that may be a skin."""
+        families = [each for each in self._families(self.others) if len(each.at) > 1]
+        return [(each.base, len(self._in_order(each, 0).at)) for each in families]
+
+    def _skin_columns(self, columns: list[int], channels: int) -> ValueColumns:
+        if not columns:
+            raise InputError(f"{self.path}: no column besides the time; expected one a channel, such as t0, t1, ...")
+        families = self._families(columns)
+        fitting = [each for each in families if channels and channels in (len(each.at), each.span)]
+        if len(fitting) > 1:
+            bases = " or ".join(f"{self.path.name}::{each.base}" for each in fitting)
+            raise InputError(
+                f"{self.path}: {' and '.join(map(str, fitting))} have {channels} channels each, as the scene; expected one "
+                f"skin: name it: {bases}."
+            )
+        numbered = sum(len(each.at) for each in families)
+        if fitting:
+            chosen = fitting[0]
+        elif len(families) == 1 and numbered == len(columns):
+            chosen = families[0]
+        elif channels in (0, len(columns)):
+            large = max(families, key=lambda each: len(each.at), default=None)
+            if channels or large is None or len(large.at) * 2 <= len(columns):
+                number_of = {column: number for each in families for number, column in each.at.items()}
+                if len({*number_of.values()}) == len(columns):
+                    columns = sorted(columns, key=number_of.__getitem__)
+                return ValueColumns(tuple(columns), (1.0,) * len(columns))
+            chosen = large
+        else:
+            raise InputError(self._wrong_width(columns, families, channels))
+        found = self._in_order(chosen, channels)
+        if channels and len(found.at) != channels:
+            raise InputError(self._wrong_width(columns, families, channels))
+        left = [k for k in columns if k not in found.at]
+        more = f" and {len(left) - NAMES_SHOWN_MAX} more" if len(left) > NAMES_SHOWN_MAX else ""
+        findings = [
+            *found.findings,
+            *([f"columns {self._list_names(left)}{more} are not read; the taxels are {chosen}."] if left else []),
+        ]
+        return ValueColumns(found.at, found.factors, tuple(findings))
+
+    def _in_order(self, family: _Family, channels: int) -> ValueColumns:
+        """Order the columns of a family by their numbers. A missing number is a taxel without readings."""
+        numbers, missing = sorted(family.at), family.missing
+        fills = (
+            missing
+            and len(numbers) != channels
+            and (family.span == channels or (not channels and family.span < 2 * len(numbers)))
+        )
+        if fills:
+            at = tuple(family.at.get(number, -1) for number in range(numbers[0], numbers[-1] + 1))
+            names = ", ".join(f"{family.base}{number}" for number in missing[:NAMES_SHOWN_MAX])
+            finding = f"{plural(len(missing), 'column')} missing ({names}): no readings of that channel."
+        else:
+            at = tuple(family.at[number] for number in numbers)
+            finding = (
+                f"the numbers of {family} have gaps: taken in their order as channels 0 to {len(at) - 1}." if missing else ""
+            )
+        return ValueColumns(at, (1.0,) * len(at), (finding,) if finding else ())
+
+    def _wrong_width(self, columns: Sequence[int], families: Sequence[_Family], channels: int) -> str:
+        large = max(families, key=lambda each: len(each.at), default=None)
+        scene = f"the scene has {plural(channels, 'channel')}"
+        if large is None or len(large.at) < 2:
+            return (
+                f"{self.path}: {plural(len(columns), 'column')} may be taxels ({self._list_names(columns)}), and {scene}; expected "
+                "one column a channel: number their names (t0, t1, ...), and leave out the others."
+            )
+        count = len(large.at)
+        ends = ""
+        if count < channels <= count + 2 and not large.missing:
+            first, last = min(large.at), max(large.at)
+            maybe = [f"{large.base}{number}" for number in (first - 1, last + 1) if number >= 0]
+            ends = f" If {' or '.join(maybe)} is missing, add it as an empty column."
+        return (
+            f"{self.path}: its numbered columns are {large} ({plural(count, 'column')}), and {scene}.{ends} If each of these "
+            f"columns is a taxel, [skin] channels of the scene is {count}; else name the taxels alone so."
+        )
+
+
+_MOMENT_UNITS = {**TORQUE_UNITS, "mnm": 1e-3, "ncm": 1e-2, "knmm": 1.0}
+_COUNTS_RE = r"counts per unit {}\W*([\d.,]*\d)"
+_FACT_UNIT_RE = r"{} units?\W*([A-Za-z\u00b7.* -]+)"
+
+
+_UNIT_WORDS = (("newtons?", "n"), ("millimet(er|re)s?", "mm"), ("met(er|re)s?", "m"), ("lbf", "lb"), ("kgf", "kg"), ("gf", "g"))
+
+
+def _facts(pattern: str, text: str) -> dict[str, re.Match[str]]:
+    found = {kind: re.search(pattern.format(kind), text, re.IGNORECASE) for kind in ("force", "torque")}
+    return {kind: each for kind, each in found.items() if each}
+
+
+def _is_known(name: str) -> bool:
+    """Check whether a name is of a time, a counter, a status or the header of a message."""
+    patterns = (_TIME_COLUMN_RE, _CLOCK_COLUMN_RE, _DATE_COLUMN_RE, _COUNTER_COLUMN_RE, _STATUS_COLUMN_RE, _HEADER_FIELD_RE)
+    return any(pattern.fullmatch(name) for pattern in patterns)
+
+
+def _short_unit(unit: str | None) -> str | None:
+    if unit is None:
+        return None
+    first = {"\u00b5": "us", "\u03bc": "us"}.get(unit[0])
+    return first or (
+        "us" if unit.startswith(("us", "mic")) else "ns" if unit[0] == "n" else "ms" if unit.startswith(("ms", "mil")) else "s"
+    )
+
+
+def _axis_of(name: str) -> tuple[str, str] | None:
+    """Return axis and unit of a column of a force or moment; `None` if the name is none."""
+    found = _WRENCH_AXIS_RE.fullmatch(name)
+    if found is None:
+        return None
+    axis = ("f" if found[1].startswith("f") else "m") + found[2]
+    unit = _plain_unit(found[3])
+    # A word without brackets may be anything.
+    if unit and not _BRACKETS_RE.search(found[3]) and unit not in {**FORCE_UNITS, **_MOMENT_UNITS}:
+        return None
+    return axis, unit
+
+
+def _plain_unit(text: str) -> str:
+    unit = re.sub("[^a-z]", "", text.lower())
+    for pattern, short in _UNIT_WORDS:
+        unit = re.sub(pattern, short, unit)
+    return unit
+
+
+def _joint_unit(name: str) -> str:
+    found = _JOINT_COLUMN_RE.fullmatch(name)
+    return found[1] if found else ""
+
+
+def _family_base(name: str) -> str:
+    """Return a name without its number and unit."""
+    return re.sub(r"\d+.*", "", name)

@@ -1,0 +1,131 @@
+"""A simulated 4 x 4 skin that is poked, as the tables that programs write of it, and the positions that come out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace
+from skincal.geometry import FloatArray
+from skincal.model.readings import Loss, Stream
+from skincal.session.pipeline import Pipeline
+from skincal.taxels.result import Method
+from tests.skincal.poke_script import small_scene
+
+CHANNELS = 16
+RATE = 50.0
+POKE_S = 1.6
+"""s from poke to poke."""
+START_S = 1_714_556_400
+"""2024-05-01, 09:40 UTC, seconds since 1970."""
+TAXELS = np.array([[x, y, 45.0] for y in (-9, -3, 3, 9) for x in (-9, -3, 3, 9)]) * 1e-3
+"""(16, 3) m: true positions."""
+TILTS = ((0.5, 0.1), (-0.3, 0.4))
+AXES = ("fx", "fy", "fz", "mx", "my", "mz")
+TAXEL_NAMES = tuple(f"t{k}" for k in range(CHANNELS))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Times (n,) s, wrenches (n, 6) N and N m, and raw values (n, 16) of a poked skin."""
+
+    times: FloatArray
+    wrench: FloatArray
+    skin: FloatArray
+
+    def seconds(self, digits: int = 3) -> list[str]:
+        return [f"{time:.{digits}f}" for time in self.times]
+
+    def moments(self, form: str) -> list[str]:
+        """Dates at these times."""
+        found = [datetime.fromtimestamp(START_S + time, UTC) for time in self.times]
+        return [each.strftime(form).replace("{ms}", f"{each.microsecond // 1000:03}") for each in found]
+
+
+def poked_rows(rest: float = 200.0) -> Rows:
+    """Press every taxel from two sides, 8 N; the largest answer is 400 above rest."""
+    rng = np.random.default_rng(8)
+    order = [(channel, tilt) for tilt in TILTS for channel in range(CHANNELS)]
+    times = np.arange(int((1.0 + POKE_S * len(order)) * RATE)) / RATE
+    noise = np.repeat([0.01, 0.0003], 3)
+    wrench = np.array([3, -2, 9, 0.1, -0.2, 0.05]) + rng.normal(0, noise, (len(times), 6))
+    skin = rest + rng.normal(0, 0.7, (len(times), CHANNELS))
+    for k, (channel, tilt) in enumerate(order):
+        push = np.array([*tilt, -1.0])
+        force = 8.0 * push / np.linalg.norm(push)
+        phase = times - 1.0 - POKE_S * k
+        level = np.clip(np.minimum(phase - 0.4, 1.2 - phase) / 0.1, 0.0, 1.0)[:, None]
+        wrench += level * np.r_[force, np.cross(TAXELS[channel], force)]
+        skin[:, channel] += 400 * level[:, 0]
+    return Rows(times, np.round(wrench, 5), np.round(skin))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of text and how a program writes them."""
+
+    names: tuple[str, ...]
+    columns: list[list[str]]
+    separator: str = ","
+    end: str = ""
+    """After each row."""
+    before: str = ""
+    below_names: str = ""
+    encoding: str = "utf-8"
+
+    def write(self, path: Path) -> RecordedPlace:
+        def line(fields: tuple[str, ...] | list[str]) -> str:
+            quoted = [f'"{each}"' if self.separator in each or "\n" in each else each for each in fields]
+            return self.separator.join(quoted)
+
+        rows = "".join(f"{line(list(row))}{self.end}\n" for row in zip(*self.columns, strict=True))
+        names = f"{line(self.names)}\n" if self.names else ""
+        path.write_bytes((self.before + names + self.below_names + rows).encode(self.encoding))
+        return RecordedPlace(path)
+
+
+def fields(values: FloatArray, form: str) -> list[list[str]]:
+    """Columns of (n, k) values as text."""
+    return [[form.format(value) for value in column] for column in values.T.tolist()]
+
+
+def wrench_table(rows: Rows, **changes: object) -> Table:
+    return replace(Table(("t_s", *AXES), [rows.seconds(), *fields(rows.wrench, "{:.5f}")]), **changes)
+
+
+def skin_table(rows: Rows, **changes: object) -> Table:
+    return replace(Table(("t_s", *TAXEL_NAMES), [rows.seconds(), *fields(rows.skin, "{:.0f}")]), **changes)
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import gave."""
+
+    errors_mm: FloatArray
+    """(16,) float: distance of each taxel from its true position; NaN if it is not known."""
+    accepted: int
+    losses: dict[str, dict[Loss, int]]
+    findings: tuple[str, ...]
+
+
+def import_tables(wrench: RecordedPlace, skin: RecordedPlace, channels: int = CHANNELS) -> Imported:
+    """Import two tables, or one twice, to positions."""
+    scene = small_scene(channels=channels, layout=False)
+    importer = next(each for each in RECORDING_IMPORTERS if each.name == "csv")
+    opened = importer.open_recording({Stream.WRENCH: wrench, Stream.SKIN: skin}, channels=channels)
+    pipeline = Pipeline(scene, opened.links, None)
+    for chunk in pipeline.ahead(opened.chunks()):
+        pipeline.feed(chunk)
+    pipeline.close()
+    snapshot = pipeline.snapshot()
+    errors = np.full(CHANNELS, np.nan)
+    for estimate in snapshot.estimates[Method.FREE]:
+        if estimate.position is not None and estimate.channel < CHANNELS:
+            errors[estimate.channel] = 1e3 * np.linalg.norm(estimate.position - TAXELS[estimate.channel])
+    accepted = sum(isinstance(record.outcome, Contact) for record in snapshot.pokes)
+    losses = {link.link: {loss: count for loss, count in link.losses.items() if count} for link in pipeline.live(0).links}
+    return Imported(errors, accepted, losses, opened.findings)
