@@ -152,8 +152,8 @@ class TableColumns:
             return TimeColumns((days[0], clocks[0]), "s", title)
         if not times:
             raise InputError(
-                f"{self.path}: no column is the time; seen {self._list_names(range(len(names)))}; expected one named t_s, t_ms, "
-                "t_us or t_ns."
+                f"{self.path}: no column is the time; seen {self._list_names(range(len(names)))}; expected one named t_s, "
+                "t_ms, t_us or t_ns."
             )
         at, unit = times[0]
         return TimeColumns((at,), _short_unit(unit), f"the time column {names[at]!r}")
@@ -356,8 +356,8 @@ class TableColumns:
         scene = f"the scene has {plural(channels, 'channel')}"
         if large is None or len(large.at) < 2:
             return (
-                f"{self.path}: {plural(len(columns), 'column')} may be taxels ({self._list_names(columns)}), and {scene}; expected "
-                "one column a channel: number their names (t0, t1, ...), and leave out the others."
+                f"{self.path}: {plural(len(columns), 'column')} may be taxels ({self._list_names(columns)}), and {scene}; "
+                "expected one column a channel: number their names (t0, t1, ...), and leave out the others."
             )
         count = len(large.at)
         ends = ""

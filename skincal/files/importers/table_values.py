@@ -6,8 +6,8 @@ A mark in a number is a decimal mark or separates thousands. Most fields say it 
 1. a field whose mark is the same, and is decimal or separates thousands;
 2. a field whose decimal mark is the other one: then this one separates thousands.
 
-Without such a field the file is refused, since both readings are possible. With commas between columns a point is the decimal
-mark, as every program writes it, unless a comma has two readings as well.
+If there is none, the file is refused: both readings are possible. With commas between columns a point is the decimal
+mark, unless a comma has two readings as well.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ class NumberEvidence:
             against = thousands or self.found.get((OTHER_MARK[mark], _DECIMAL))
             if decimal and against:
                 raise InputError(
-                    f"{path}: the {name} is the decimal mark in {_quote_place(decimal)}, and cannot be it beside {_quote_place(against)}; "
-                    f"{_quote_place(either)} has two readings. Save it again without thousands separators, and with one decimal mark."
+                    f"{path}: the {name} is decimal in {_quoted(decimal)}, and cannot be so beside {_quoted(against)}; "
+                    f"{_quoted(either)} is unclear. Save it again without thousands separators, and with one decimal mark."
                 )
             if decimal or thousands:
                 uses[mark] = _DECIMAL if decimal else _THOUSANDS
@@ -106,13 +106,13 @@ class NumberEvidence:
             else:
                 value = re.sub("[.,]", "", either[0])
                 raise InputError(
-                    f"{path}: {_quote_place(either)} may be {value} or {either[0].replace(',', '.')}, and no other number of the "
+                    f"{path}: {_quoted(either)} may be {value} or {either[0].replace(',', '.')}, and no other number of the "
                     "file shows which. Save it again without thousands separators, and with a decimal point."
                 )
         return uses
 
 
-def _quote_place(place: tuple[str, int]) -> str:
+def _quoted(place: tuple[str, int]) -> str:
     return f"{place[0][:FIELD_SHOWN_MAX_CHARS]!r} (row {place[1]})"
 
 

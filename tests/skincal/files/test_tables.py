@@ -317,7 +317,7 @@ def test_a_force_plate_needs_its_moments(tmp_path):
         (milliseconds(skin_table(RAW, columns=[RAW.seconds(), *fields(RAW.skin, "{:,.0f}")])), "may be 1"),
         (german(milliseconds(skin_table(RAW)), "."), "may be 1"),
         (skin_table(RAW, columns=[RAW.seconds(), *fields(RAW.skin, "{:,.0f}")[:-1], ["1,5", *["700"] * (len(ROWS.times) - 1)]]),
-         "the comma is the decimal mark in '1,5' \\(row 1\\), and cannot be it beside '0.000' \\(row 1\\)"),
+         "the comma is decimal in '1,5' \\(row 1\\), and cannot be so beside '0.000' \\(row 1\\)"),
     ],
     ids=["quoted", "German", "both uses"],
 )  # fmt: skip
