@@ -190,8 +190,7 @@ class ImportDialog(Dialog):
     def files(self) -> RecordingFiles:
         """Give the chosen files; `InputError` if a needed one is missing."""
         texts = (field.text().strip() for field in self.fields.values())
-        channels = 0 if self._scene is None else self._scene.skin.channels
-        return RecordingFiles(*(RecordedPlace.parse(text) if text else None for text in texts), channels=channels)
+        return RecordingFiles(*(RecordedPlace.parse(text) if text else None for text in texts))
 
     def _choose_recording_folder(self) -> None:
         path = QFileDialog.getExistingDirectory(self, "Folder of a recording")

@@ -52,7 +52,7 @@ class RecordingFiles:
     candidates: tuple[RecordedPlace, ...] = field(default=(), compare=False, kw_only=True)
     """All places in the recording that may hold a stream."""
     channels: int = field(default=0, compare=False, kw_only=True)
-    """Of the skin; 0 if unknown."""
+    """Of the skin, which a table must have; 0 if unknown, as in a preview."""
 
     @property
     def places(self) -> dict[Stream, RecordedPlace]:
@@ -112,9 +112,7 @@ def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
     for guess in sorted(guesses, key=lambda guess: (guess.width != channels, guess.rank, -guess.width, guess.place)):
         found.setdefault(_likely_stream(guess, channels), guess.place)
     candidates = tuple(sorted(guess.place for guess in guesses))
-    return RecordingFiles(
-        found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates, channels=channels
-    )
+    return RecordingFiles(found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates)
 
 
 def _has_topics(files: Sequence[Path]) -> bool:
