@@ -19,7 +19,9 @@ from skincal.model.scene import UNITS
 from skincal.model.urdf import Robot
 from skincal.session.draft_preview import PartPreview
 from skincal.session.draft_summary import size_words
+from skincal.session.mesh_units import choose_unit
 from skincal.session.part_changes import with_link, with_part_file, with_unit
+from skincal.session.robot_mesh import with_own_mesh
 
 FILE_FILTER = f"Part ({' '.join(f'*{ending}' for ending in PART_FILES)});;All files (*)"
 UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
@@ -48,7 +50,7 @@ class PartStep(Step):
         self.size_text = QLabel(wordWrap=True)
         self.tree = QTreeWidget()
         self.tree.setHeaderHidden(True)
-        self.tree.setAccessibleName("links with a mesh")
+        self.tree.setAccessibleName("links with a shape")
         self.tree.setMinimumHeight(150)
         self.tree.itemSelectionChanged.connect(self._choose_in_tree)
         self.frame: QComboBox = compact_combo("frame of all positions")
@@ -70,7 +72,7 @@ class PartStep(Step):
         )  # fmt: skip
         self.fill(self.form)
         self._robot: Robot | None = None
-        self._show_rows(has_robot=False, has_mesh=False)
+        self._show_rows(has_robot=False, has_mesh=False, has_unit=False)
 
     def choose_file(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Mesh or URDF", self._named(), FILE_FILTER)
@@ -88,8 +90,10 @@ class PartStep(Step):
     def _take_own_mesh(self) -> None:
         text = self.own_mesh.text().strip()
         mesh = Path(text).expanduser() if text else None
-        if self.draft.urdf is not None and mesh != self.draft.mesh:
-            self.change(replace(self.draft, mesh=mesh))
+        if self.draft.urdf is not None and self._robot is not None and mesh != self.draft.mesh:
+            with self.report_failure():
+                unit = "mm" if mesh is None else choose_unit(mesh)
+                self.change(with_own_mesh(self.draft, self._robot, mesh, "", unit))
 
     def _choose_own_mesh(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Mesh of the link", self._named(), FILE_FILTER)
@@ -128,16 +132,18 @@ class PartStep(Step):
         if not self.own_mesh.hasFocus():
             self.own_mesh.setText("" if draft.mesh is None else str(draft.mesh))
         show_choice(self.unit, draft.unit)
-        doubt = "" if draft.urdf is not None else "?  If that is wrong, choose another unit."
+        has_own_unit = bool(draft.mesh and draft.unit)
+        doubt = "?  If that is wrong, choose another unit." if has_own_unit else ""
         self.size_text.setText("" if preview.size_mm is None else f"{size_words(preview.size_mm)}{doubt}")
-        self._show_rows(has_robot=draft.urdf is not None, has_mesh=preview.size_mm is not None)
+        has_mesh = preview.size_mm is not None
+        self._show_rows(has_robot=draft.urdf is not None, has_mesh=has_mesh, has_unit=has_own_unit and has_mesh)
         self.mode = Mode.LINK if draft.urdf is not None else Mode.NONE
         if preview.robot is not self._robot:
             self._robot = preview.robot
             self._fill_tree()
         self._show_link(preview)
 
-    def _show_rows(self, *, has_robot: bool, has_mesh: bool) -> None:
+    def _show_rows(self, *, has_robot: bool, has_mesh: bool, has_unit: bool) -> None:
         for row in (self.tree_note, self.tree, self.frame, self.frame_note, self.mesh_row):
             self.form.setRowVisible(row, has_robot)
         missing = () if self.preview is None else self.preview.missing_packages
@@ -145,19 +151,18 @@ class PartStep(Step):
         if missing:
             self.package_label.setText(f"Pac&kage {missing[0]}")
             self.package.setPlaceholderText(f"folder of the ROS package {missing[0]}")
-        self.form.setRowVisible(self.unit, has_mesh and not has_robot)
+        self.form.setRowVisible(self.unit, has_unit)
         self.form.setRowVisible(self.size_text, has_mesh)
 
     def _fill_tree(self) -> None:
-        """List the links with a mesh, each below the nearest link above it that has one."""
+        """List the links with a shape, each below the nearest link above it that has one; all links if none has."""
         with QSignalBlocker(self.tree):
             self.tree.clear()
             robot = self._robot
             if robot is None:
                 return
             items: dict[str, QTreeWidgetItem] = {}
-            with_mesh = sorted(robot.meshes, key=lambda link: len(robot.path_to_root(link)))
-            for link in with_mesh:
+            for link in sorted(robot.shapes or robot.links, key=lambda link: len(robot.path_to_root(link))):
                 above = [joint.parent for joint in robot.path_to_root(link)]
                 parent = next((items[each] for each in above if each in items), None)
                 item = QTreeWidgetItem(self.tree if parent is None else parent, [link])
@@ -168,10 +173,11 @@ class PartStep(Step):
         robot = preview.robot
         if robot is None:
             return
-        found = self.tree.findItems(preview.mesh_link, Qt.MatchFlag.MatchExactly | Qt.MatchFlag.MatchRecursive)
+        shown = preview.mesh_link or preview.draft.link
+        found = self.tree.findItems(shown, Qt.MatchFlag.MatchExactly | Qt.MatchFlag.MatchRecursive)
         with QSignalBlocker(self.tree):
             self.tree.clearSelection()
-            if found and preview.mesh_link:
+            if found and shown:
                 found[0].setSelected(True)
                 self.tree.setCurrentItem(found[0])
                 self.tree.scrollToItem(found[0])

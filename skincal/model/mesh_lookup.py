@@ -32,7 +32,7 @@ def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Pat
 
     Raises InputError: there is no such file, or its name leaves the folders.
     """
-    where = f"{robot.path}: mesh of link {mesh.link}"
+    where = f"{robot.path.name}: mesh of link {mesh.link}"
     scheme, name = split_scheme(mesh.filename)
     if scheme and scheme not in (*PACKAGE_SCHEMES, "file"):
         raise InputError(f"{where}: is {mesh.filename}; expected package://NAME/... or a file of the robot's folder.")
@@ -42,8 +42,8 @@ def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Pat
         candidates = list(_in_homes(robot.path, name, is_url=bool(scheme)))
     if not candidates:
         raise InputError(
-            f"{where}: is {mesh.filename}, outside the robot's package; copy it into the package and name it there, or name "
-            "the part's mesh (--mesh FILE, or [surface])."
+            f"{where}: is {mesh.filename}, outside the robot's package; copy it in and correct the name, or give the part's "
+            "mesh (--mesh FILE)."
         )
     for candidate in candidates:
         with contextlib.suppress(OSError):  # a name that is too long, a folder without rights

@@ -26,7 +26,7 @@ from skincal.model.urdf_chain import MOVING, UrdfChain
 from skincal.session.layout_placing import LaidFindings, anchor_at, find_laid_problems
 from skincal.session.part_draft import PartDraft, layout_file_of
 from skincal.session.robot_copy import RobotFiles, list_robot_files
-from skincal.session.robot_mesh import describe_shapes, find_part_mesh, offer_collision_mesh
+from skincal.session.robot_mesh import describe_shapes, find_part_mesh, offer_collision_mesh, with_offer
 from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles, missing_packages
 from skincal.words.robot_words import sensor_findings
 
@@ -175,7 +175,7 @@ class _Work:
             self._load_mesh(spec)
         except InputError as error:
             offer = "" if draft.mesh is not None else offer_collision_mesh(robot, draft)
-            raise InputError(f"{error}{offer}") from None
+            raise with_offer(error, offer) from None
 
     def _load_mesh(self, spec: SurfaceSpec) -> None:
         rows = tuple(tuple(float(value) for value in row) for row in spec.link_from_mesh)

@@ -70,7 +70,7 @@ def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:
             text = with_module_anchor(text, module.id, _moved_anchor(module.anchor, pose))
     return replace(
         changed,
-        mesh_pose=None if draft.mesh_pose is None else pose_rows(pose @ np.array(draft.mesh_pose)),
+        mesh_pose=changed.mesh_pose if draft.mesh_pose is None else pose_rows(pose @ np.array(draft.mesh_pose)),
         anchor=None if draft.anchor is None else _moved_anchor(draft.anchor.anchor(), pose),
         layout_text=text,
         landmarks=tuple(_moved_landmark(mark, pose) for mark in draft.landmarks),

@@ -10,13 +10,16 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.mesh.readers import read_mesh
-from skincal.model.errors import InputError
+from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, InputError, shortened
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.mesh_lookup import find_mesh
 from skincal.model.scene import UNITS, SurfaceSpec
 from skincal.model.urdf import LinkMesh, Robot
 from skincal.session.mesh_units import metres_of_file_unit, name_unit, unit_without_option
 from skincal.session.part_draft import IDENTITY_POSE, PartDraft, pose_rows
+
+COLLISION_OFFER_MAX_CHARS = 200
+"""The rest of a sentence is for the error."""
 
 
 def find_part_mesh(robot: Robot, draft: PartDraft) -> tuple[SurfaceSpec, str] | None:
@@ -94,7 +97,14 @@ def offer_collision_mesh(robot: Robot, draft: PartDraft) -> str:
             return ""
     except InputError:
         return ""
-    return f" Or use the collision mesh of link {found[0].link}: --mesh {path}"
+    named = f'"{path}"' if " " in str(path) else str(path)
+    offer = f" Or use the collision mesh of link {found[0].link}: --mesh {named}"
+    return offer if len(offer) <= COLLISION_OFFER_MAX_CHARS else f" Or use the link's collision mesh, {path.name}: --mesh FILE"
+
+
+def with_offer(error: InputError, offer: str) -> InputError:
+    """Add an offer to the sentence of an error, which is shortened so that the offer stays whole."""
+    return InputError(shortened(str(error), ERROR_SENTENCE_MAX_CHARS - len(offer)) + offer)
 
 
 def describe_shapes(robot: Robot, link: str, sensor_joint: str) -> str:
