@@ -197,7 +197,7 @@ def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:
         findings.append(f"[wrench] sign is {wrench_sign:+d}, and the URDF says {robot.sign:+d}: check one of them")
     findings += sensor_findings(robot.urdf, robot.sensor, link)
     if robot.mesh_link and robot.mesh_link != link:
-        findings.append(f"the mesh is that of link {robot.mesh_link}, which is fixed to {link}")
+        findings.append(f"the mesh has the pose of that of link {robot.mesh_link}, which is fixed to {link}")
     others = robot.urdf.meshes[robot.mesh_link].others if robot.mesh_link else 0
     if others:
         findings.append(

@@ -40,6 +40,11 @@ def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Pat
         candidates = list(_in_package(robot.path, name, packages))
     else:
         candidates = list(_in_homes(robot.path, name, is_url=bool(scheme)))
+    if not candidates and scheme == "file" and _host_of(name):
+        raise InputError(
+            f"{where}: {mesh.filename} names the computer {_host_of(name)!r}; write file:///PATH with three slashes, or a name "
+            "relative to the URDF without file:."
+        )
     if not candidates:
         raise InputError(
             f"{where}: is {mesh.filename}, outside the robot's package; copy it in and correct the name, or give the part's "
@@ -62,9 +67,15 @@ def split_scheme(filename: str) -> tuple[str, str]:
     if separator and scheme.isalpha():
         scheme = scheme.lower()
         return scheme, rest.lstrip("/") if scheme in PACKAGE_SCHEMES else rest
-    if filename[:5].lower() == "file:":  # file:/PATH is a URL, too
-        return "file", filename[5:]
+    if filename[:5].lower() == "file:":  # file:/PATH is a URL, too; file:NAME is relative
+        return "file" if filename[5:6] == "/" else "", filename[5:]
     return "", filename
+
+
+def _host_of(name: str) -> str:
+    """Name the other computer of a `file:` URL without its scheme; empty for this one."""
+    host = name.replace("\\", "/").partition("/")[0]
+    return "" if host == "localhost" else host
 
 
 def package_of(filename: str) -> str:
@@ -103,9 +114,9 @@ def _in_homes(urdf: Path, name: str, *, is_url: bool) -> Iterator[Path]:
     """Yield the places that a plain name or the path of a `file:` URL may mean, inside the robot's folders."""
     names = [name.replace("\\", "/")]
     if is_url:
-        host, slash, path = names[0].removeprefix("//").partition("/")
-        if not slash or host not in ("", "localhost", "."):
+        if _host_of(names[0]):
             return
+        path = names[0].partition("/")[2]
         path = path if path[1:2] == ":" else f"/{path}"  # file:///C:/robot.stl
         names = list(dict.fromkeys((path, unquote(path))))
     homes = home_folders(urdf)

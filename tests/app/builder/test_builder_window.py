@@ -167,3 +167,30 @@ def test_a_file_that_cannot_be_read_is_reported_in_a_sentence(qtbot, tmp_path, k
         step.take_file(tmp_path / "gone.toml")
     assert "gone.toml" in failed.args[0]
     step.end()
+
+
+def test_an_own_mesh_on_a_robot_has_its_unit_and_a_link_without_a_mesh_can_be_chosen(bench, tube, tmp_path):
+    shapes = '<visual><geometry><cylinder radius="0.04" length="0.12"/></geometry></visual>'
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(
+        f'<robot name="arm"><link name="base"/><link name="part">{shapes}</link><joint name="ft" type="fixed">'
+        '<parent link="base"/><child link="part"/></joint></robot>'
+    )
+    build = Builder(bench, urdf)
+    step = build.open_step("part")
+    step.tree.topLevelItem(0).setSelected(True)
+    build.settle()
+    assert build.draft.link == "part"
+    assert "No mesh: link part has visual cylinder" in build.page.findings.text()
+    assert not step.unit.isVisible()
+    step.own_mesh.setText(str(tube))
+    step.own_mesh.editingFinished.emit()
+    build.settle()
+    assert step.size_text.text().startswith("80 x 80 x 120 mm")
+    assert step.unit.isVisible()
+    choose(step.unit, "cm")
+    build.settle()
+    assert step.size_text.text().startswith("800 x 800 x 1200 mm")
+    choose(step.unit, "mm")
+    build.settle()
+    assert build.page.preview.problems.get("part") is None
