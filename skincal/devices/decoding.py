@@ -47,7 +47,7 @@ SEQUENCE_GAP_TOLERANCE_SHARE = 0.25
 """A gap of s numbers fits a time of s intervals to within `SEQUENCE_GAP_TOLERANCE_STEPS + SEQUENCE_GAP_TOLERANCE_SHARE * s`:
 devices keep no exact pace. If numbers and time do not fit, the device restarted, and nothing is known to be missing."""
 _WIDTH_ADVICE = {
-    Stream.SKIN: "set [skin] channels of the scene, or the board's n, to the same number",
+    Stream.SKIN: "if each value is one channel, set [skin] channels of the scene, or the board's n, to the same number",
     Stream.WRENCH: "a wrench is fx fy fz mx my mz",
     Stream.JOINTS: "the number of joints changed",
     Stream.TIP: "a tip is x y z",

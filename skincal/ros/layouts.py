@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.ros.messages import FIELD_PATH_MAX_DEPTH, MessageReader
+from skincal.ros.messages import FIELD_PATH_MAX_DEPTH, LAYOUT_TYPE, MessageReader
 from skincal.ros.types import Field, MessageError, MessageTypes
 
 NUMBER_SIZES = {f"{sign}int{8 * size}": size for sign in ("", "u") for size in (1, 2, 4, 8)} | {"float32": 4, "float64": 8}
@@ -56,7 +56,11 @@ class _Walk:
         """Build the message with the offset of each number in place of its value."""
         if depth > FIELD_PATH_MAX_DEPTH:
             raise _LayoutError
-        return {field.name: self._field(field, depth) for field in self.types.fields_of(type_name)}
+        start = self.at
+        found = {field.name: self._field(field, depth) for field in self.types.fields_of(type_name)}
+        if type_name == LAYOUT_TYPE:
+            self.is_fixed[start : self.at] = True
+        return found
 
     def _field(self, field: Field, depth: int) -> Any:
         count = (field.length or self._fix_length()) if field.is_array else 1
@@ -186,7 +190,10 @@ def find_layout(types: MessageTypes, reader: MessageReader, data: bytes, arrival
     """Find the layout of a message; `reader` reads it. `None` if it has no values, or its offsets are not sure."""
     try:
         # The first message decides on the field of XELA's sensors, and on the order of joints.
-        if reader.values_of(types.decode(data, reader.type_name), arrival_s) is None:
+        message = types.decode(data, reader.type_name)
+        if reader.is_shaped or reader.values_of(message, arrival_s) is None:
+            return None
+        if reader.elements_of(message, len(reader.numbers_of(message))) is not None:
             return None
     except MessageError:
         return None

@@ -15,6 +15,9 @@ Angles of joints are given in degrees, as every decoder of this program takes th
     ChannelFloat32              the values
     TactileState                the values of all sensors, one after the other
     SensStream (XELA)           z of each taxel: forces if the sensors are calibrated, else raw values
+    Image, PointCloud2          pixels by their encoding, a field of the points: see `shaped`
+    PointCloud                  the values of the first channel
+    Float32, FluidPressure, ... the number, one taxel of a skin on several topics
     another type                its first array of numbers, else all its numbers
 
 A field path chooses others: `cdc`, `wrench.force`, `sensors[0].values`, `sensors.forces`. Without an index, a path goes through
@@ -33,10 +36,12 @@ from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
+from skincal.ros.shaped import IMAGE_TYPE, POINT_CLOUD_TYPE, elements_of_array, pixels_of, points_of
 from skincal.ros.types import HEADER_TYPE, TIME_TYPES, XELA_PACKAGES, Field, MessageError, MessageTypes, full_type_name
 
 FIELD_PATH_MAX_DEPTH = 12
@@ -52,6 +57,18 @@ REPORT_JOINT_SILENT_AFTER_S = 1.0
 """s after which a silent joint is reported on a running robot."""
 _XELA_RAW, _XELA_FORCES = "sensors.taxels.z", "sensors.forces.z"
 _ANY_STREAM = (Stream.SKIN, Stream.WRENCH, Stream.JOINTS, Stream.TIP)
+_SINGLE_TYPES = {
+    **{
+        f"std_msgs/msg/{kind}": "data"
+        for kind in ("Float32", "Float64", *(f"{s}Int{n}" for s in ("", "U") for n in (8, 16, 32, 64)))
+    },
+    "sensor_msgs/msg/FluidPressure": "fluid_pressure",
+    "sensor_msgs/msg/Range": "range",
+    "sensor_msgs/msg/Temperature": "temperature",
+}
+"""Types with one number, and its field: topics of several taxels make a skin."""
+_NAMED_TYPES = {IMAGE_TYPE: "data", POINT_CLOUD_TYPE: "", "sensor_msgs/msg/PointCloud": "channels[0].values", **_SINGLE_TYPES}
+"""Types that are a skin if the operator or the number of channels says so: most are cameras and states of the robot."""
 _KNOWN_TYPES: dict[str, tuple[tuple[Stream, ...], str]] = {
     "geometry_msgs/msg/WrenchStamped": ((Stream.WRENCH,), "wrench"),
     "geometry_msgs/msg/Wrench": ((Stream.WRENCH,), ""),
@@ -59,6 +76,7 @@ _KNOWN_TYPES: dict[str, tuple[tuple[Stream, ...], str]] = {
     "geometry_msgs/msg/PointStamped": ((Stream.TIP,), "point"),
     JOINT_STATE: ((Stream.JOINTS,), "position"),
     "sensor_msgs/msg/ChannelFloat32": ((Stream.SKIN,), "values"),
+    **{name: ((Stream.SKIN,), field) for name, field in _NAMED_TYPES.items()},
     "tactile_msgs/msg/TactileState": ((Stream.SKIN,), "sensors.values"),
     **{f"{package}/msg/SensStream": ((Stream.SKIN,), _XELA_RAW) for package in XELA_PACKAGES},
     **{
@@ -128,6 +146,19 @@ def streams_of(types: MessageTypes, type_name: str, field: str = "") -> tuple[St
     return _ANY_STREAM
 
 
+def is_seldom_a_skin(type_name: str) -> bool:
+    """Return whether a type can be a skin, but mostly is something else, such as a camera."""
+    return full_type_name(type_name) in _NAMED_TYPES
+
+
+def number_fields(types: MessageTypes, type_name: str) -> list[str]:
+    """List the field paths of a type that have numbers; empty if it has no definition."""
+    try:
+        return [path for path, each in _walk(types, full_type_name(type_name)) if each.kind == "number"]
+    except (MessageError, InputError):
+        return []
+
+
 def find_field(types: MessageTypes, type_name: str, field: str = "") -> str:
     """Return the field path that is read of a type: `field` itself, or the usual one; empty for all numbers.
 
@@ -141,6 +172,8 @@ def find_field(types: MessageTypes, type_name: str, field: str = "") -> str:
     name = full_type_name(type_name)
     if not field and name in _KNOWN_TYPES:
         return _KNOWN_TYPES[name][1]
+    if name == POINT_CLOUD_TYPE:
+        return field
     if field:
         _plan(types, name, field)
         return field
@@ -183,11 +216,33 @@ class MessageReader:
         try:
             self.field = find_field(types, self.type_name, field)
             """Path of the values; empty for all numbers."""
-            self._get = _getter(types, self.type_name, self.field)
+            self._get = self._find_getter(types)
             self._forces = _getter(types, self.type_name, _XELA_FORCES) if self.field == _XELA_RAW and not field else None
             self._stamp = _stamp_path(types, self.type_name)
         except MessageError as error:
             raise InputError(f"Messages of {self.type_name} cannot be read: {error}.") from None
+
+    def _find_getter(self, types: MessageTypes) -> Callable[[Any], FloatArray]:
+        self.has_layout = self.field == "data" and self.type_name.endswith("MultiArray")
+        """Its data is laid out by its field `layout`."""
+        self.is_shaped = self.type_name == POINT_CLOUD_TYPE or (self.type_name == IMAGE_TYPE and self.field == "data")
+        """Its numbers are in bytes, as other fields say."""
+        if self.is_shaped:
+            field = self.field
+            return pixels_of if self.type_name == IMAGE_TYPE else lambda message: points_of(message, field)
+        end = _plan(types, self.type_name, self.field)[1]
+        get = _getter(types, self.type_name, self.field)
+        if types.ros == 2 and end.kind == "number" and end.type_name in ("byte", "octet"):
+            # An octet of ROS 2 has no sign, but `rosbags` gives it one. A byte of ROS 1 has one. JSON has its numbers.
+            return lambda message: get(message) if isinstance(message, dict) else np.mod(get(message), 256.0)
+        return get
+
+    def elements_of(self, message: Any, count: int) -> NDArray[np.intp] | None:
+        """Return the indices of the readings among the `count` numbers of a message; `None` for all. Raises MessageError."""
+        # Senders of JSON may leave out the layout.
+        if not self.has_layout or (isinstance(message, dict) and "layout" not in message):
+            return None
+        return elements_of_array(_member(message, "layout"), count)
 
     def stamp_of(self, message: Any) -> float | None:
         """Return the stamp that the sender wrote, seconds of its clock; `None` if there is none or it is 0."""
@@ -242,6 +297,8 @@ class MessageReader:
                 self.field, self._get = _XELA_FORCES, self._forces
             self._forces = None
         values = self._get(message)
+        elements = self.elements_of(message, len(values))
+        values = values if elements is None else values[elements]
         return np.degrees(values) if self.stream is Stream.JOINTS else values
 
     def numbers_of(self, message: Any) -> FloatArray:

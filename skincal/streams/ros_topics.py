@@ -13,7 +13,7 @@ from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.ros.dds import Participant, TopicReader, default_domain
-from skincal.ros.messages import MessageReader, streams_of
+from skincal.ros.messages import MessageReader, is_seldom_a_skin, streams_of
 from skincal.ros.types import MessageError, MessageTypes
 from skincal.streams.links import parse_address
 
@@ -103,7 +103,8 @@ def list_ros_topics() -> tuple[list[FoundTopic], int]:
 def _can_be_read(types: MessageTypes, type_name: str) -> bool:
     """Leave out types of ROS without readings of a sensor or skin, and names that ROS does not allow."""
     try:
-        return bool(streams_of(types, type_name)) or not types.is_standard(type_name)
+        # Cameras would fill the network.
+        return (not is_seldom_a_skin(type_name) and bool(streams_of(types, type_name))) or not types.is_standard(type_name)
     except InputError:
         return False
 

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.devices.decoding import WRENCH_VALUES
-from skincal.files.importers.registry import Importer, RecordedPlace, StreamGuess, find_recordings, importer_of
+from skincal.files.importers.registry import (
+    RANK_OF_GUESS_BY_CHANNELS,
+    Importer,
+    RecordedPlace,
+    StreamGuess,
+    find_recordings,
+    importer_of,
+)
 from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
@@ -110,7 +117,8 @@ def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
         )
     found: dict[Stream, RecordedPlace] = {}
     for guess in sorted(guesses, key=lambda guess: (guess.width != channels, guess.rank, -guess.width, guess.place)):
-        found.setdefault(_likely_stream(guess, channels), guess.place)
+        if guess.rank < RANK_OF_GUESS_BY_CHANNELS or guess.width == channels:
+            found.setdefault(_likely_stream(guess, channels), guess.place)
     candidates = tuple(sorted(guess.place for guess in guesses))
     return RecordingFiles(found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates)
 

@@ -37,6 +37,10 @@ class RecordedPlace:
         return cls(Path(path), topic)
 
 
+RANK_OF_GUESS_BY_CHANNELS = 3
+"""Rank of a guess that counts only if the skin has as many channels."""
+
+
 @dataclass(frozen=True, slots=True)
 class StreamGuess:
     """A place in a recording and its likely stream."""

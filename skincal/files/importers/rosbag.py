@@ -20,14 +20,14 @@ import numpy as np
 
 from skincal.files.importers.bag_reader import Bag, BagTopic
 from skincal.files.importers.even_times import space_evenly
-from skincal.files.importers.registry import RecordedPlace, StoppedError, StreamGuess
+from skincal.files.importers.registry import RANK_OF_GUESS_BY_CHANNELS, RecordedPlace, StoppedError, StreamGuess
 from skincal.files.importers.tape import NumberFile, Tape
 from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap, count_repeated, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Stream
 from skincal.ros.layouts import RunReader
-from skincal.ros.messages import MessageReader, streams_of
+from skincal.ros.messages import MessageReader, is_seldom_a_skin, number_fields, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.topics import TopicChoice
 from skincal.ros.types import MessageError, MessageTypes
@@ -95,7 +95,7 @@ def _guess(bag: Bag, topic: BagTopic) -> StreamGuess | None:
     changes = any(len(row) == width and not np.array_equal(row, rows[0]) for row in rows)
     is_fast = len(arrivals) > 1 and (len(arrivals) - 1) * 1e9 >= SENSOR_TOPIC_MIN_RATE_HZ * (arrivals[-1] - arrivals[0])
     stream = streams[0] if len(streams) == 1 else None
-    rank = int(not changes) + int(not is_fast)
+    rank = RANK_OF_GUESS_BY_CHANNELS if is_seldom_a_skin(topic.type_name) else int(not changes) + int(not is_fast)
     return StreamGuess(RecordedPlace(bag.path, topic.name), stream, width, rank)
 
 
@@ -107,7 +107,7 @@ def _joined_patches(guesses: Sequence[StreamGuess]) -> list[StreamGuess]:
     if len(patches) < 2:
         return []
     place = RecordedPlace(patches[0].place.path, "+".join(each.place.topic for each in patches))
-    return [StreamGuess(place, Stream.SKIN, sum(each.width for each in patches), rank=3)]
+    return [StreamGuess(place, Stream.SKIN, sum(each.width for each in patches), rank=RANK_OF_GUESS_BY_CHANNELS)]
 
 
 def list_topics(bag: Bag) -> str:
@@ -296,8 +296,10 @@ def _prepare(bag: Bag, stream: Stream, text: str, joints: Sequence[str]) -> _Rec
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
         if not choice.field and stream not in (found := streams_of(bag.types, topic.type_name)):
-            kinds = " or ".join(each.value for each in found) or "no readings"
-            raise InputError(f"{name}: its messages ({topic.type_name}) hold {kinds}; expected the {stream.value}.")
+            kinds = " or ".join(each.value for each in found) or "no known readings"
+            fields = ", ".join(number_fields(bag.types, topic.type_name)[:TOPICS_LISTED_MAX])
+            advice = f" If they are in one of its fields, name it: {name}?field=PATH, with one of {fields}." if fields else ""
+            raise InputError(f"{name}: its messages ({topic.type_name}) hold {kinds}; expected the {stream.value}.{advice}")
     return _Recorded(stream, choice, readers, SkinPatches(choice.topics) if len(choice.topics) > 1 else None)
 
 
