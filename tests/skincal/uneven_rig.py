@@ -139,6 +139,7 @@ def write_rig_bag(
     names: Mapping[int, tuple[str, ...]] | None = None,
     kind: str = "mcap",
     skin_group: int = 1,
+    reset_s: float = 1e9,
 ) -> list[str]:
     """Write the bag of `import rosbag`, its skin without a stamp; return its arguments.
 
@@ -146,13 +147,15 @@ def write_rig_bag(
     ----------
     names : joints that a joint state has, by its index, where it has not both
     skin_group : number of skin frames that arrive together, 1 ms apart
+    reset_s : when the clock of recorder and senders is set to its beginning
     """
     messages: list[tuple[int, Stream, int]] = []
     for stream, times in recording.times.items():
         arrivals = times if stream is not Stream.SKIN else arrive_in_groups(times, skin_group)
-        messages += [(round((EPOCH + time) * 1e9), stream, k) for k, time in enumerate(arrivals)]
+        messages += [(round(time * 1e9), stream, k) for k, time in enumerate(arrivals)]
     with BagFile(folder, kind) as bag:
-        for ns, stream, k in sorted(messages, key=lambda each: each[0]):
+        for at_ns, stream, k in sorted(messages, key=lambda each: each[0]):
+            ns = round(EPOCH * 1e9) + at_ns - (round(reset_s * 1e9) if at_ns >= reset_s * 1e9 else 0)
             row = recording.rows[stream][k]
             if stream is Stream.WRENCH:
                 bag.add("/ft", WRENCH_TYPE, ns, wrench_message(ns, row))

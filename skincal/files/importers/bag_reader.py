@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import merge
 from pathlib import Path
@@ -18,11 +18,13 @@ from typing import Any, Literal
 
 import zstandard
 
+from skincal.files.importers.file_order import messages_in_file_order
 from skincal.files.importers.mcap_bag import McapFile
 from skincal.files.importers.unfinished_bag import UnfinishedBag
 from skincal.model.errors import InputError
 from skincal.ros.types import MessageTypes
 
+CLOCK_SET_BACK = "the recorder's clock was set back, as by a simulation that began again: its file's order was kept."
 METADATA_NAME = "metadata.yaml"
 STORAGE_SUFFIXES = (".mcap", ".db3")
 ROS1_SUFFIXES = (".bag", ".active")
@@ -218,25 +220,39 @@ class Bag:
                 if not self.types.is_standard(each.msgtype):
                     raise
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+    def messages(self, topics: Collection[str], *, in_file_order: bool = False) -> Iterator[tuple[str, int, bytes]]:
         """Yield topic, time of arrival (ns) and bytes of the messages of some topics, in order of arrival.
+
+        With `in_file_order` they follow each other as in the file, if the recorder's clock was set back.
 
         Where a file is damaged its messages end, and `damage` says why; those of the other files go on.
         """
         self.damage = ""
-        sources = [
-            self._messages_of(reader, wanted)
+        wanted_of = [
+            (reader, wanted)
             for reader in self._readers
             if (wanted := [each for each in reader.connections if each.topic in topics])
         ]
+        sources = [self._messages_of(*each) for each in wanted_of]
+        if in_file_order and len(wanted_of) == 1:
+            # A damaged file is read as any other one, which says where.
+            with contextlib.suppress(Exception):
+                if (read := messages_in_file_order(*wanted_of[0])) is not None:
+                    sources = [self._messages_of(*wanted_of[0], read=read)]
+                    self.findings.append(CLOCK_SET_BACK)
         for connection, arrival_ns, data in sources[0] if len(sources) == 1 else merge(*sources, key=_arrival_of):
             yield connection.topic, arrival_ns, data
 
     def _messages_of(
-        self, reader: Any, wanted: Sequence[Any], start: int | None = None, stop: int | None = None
+        self,
+        reader: Any,
+        wanted: Sequence[Any],
+        start: int | None = None,
+        stop: int | None = None,
+        read: Callable[[], Iterator[tuple[Any, int, bytes]]] | None = None,
     ) -> Iterator[tuple[Any, int, bytes]]:
         try:
-            for connection, arrival_ns, data in reader.messages(wanted, start, stop):
+            for connection, arrival_ns, data in reader.messages(wanted, start, stop) if read is None else read():
                 yield connection, arrival_ns, _unpack_message(data) if data[:4] == ZSTD_MAGIC else data
         except Exception as error:  # noqa: BLE001 - a damaged file can raise anything in the library
             why = " ".join(str(error).split()).rstrip(".") or type(error).__name__

@@ -14,6 +14,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterator
 from io import BytesIO
+from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -34,6 +35,8 @@ RECORD_HEAD = struct.Struct("<BQ")
 """Operation and length."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, number, arrival and sending (ns)."""
+OVERLAP_OF_CHUNKS_MAX_NS = 500_000_000
+"""Arrivals in a chunk and the next one may overlap by this: late messages are written as they come."""
 RECORD_MAX_BYTES = 1 << 30
 """Recorders make chunks of some MB. A damaged length must not fill the memory."""
 _ROS_OF_ENCODING: dict[str, Literal[1, 2]] = {"cdr": 2, "ros1": 1}
@@ -200,6 +203,23 @@ class McapFile:
         for log_time, channel, data in self._indexed(of_channel.keys(), first, last) if self.is_indexed else self._all():
             if channel in of_channel and first <= log_time < last:
                 yield of_channel[channel], log_time, data
+
+    @property
+    def may_go_back(self) -> bool:
+        """Whether chunks overlap in time as they do after the recorder's clock was set back, or one chunk holds all."""
+        chunks = sorted(self._chunks, key=attrgetter("chunk_start_offset"))
+        return len(chunks) == 1 or any(
+            after.message_start_time < before.message_end_time - OVERLAP_OF_CHUNKS_MAX_NS for before, after in pairwise(chunks)
+        )
+
+    def in_file_order(self, connections: Collection[Any]) -> Iterator[tuple[Any, int, bytes]]:
+        """Yield channel, arrival (ns) and bytes of the messages of some channels as they follow each other in the file."""
+        of_channel = {each.id: each for each in connections}
+        for each in sorted(self._chunks, key=attrgetter("chunk_start_offset")):
+            self._file.seek(each.chunk_start_offset + RECORD_HEAD.size)
+            for log_time, channel, data in _messages_in(_unpack_chunk(Chunk.read(ReadDataStream(self._file)))):
+                if channel in of_channel:
+                    yield of_channel[channel], log_time, data
 
     def _indexed(self, channels: Collection[int], first: float, last: float) -> Iterator[_Arrived]:
         """Yield the messages of the chunks that have some of the channels from `first` to before `last`, by arrival."""

@@ -309,7 +309,7 @@ def _read_messages(bag: Bag, streams: Sequence[_Recorded], go_on: Callable[[floa
         for name in each.choice.topics:
             of_topic.setdefault(name, []).append(each)
     total = max(1, sum(bag.topics[name].messages for name in of_topic))
-    for count, (topic, arrival_ns, data) in enumerate(bag.messages(of_topic.keys())):
+    for count, (topic, arrival_ns, data) in enumerate(bag.messages(of_topic.keys(), in_file_order=True)):
         for each in of_topic[topic]:
             each.add(bag.types, topic, arrival_ns, data)
         if count % MESSAGES_PER_PROGRESS_REPORT == 0 and not go_on(min(1.0, count / total)):

@@ -282,3 +282,13 @@ def test_a_stream_with_gaps_is_named_and_not_the_noise_of_the_sensor(rig, import
     assert not snapshot.pokes
     assert approved("recording.no_poke_gaps", name=name) in said
     assert "noise" not in said
+
+
+@pytest.mark.parametrize("kind", ["mcap", "mcap-zstd", "sqlite3", "sqlite3-message"])
+def test_two_runs_of_a_simulation_follow_each_other(rig, imported, kind, tmp_path):
+    """The recorder's clock is the simulation's, which begins again in a pause between two pokes."""
+    code, said, snapshot = imported(write_rig_bag(tmp_path / "r", rig, kind=kind, reset_s=MOVE_S - 0.2))
+    assert code == 0
+    assert approved("recording.file_order") in said
+    assert len(poke_times(snapshot)) >= POKES - 1
+    assert max(errors_mm(snapshot)) < RIGHT_MM
