@@ -48,6 +48,7 @@ from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.rig_text import corrected_words, offer_news, rig_state
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
+from skincal.files.formats import ExportOptions
 from skincal.guide.press_coaching import max_angle_error
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, Redo, Undo
@@ -474,7 +475,7 @@ class SessionView(QObject):
         stem = self._documents / self.workspace.part.scene.name
         dialog = ExportDialog(self.workspace.methods, self.method, stem, self.workspace.window())
 
-        def write(format_: str, path: Path, method: Method) -> None:
+        def write(format_: str, path: Path, method: Method, options: ExportOptions) -> None:
             rig = None if self.state is None or self.state.review is None else self.state.review.rig
 
             def done(found: tuple[Verdict, tuple[str, ...]]) -> None:
@@ -482,7 +483,7 @@ class SessionView(QObject):
                 early = () if verdict.enough else (verdict_sentence(verdict),)
                 dialog.show_written((*early, *sentences))
 
-            self._controller.export(format_, path, method, rig, done, dialog.show_failure, dialog.end_task)
+            self._controller.export(format_, path, method, rig, done, dialog.show_failure, dialog.end_task, options)
 
         dialog.write_requested.connect(write)
         dialog.open()

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QComboBox, QFileDialog, QLabel, QLineEdit, QPushButton, QWidget
+from PySide6.QtWidgets import QCheckBox, QComboBox, QFileDialog, QLabel, QLineEdit, QPushButton, QWidget
 
 from app.dialogs.task_dialog import TaskDialog
 from app.panels.layouts import make_row
 from app.panels.widgets import secondary_label
-from skincal.files.formats import ExportFormat
+from skincal.files.formats import ExportFormat, ExportOptions, Inertia
 from skincal.taxels.result import Method
 from skincal.words.units import count
 
@@ -18,7 +18,7 @@ from skincal.words.units import count
 class ExportDialog(TaskDialog):
     """Choice of format, method and file, and the remarks on the written file."""
 
-    write_requested = Signal(str, object, object)  # Format, path, method
+    write_requested = Signal(str, object, object, object)  # Format, path, method, options
 
     def __init__(self, methods: tuple[Method, ...], shown: Method, stem: Path, parent: QWidget | None = None) -> None:
         super().__init__("Export calibration", "Write file", methods, shown, parent)
@@ -32,11 +32,22 @@ class ExportDialog(TaskDialog):
         self.path.setAccessibleName("file")
         self.browse = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
         self.remarks.setAccessibleName("remarks")
+        self.prefix = QLineEdit()
+        self.prefix.setPlaceholderText("the link's name and _")
+        self.into = QLineEdit()
+        self.into.setAccessibleName("robot")
+        self.into.setPlaceholderText("none: a file of the taxels alone")
+        self.choose_robot = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
+        self.inertia = QCheckBox("1 &mg for each taxel, for PyBullet and urchin")
+        self._robot_row = make_row((self.into, 1), self.choose_robot)
         label = QLabel("F&ile")
         label.setBuddy(self.path)
         self.form.addRow("&Format", self.format)
         self.form.addRow("", self.about)
         self.form.addRow("&Method", self.method)
+        self.form.addRow("&Prefix", self.prefix)
+        self.form.addRow("Robot", self._robot_row)
+        self.form.addRow("", self.inertia)
         self.form.addRow(label, make_row((self.path, 1), self.browse))
         # Space and Enter write the proposed file, then close.
         self.start.setDefault(True)
@@ -48,6 +59,10 @@ class ExportDialog(TaskDialog):
         # Only typing emits `textEdited`; `textChanged` also comes with proposed names.
         self.path.textEdited.connect(self._path_edited)
         self.browse.clicked.connect(self._browse)
+        self.choose_robot.clicked.connect(self._choose_robot)
+        self.prefix.textChanged.connect(self._clear_outcome)
+        self.into.textChanged.connect(self._clear_outcome)
+        self.inertia.toggled.connect(self._clear_outcome)
         self.start.clicked.connect(self._write)
         self._format_chosen()
 
@@ -71,6 +86,8 @@ class ExportDialog(TaskDialog):
         words = self._chosen()
         self.about.setText(words.description)
         self.method.setEnabled(not words.holds_all_methods)
+        for feature, row in (("prefix", self.prefix), ("into", self._robot_row), ("inertia", self.inertia)):
+            self.form.setRowVisible(row, feature in words.features)
         if self._named_by_hand:
             self.path.setText(str(Path(self.path.text()).with_suffix(words.suffix)))
         self._propose_name()
@@ -90,6 +107,18 @@ class ExportDialog(TaskDialog):
             self._named_by_hand = True
             self.path.setText(path)
 
+    def _choose_robot(self) -> None:
+        ending = ".sdf" if self._chosen() is ExportFormat.SDF else ".urdf"
+        path, _ = QFileDialog.getOpenFileName(self, "The robot's own file", self.into.text(), f"Robot (*{ending})")
+        if path:
+            self.into.setText(path)
+
+    def _options(self) -> ExportOptions:
+        """Return what is filled in, as far as the format knows it."""
+        inertia = Inertia.TINY if self.inertia.isChecked() else Inertia.NONE
+        into = Path(self.into.text()) if self.into.text() else None
+        return ExportOptions(None, self.prefix.text() or None, inertia, into).for_format(self._chosen())
+
     def _write(self) -> None:
         self.begin_task("Writing \N{HORIZONTAL ELLIPSIS}")
-        self.write_requested.emit(self._chosen().value, Path(self.path.text()), self.method.currentData())
+        self.write_requested.emit(self._chosen().value, Path(self.path.text()), self.method.currentData(), self._options())

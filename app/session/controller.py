@@ -16,6 +16,7 @@ from app.state.running import Running
 from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService, raise_sentences
+from skincal.files.formats import NO_OPTIONS, ExportOptions
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -565,6 +566,7 @@ class Controller(QObject):
         done: Callable[[tuple[Verdict, tuple[str, ...]]], None],
         failed: Callable[[str], None],
         ended: Callable[[], None] | None = None,
+        options: ExportOptions = NO_OPTIONS,
     ) -> None:
         """Write a calibration file in the background.
 
@@ -592,7 +594,7 @@ class Controller(QObject):
             with raise_sentences("The file is not written"):
                 verdicts = verdicts_of(part, snapshot, methods, rig)
                 _make_folder(path.parent)
-                return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
+                return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method, options)
 
         self.compute(write, done, failed, ended=ended)
 

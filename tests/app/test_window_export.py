@@ -73,3 +73,41 @@ def test_without_a_display_the_file_and_the_output_say_it_too(tmp_path, monkeypa
     lines = capsys.readouterr().out.splitlines()
     (words,) = [line for line in lines if line.startswith("Not finished")]
     assert words.rstrip(".") in (tmp_path / "s" / "positions.txt").read_text(encoding="utf-8")
+
+
+def test_the_dialog_writes_the_whole_robot_with_a_prefix(bench, tmp_path):
+    """The same options as in the command; those that a format does not know are hidden and have no effect."""
+    bench.open(OpenRequest(session=resource("sessions/sample")))
+    bench.until_all_is_there()
+    link = bench.window.session_view.workspace.part.scene.link
+    (tmp_path / "robot.urdf").write_text(f'<robot name="r"><link name="{link}"/></robot>')
+    bench.window.session_view.ask_export()
+    dialog = bench.window.findChild(ExportDialog)
+
+    def choose(name: str) -> None:
+        dialog.format.setCurrentIndex(next(i for i in range(dialog.format.count()) if dialog.format.itemData(i).value == name))
+
+    choose("urdf")
+    assert dialog.prefix.isVisible()
+    assert dialog.into.isVisible()
+    assert dialog.inertia.isVisible()
+    dialog.prefix.setText("left_")
+    dialog.into.setText(str(tmp_path / "robot.urdf"))
+    dialog.inertia.setChecked(True)
+    dialog.path.setText(str(tmp_path / "out.urdf"))
+    dialog.start.click()
+    bench.until(lambda: "Written" in dialog.outcome.text(), OPEN_MS)
+    text = (tmp_path / "out.urdf").read_text(encoding="utf-8")
+    assert '<link name="left_taxel_204">' in text
+    assert text.count("<mass ") == text.count('<link name="left_taxel_') > 0
+    remarks = [dialog.remarks.item(row).text() for row in range(dialog.remarks.count())]
+    assert any("added to robot.urdf" in remark for remark in remarks)
+    dialog.path.setText(str(tmp_path / "robot.urdf"))
+    dialog.start.click()
+    bench.until(lambda: "is the robot's own file" in dialog.outcome.text(), OPEN_MS)
+    choose("csv")
+    assert not dialog.prefix.isVisible()
+    dialog.path.setText(str(tmp_path / "out.csv"))
+    dialog.start.click()
+    bench.until(lambda: "Written" in dialog.outcome.text(), OPEN_MS)
+    dialog.reject()
