@@ -114,7 +114,7 @@ class ExportDialog(TaskDialog):
             self.into.setText(path)
 
     def _options(self) -> ExportOptions:
-        """Return what is filled in, as far as the format knows it."""
+        """Return the filled-in options that the format knows."""
         inertia = Inertia.TINY if self.inertia.isChecked() else Inertia.NONE
         into = Path(self.into.text()) if self.into.text() else None
         return ExportOptions(None, self.prefix.text() or None, inertia, into).for_format(self._chosen())
