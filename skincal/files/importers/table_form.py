@@ -113,10 +113,10 @@ class TableForm:
         return evidence.uses(self.path)
 
     def has_gaps(self) -> bool:
-        """Check whether a row may lack some of its values."""
+        """Check whether a row may lack some of its values, by its letters alone."""
         mark = self.separator or "\t"
-        doubled = re.compile(rf"(?:^|{re.escape(mark)})\s*\"?\"?(?:{re.escape(mark)}|$)|\bn[ua]|\bnone", re.IGNORECASE)
-        return any(doubled.search(line) for line in self.lines())
+        signs = (mark * 2, f"{mark} ", '""', "n", "N")
+        return any(line[0] == mark or line[-1] == mark or any(sign in line for sign in signs) for line in self.lines())
 
 
 def read_form(path: Path, names_time: NamesTime) -> TableForm:
