@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +50,7 @@ from skincal.journal.writer import SCENE_FOLDER
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene
-from skincal.session.importing import Imported, ImportRequest, missing_folders, take_away
+from skincal.session.importing import Imported, ImportRequest, joint_columns, missing_folders, take_away
 
 SIZE_PX = (760, 680)
 TYPING_PAUSE_BEFORE_PREVIEW_MS = 400  # A recording is previewed after this pause in typing
@@ -82,6 +83,7 @@ class ImportDialog(Dialog):
         self._jobs = JobQueue(self)
         self._finds, self._places = (ThreadService(name, self) for name in ("recordings", "places"))
         self._scene: Scene | None = None
+        self._proposed = RecordingFiles()
         self._scene_trouble = ""  # Why there is no scene; empty while it is read
         self._preview: RecordingPreview | None = None
         self._trouble = ""  # Why there is no preview
@@ -174,11 +176,15 @@ class ImportDialog(Dialog):
         self.kind.setText(READING_TEXT)
         self._finds.renew()
         channels = 0 if self._scene is None else self._scene.skin.channels
-        self._finds.submit(lambda: _find_streams(paths, channels), self._show_files, lambda why: self._take_preview(None, why))
+        joints = () if self._scene is None else joint_columns(self._scene)
+        self._finds.submit(
+            lambda: _find_streams(paths, channels, joints), self._show_files, lambda why: self._take_preview(None, why)
+        )
 
     def _show_files(self, found: RecordingFiles) -> None:
         if self.importing:
             return
+        self._proposed = found
         for stream, path in zip(self.fields, (found.wrench, found.skin, found.joints), strict=True):
             self.fields[stream].setText("" if path is None else str(path))
             completer = QCompleter([str(each) for each in found.candidates], self.fields[stream])
@@ -190,7 +196,10 @@ class ImportDialog(Dialog):
     def files(self) -> RecordingFiles:
         """Give the chosen files; `InputError` if a needed one is missing."""
         texts = (field.text().strip() for field in self.fields.values())
-        return RecordingFiles(*(RecordedPlace.parse(text) if text else None for text in texts))
+        files = RecordingFiles(*(RecordedPlace.parse(text) if text else None for text in texts))
+        # The topics that the operator typed have no others.
+        proposed = self._proposed.places.items() & files.places.items()
+        return replace(files, others={stream: self._proposed.others.get(stream, ()) for stream, _ in proposed})
 
     def _choose_recording_folder(self) -> None:
         path = QFileDialog.getExistingDirectory(self, "Folder of a recording")
@@ -371,9 +380,9 @@ def force_points(preview: RecordingPreview) -> FloatArray:
     return np.column_stack([times / max(float(preview.times[-1]), 1e-9), force / max(float(force.max()), 1e-9)])
 
 
-def _find_streams(paths: Sequence[Path], channels: int) -> RecordingFiles:
+def _find_streams(paths: Sequence[Path], channels: int, joints: Sequence[str]) -> RecordingFiles:
     try:
-        return guess_streams(paths, channels)
+        return guess_streams(paths, channels, joints)
     except OSError as error:
         raise InputError(str(error)) from error
 

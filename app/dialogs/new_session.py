@@ -40,6 +40,7 @@ from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plain_text, shortened
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
+from skincal.session.importing import joint_columns
 from skincal.streams.links import parse_address
 from skincal.streams.ros_topics import FoundTopic, propose_topics
 from skincal.words.link_words import STREAM_NAMES
@@ -321,7 +322,7 @@ class NewSessionDialog(Dialog):
         self._topics = topics
         self.topics_note.setText(trouble)
         self.topics_note.setVisible(bool(trouble))
-        proposed = propose_topics(topics)
+        proposed = propose_topics(topics, self._joints())
         names = ", ".join(plain_text(proposed[stream].topic) for stream in Stream if stream in proposed)
         self.proposal.setText(f"Use the &ROS 2 topics {shortened(names, MAX_PORT_NAME_CHARS)}")
         self.proposal.setVisible(bool(proposed))
@@ -337,8 +338,12 @@ class NewSessionDialog(Dialog):
             others = [entry for of, entry in topics if of is not stream]
             row.set_ports([*likely, *self._ports, *others, *reversed(used)])
 
+    def _joints(self) -> tuple[str, ...]:
+        """Names of the scene's joints; empty without a scene."""
+        return () if self._scene is None else joint_columns(self._scene)
+
     def _use_proposal(self) -> None:
-        for stream, topic in propose_topics(self._topics).items():
+        for stream, topic in propose_topics(self._topics, self._joints()).items():
             self.rows[stream].set_address(topic.address, agreed=True)
         self._choose_previews()
 

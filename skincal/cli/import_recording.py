@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -72,39 +72,50 @@ def _topics_command(importer: Importer) -> Callable[..., None]:
         loaded = find_scene(scene)
         names = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
         check_pose(loaded, pose, streamed=True)
-        places = find_topics(path, {stream: name for stream, name in names.items() if name}, loaded, pose)
+        places, others = find_topics(path, {stream: name for stream, name in names.items() if name}, loaded, pose)
         check_pose(loaded, pose, streamed=Stream.JOINTS in places)
-        _import(importer, places, loaded, pose, out, as_json)
+        _import(importer, places, loaded, pose, out, as_json, others)
 
     help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
     command.__annotations__ |= {name: Annotated[str | None, help_of[name]] for name in help_of}
     return command
 
 
-def find_topics(path: Path, named: Mapping[Stream, str], scene: Scene, pose: str | None) -> dict[Stream, RecordedPlace]:
-    """Complete the named topics by likely ones.
+def find_topics(
+    path: Path, named: Mapping[Stream, str], scene: Scene, pose: str | None
+) -> tuple[dict[Stream, RecordedPlace], list[str]]:
+    """Complete the named topics by likely ones; name the other likely ones in sentences.
 
     A stream without a likely topic gets an empty one, which the importer refuses with the topics that there are. Joints are
     read only where the scene has an arm and no pose is given.
     """
     from skincal.files.importers.preview import guess_streams
+    from skincal.session.importing import joint_columns
 
     wanted = {Stream.WRENCH, Stream.SKIN, *named}
     needs_joints = scene.arm is not None and pose is None
-    guessed = dict[Stream, RecordedPlace]()
+    guessed, others = dict[Stream, RecordedPlace](), list[str]()
     if wanted - named.keys() or (needs_joints and Stream.JOINTS not in named):
-        guessed = guess_streams([path], scene.skin.channels).places
-    if needs_joints and Stream.JOINTS in guessed:
-        wanted.add(Stream.JOINTS)
+        found = guess_streams([path], scene.skin.channels, joint_columns(scene))
+        guessed = found.places
+        if needs_joints and Stream.JOINTS in guessed:
+            wanted.add(Stream.JOINTS)
+        others = found.sentences_on_others(wanted - named.keys())
     return {
         stream: RecordedPlace(path, named[stream]) if stream in named else guessed.get(stream, RecordedPlace(path))
         for stream in Stream
         if stream in wanted
-    }
+    }, others
 
 
 def _import(
-    importer: Importer, places: Mapping[Stream, RecordedPlace], scene: Scene, pose: str | None, out: Path, as_json: bool
+    importer: Importer,
+    places: Mapping[Stream, RecordedPlace],
+    scene: Scene,
+    pose: str | None,
+    out: Path,
+    as_json: bool,
+    findings: Sequence[str] = (),
 ) -> None:
     from skincal.session.importing import joint_columns, new_session, play_recording
 
@@ -117,7 +128,7 @@ def _import(
         gc.freeze()
         with new_session(out, scene, recording.links, warn, copy=True) as pipeline:
             play_recording(pipeline, recording, pose, lambda share: go_on(read_share + (1 - read_share) * share))
-            finish(pipeline, out, as_json, recording.findings, imported=True)
+            finish(pipeline, out, as_json, (*findings, *recording.findings), imported=True)
 
 
 @contextlib.contextmanager

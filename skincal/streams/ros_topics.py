@@ -14,6 +14,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.ros.dds import Participant, TopicReader, default_domain
 from skincal.ros.messages import MessageReader, is_seldom_a_skin, streams_of
+from skincal.ros.proposals import is_command, name_rank
 from skincal.ros.types import MessageError, MessageTypes
 from skincal.streams.links import parse_address
 
@@ -43,6 +44,8 @@ class FoundTopic:
     """Its type is made for the stream; other types only have numbers."""
     has_changed: bool = False
     """Its messages were not all equal."""
+    joints: tuple[str, ...] = ()
+    """Names of its joints, if it has some."""
 
     @property
     def address(self) -> str:
@@ -118,7 +121,7 @@ def _open_reader(participant: Participant, topic: str, type_name: str) -> TopicR
 
 def _describe(types: MessageTypes, topic: str, heard: _Listened) -> FoundTopic:
     streams = streams_of(types, heard.type_name)
-    values, has_changed = None, False
+    values, has_changed, joints = None, False, ()
     if heard.newest and streams:
         try:
             # As a skin: the values of any type without a meaning.
@@ -126,6 +129,7 @@ def _describe(types: MessageTypes, topic: str, heard: _Listened) -> FoundTopic:
             first = reader.values_of(types.decode(heard.first, heard.type_name))
             first = None if first is None else first.copy()
             values = reader.values_of(types.decode(heard.newest, heard.type_name))
+            joints = tuple(filter(None, reader.joints)) if reader.by_name else ()
             has_changed = first is not None and values is not None and not np.array_equal(first, values, equal_nan=True)
         except (MessageError, InputError):
             streams = ()
@@ -134,25 +138,36 @@ def _describe(types: MessageTypes, topic: str, heard: _Listened) -> FoundTopic:
         stream = Stream.WRENCH
     passed_s = (heard.times_ns[-1] - heard.times_ns[0]) * 1e-9 if len(heard.times_ns) > 1 else 0.0
     rate = (heard.count - 1) / passed_s if passed_s > 0 else 0.0
-    return FoundTopic(topic, heard.type_name, stream, rate, values, len(streams) == 1, has_changed)
+    return FoundTopic(topic, heard.type_name, stream, rate, values, len(streams) == 1, has_changed, joints)
 
 
-def propose_topics(found: Sequence[FoundTopic]) -> dict[Stream, FoundTopic]:
+def propose_topics(found: Sequence[FoundTopic], joints: Sequence[str] = ()) -> dict[Stream, FoundTopic]:
     """Choose a topic for each stream of those that send: the widest skin, and the fastest wrench and joints.
 
-    A type that is made for the stream comes first, then a topic whose values change.
+    A type that is made for the stream comes first, then a topic with the scene's joints, then one whose values change, then
+    the usual name of measured values. Commands are never proposed.
+
+    Parameters
+    ----------
+    joints : names of the scene's joints, if they are known
     """
     proposed: dict[Stream, FoundTopic] = {}
     for stream in Stream:
-        sending = [(each, each.values) for each in found if each.stream is stream and each.values is not None]
+        sending = [
+            (each, each.values)
+            for each in found
+            if each.stream is stream and each.values is not None and not is_command(each.topic)
+        ]
         if sending:
-            proposed[stream] = max(sending, key=lambda pair: _rank(stream, *pair))[0]
+            proposed[stream] = max(sending, key=lambda pair: _rank(stream, *pair, joints))[0]
     return proposed
 
 
-def _rank(stream: Stream, found: FoundTopic, values: FloatArray) -> tuple[bool, bool, int, float, str]:
+def _rank(stream: Stream, found: FoundTopic, values: FloatArray, joints: Sequence[str]) -> tuple[object, ...]:
     width = len(values) if stream is Stream.SKIN else 0
-    return found.is_dedicated, found.has_changed, width, found.rate, found.topic
+    scene_joints = len(set(joints) & set(found.joints)) if stream is Stream.JOINTS else 0
+    named = -name_rank(found.topic, stream)
+    return found.is_dedicated, scene_joints, found.has_changed, width, named, found.rate, found.topic
 
 
 def read_robot_description(address: str) -> bytes:

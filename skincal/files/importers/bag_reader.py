@@ -33,6 +33,10 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """No message of ROS 2 begins with it: its first byte is 0."""
 MESSAGE_MAX_BYTES = 1 << 28
 """Of an unpacked message: a damaged one must not fill the memory."""
+SPREAD_PARTS = 16
+"""Parts of a bag from which messages are read to see whether they change."""
+SPREAD_PART_NS = 500_000_000
+"""ns. Topics of 5 Hz have two messages in each part."""
 LEFT_OUT_TOPICS_LISTED_MAX = 6
 """Topics without messages of ROS that a sentence lists."""
 
@@ -242,6 +246,32 @@ class Bag:
                     self.findings.append(CLOCK_SET_BACK)
         for connection, arrival_ns, data in sources[0] if len(sources) == 1 else merge(*sources, key=_arrival_of):
             yield connection.topic, arrival_ns, data
+
+    def spread_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield some messages of topics from all parts of the bag: where there is an index, without reading the others."""
+        for reader in self._readers:
+            wanted = [each for each in reader.connections if each.topic in topics]
+            first, last = reader.start_time, reader.end_time
+            if not wanted or last < first:
+                continue
+            if not getattr(reader, "is_indexed", True):
+                yield from self._every_nth(reader, wanted)
+                continue
+            for part in range(SPREAD_PARTS):
+                start = first + (last - first) * part // SPREAD_PARTS
+                seen = set[str]()
+                for connection, arrival_ns, data in self._messages_of(reader, wanted, start, start + SPREAD_PART_NS):
+                    if connection.topic not in seen:
+                        seen.add(connection.topic)
+                        yield connection.topic, arrival_ns, data
+
+    def _every_nth(self, reader: Any, wanted: Sequence[Any]) -> Iterator[tuple[str, int, bytes]]:
+        steps = {each.id: max(1, each.msgcount // SPREAD_PARTS) for each in wanted}
+        counts = dict.fromkeys(steps, 0)
+        for connection, arrival_ns, data in self._messages_of(reader, wanted):
+            if counts[connection.id] % steps[connection.id] == 0:
+                yield connection.topic, arrival_ns, data
+            counts[connection.id] += 1
 
     def _messages_of(
         self,

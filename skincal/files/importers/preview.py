@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,7 @@ from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecordin
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Batch, Stream
+from skincal.ros.proposals import is_command, name_rank
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.streams.link_diagnosis import LinkMonitor
 from skincal.words.link_words import BINARY_LEVELS, binary_skin, freeze_sentences
@@ -37,6 +38,8 @@ FORCE_CURVE_BIN_S = 0.1
 """The force curve has the largest force of each bin: a poke is longer."""
 MAX_JOINTS_IN_UNNAMED_STREAM = 16
 """A row of unknown meaning with more values is a skin: arms have fewer joints, skins more taxels."""
+OTHER_TOPICS_LISTED_MAX = 5
+"""Topics that a sentence lists."""
 MAX_FILES_TRIED = 2000
 """Each costs about a millisecond."""
 FIRST_VALUES_SHOWN = 6
@@ -60,12 +63,25 @@ class RecordingFiles:
     """All places in the recording that may hold a stream."""
     channels: int = field(default=0, compare=False, kw_only=True)
     """Of the skin, which a table must have; 0 if unknown, as in a preview."""
+    others: Mapping[Stream, tuple[RecordedPlace, ...]] = field(
+        default_factory=dict[Stream, tuple[RecordedPlace, ...]], compare=False, kw_only=True
+    )
+    """Topics that may hold a stream, too, in the order of their likeliness."""
 
     @property
     def places(self) -> dict[Stream, RecordedPlace]:
         """Known places."""
         named = {Stream.WRENCH: self.wrench, Stream.SKIN: self.skin, Stream.JOINTS: self.joints}
         return {stream: place for stream, place in named.items() if place is not None}
+
+    def sentences_on_others(self, proposed: Collection[Stream]) -> list[str]:
+        """Name the other topics of the streams for which a topic was proposed."""
+        return [
+            f"{stream.value}: {place.topic} was chosen; it could be {' or '.join(each.topic for each in others)}, too. "
+            "If one of them is meant, name it."
+            for stream, place in self.places.items()
+            if stream in proposed and (others := self.others.get(stream, ())[:OTHER_TOPICS_LISTED_MAX])
+        ]
 
     @property
     def importer(self) -> Importer:
@@ -90,12 +106,13 @@ class RecordingFiles:
         return self.importer.open_recording(self.places, joints, go_on, self.channels)
 
 
-def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
+def guess_streams(paths: Sequence[Path], channels: int = 0, joints: Sequence[str] = ()) -> RecordingFiles:
     """Assign files, or those of a folder, to streams by their names and first lines.
 
     Parameters
     ----------
     channels : of the skin; 0 if unknown
+    joints : names of the scene's joints, if they are known
 
     Raises InputError: none of them is a recording.
     """
@@ -115,12 +132,28 @@ def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
         raise InputError(
             f"{names}: no recording was found; expected sensor and skin in yarpdatadumper folders, CSV files or a bag of ROS."
         )
-    found: dict[Stream, RecordedPlace] = {}
-    for guess in sorted(guesses, key=lambda guess: (guess.width != channels, guess.rank, -guess.width, guess.place)):
+    likely = dict[Stream, list[RecordedPlace]]()
+    wanted = set(filter(None, joints))
+    for guess in sorted(guesses, key=lambda guess: _order(guess, channels, wanted)):
         if guess.rank < RANK_OF_GUESS_BY_CHANNELS or guess.width == channels:
-            found.setdefault(_likely_stream(guess, channels), guess.place)
+            likely.setdefault(_likely_stream(guess, channels), []).append(guess.place)
+    # Nothing has measured a command.
+    found = {stream: next((each for each in places if not is_command(each.topic)), None) for stream, places in likely.items()}
     candidates = tuple(sorted(guess.place for guess in guesses))
-    return RecordingFiles(found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates)
+    others = {
+        stream: tuple(each for each in places if each.topic and each != found[stream]) for stream, places in likely.items()
+    }
+    return RecordingFiles(
+        found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates, others=others
+    )
+
+
+def _order(guess: StreamGuess, channels: int, joints: set[str]) -> tuple[object, ...]:
+    """Key that sorts guesses by their likeliness."""
+    stream = _likely_stream(guess, channels)
+    lacking = len(joints) - len(joints & set(guess.joints)) if stream is Stream.JOINTS else 0
+    name = name_rank(guess.place.topic, stream) if guess.place.topic else 0
+    return guess.width != channels, lacking, guess.rank, name, -guess.width, guess.place
 
 
 def _has_topics(files: Sequence[Path]) -> bool:
@@ -241,6 +274,7 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
     for name, monitor in monitors.items():
         findings += freeze_sentences(monitor.freezes, SESSION_START_TIME_NS)
         findings += [f"{name}: {binary_skin(monitor.levels)}"] if monitor.levels in BINARY_LEVELS else []
+    findings += files.sentences_on_others(files.others.keys())
     return RecordingPreview(importer, tuple(streams), tuple(findings), *_force_curve(readings[Stream.WRENCH.value]))
 
 

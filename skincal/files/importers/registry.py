@@ -50,6 +50,8 @@ class StreamGuess:
     """`None` if its content does not tell."""
     width: int
     """Values of a row."""
+    joints: tuple[str, ...] = ()
+    """Names of its joints, if it has some."""
     rank: int = 0
     """0 for a likely stream; a constant or slow one, or a guess that needs the number of channels, has a larger one."""
 

@@ -10,6 +10,7 @@ then a header's stamp counts if it agrees with the arrival, after a constant dif
 from __future__ import annotations
 
 import contextlib
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +30,7 @@ from skincal.model.readings import Stream
 from skincal.ros.layouts import RunReader
 from skincal.ros.messages import MessageReader, is_seldom_a_skin, number_fields, streams_of
 from skincal.ros.patches import SkinPatches
+from skincal.ros.proposals import is_command, natural_order
 from skincal.ros.topics import TopicChoice
 from skincal.ros.types import MessageError, MessageTypes
 from skincal.streams.links import LinkSpec
@@ -64,50 +66,79 @@ def guess_streams(path: Path) -> list[StreamGuess]:
     Raises InputError: it cannot be read, or no topic has readings.
     """
     with Bag(path) as bag:
-        guesses = [guess for topic in bag.topics.values() if (guess := _guess(bag, topic)) is not None]
+        spread = _spread_messages(bag)
+        guesses = [guess for topic in bag.topics.values() if (guess := _guess(bag, topic, spread[topic.name])) is not None]
         if not guesses:
             raise InputError(f"{path}: no topic has readings of a sensor or skin; it has {list_topics(bag)}.")
     return [*guesses, *_joined_patches(guesses)]
 
 
-def _guess(bag: Bag, topic: BagTopic) -> StreamGuess | None:
+def _spread_messages(bag: Bag) -> dict[str, list[tuple[int, bytes]]]:
+    """Collect arrivals and bytes of messages of each topic that may have readings, from all parts of the bag."""
+    found: dict[str, list[tuple[int, bytes]]] = {name: [] for name in bag.topics}
+    wanted = [each.name for each in bag.topics.values() if each.type_name and each.messages and _streams_of(bag, each)]
+    for topic, arrival_ns, data in bag.spread_messages(wanted):
+        found[topic].append((arrival_ns, data))
+    return found
+
+
+def _streams_of(bag: Bag, topic: BagTopic) -> tuple[Stream, ...]:
+    try:
+        bag.define(topic.name)
+        return tuple(each for each in streams_of(bag.types, topic.type_name) if each is not Stream.TIP)
+    except InputError:
+        return ()
+
+
+def _guess(bag: Bag, topic: BagTopic, spread: Sequence[tuple[int, bytes]]) -> StreamGuess | None:
     if not topic.type_name or not topic.messages:
         return None
     try:
-        bag.define(topic.name)
-        streams = streams_of(bag.types, topic.type_name)
-        if not streams or streams == (Stream.TIP,):
+        if not (streams := _streams_of(bag, topic)):
             return None
         reader = MessageReader(bag.types, topic.type_name, streams[0])
     except InputError:
         return None
     rows: list[FloatArray] = []
     arrivals: list[int] = []
-    for _, arrival_ns, data in islice(bag.messages([topic.name]), MESSAGES_READ_TO_GUESS_STREAM):
-        with contextlib.suppress(MessageError):
-            values = reader.values_of(bag.types.decode(data, topic.type_name))
-            if values is not None:
-                rows.append(values)
-                arrivals.append(arrival_ns)
+    first = ((arrival_ns, data) for _, arrival_ns, data in islice(bag.messages([topic.name]), MESSAGES_READ_TO_GUESS_STREAM))
+    for is_first, messages in ((True, first), (False, spread)):
+        for arrival_ns, data in messages:
+            with contextlib.suppress(MessageError):
+                values = reader.values_of(bag.types.decode(data, topic.type_name))
+                if values is not None:
+                    rows.append(values)
+                    arrivals += [arrival_ns] if is_first else []
     if not rows:
         return None
     width = Counter(map(len, rows)).most_common(1)[0][0]
     changes = any(len(row) == width and not np.array_equal(row, rows[0]) for row in rows)
     is_fast = len(arrivals) > 1 and (len(arrivals) - 1) * 1e9 >= SENSOR_TOPIC_MIN_RATE_HZ * (arrivals[-1] - arrivals[0])
     stream = streams[0] if len(streams) == 1 else None
+    joints = tuple(filter(None, reader.joints)) if reader.by_name else ()
     rank = RANK_OF_GUESS_BY_CHANNELS if is_seldom_a_skin(topic.type_name) else int(not changes) + int(not is_fast)
-    return StreamGuess(RecordedPlace(bag.path, topic.name), stream, width, rank)
+    return StreamGuess(RecordedPlace(bag.path, topic.name), stream, width, joints, rank)
 
 
 def _joined_patches(guesses: Sequence[StreamGuess]) -> list[StreamGuess]:
-    """Guess that all topics that may be skins are the patches of one, in the order of their names."""
-    patches = sorted(
-        (each for each in guesses if each.stream in (None, Stream.SKIN) and each.rank == 0), key=lambda each: each.place
-    )
-    if len(patches) < 2:
-        return []
-    place = RecordedPlace(patches[0].place.path, "+".join(each.place.topic for each in patches))
-    return [StreamGuess(place, Stream.SKIN, sum(each.width for each in patches), rank=RANK_OF_GUESS_BY_CHANNELS)]
+    """Guess that all likely skins are the patches of one, and that topics with numbered names are.
+
+    They are in the order of their names, and of the numbers in them.
+    """
+    may_be_skin = [each for each in guesses if each.stream in (None, Stream.SKIN) and not is_command(each.place.topic)]
+    groups = [[each for each in may_be_skin if each.rank == 0]]
+    alike = dict[str, list[StreamGuess]]()
+    for each in may_be_skin:
+        alike.setdefault(re.sub(r"\d+", "#", each.place.topic), []).append(each)
+    groups += [each for each in alike.values() if each != groups[0]]
+    found: list[StreamGuess] = []
+    for group in groups:
+        patches = sorted(group, key=lambda each: natural_order(each.place.topic))
+        if len(patches) > 1:
+            place = RecordedPlace(patches[0].place.path, "+".join(each.place.topic for each in patches))
+            width = sum(each.width for each in patches)
+            found.append(StreamGuess(place, Stream.SKIN, width, rank=RANK_OF_GUESS_BY_CHANNELS))
+    return found
 
 
 def list_topics(bag: Bag) -> str:
