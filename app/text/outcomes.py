@@ -198,6 +198,8 @@ def link_detail(link: LinkHealth, at: ViewState) -> str:
 def preview_words(health: LinkHealth) -> str:
     """Describe the readings of a previewed link, or why it does not open."""
     words = link_verdict_words(health.verdict)
+    if health.frames and health.verdict.answer is LinkAnswer.GOOD:
+        words += f", in the frame {' and '.join(health.frames)}"
     return f"{words}: {health.text}" if health.text and health.verdict.answer is LinkAnswer.NO_ANSWER else words
 
 

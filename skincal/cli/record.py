@@ -337,6 +337,7 @@ def finish(
     from skincal.cli import output
     from skincal.session.importing import KeptError, stream_findings
     from skincal.session.results import SessionResults
+    from skincal.words.frame_words import frame_sentences
     from skincal.words.link_words import silent_links
     from skincal.words.poke_words import no_poke_sentence
     from skincal.words.setup_words import setup_sentences
@@ -350,7 +351,8 @@ def finish(
     unpoked: list[str] = []
     if not (snapshot.pokes or silent):
         unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds, live.links)]
-    found = [*unpoked, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
+    frames = frame_sentences(pipeline.session.wrench_frames, snapshot.contacts)
+    found = [*frames, *unpoked, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
     setup = setup_sentences(SessionResults(pipeline).setup)
     text = [*found, *output.poke_lines(counts), *(output.method_line(name, summary) for name, summary in methods.items())]
     text += setup

@@ -107,6 +107,7 @@ def solve(
     """
     from skincal.cli import output
     from skincal.files.reference import read_reference
+    from skincal.words.frame_words import frame_sentences
     from skincal.words.setup_words import setup_sentences
 
     if part is not None and out is None:
@@ -122,7 +123,7 @@ def solve(
     if per_pose:
         methods |= output.method_summaries(_averages_over_poses(results), known, *planned, "-per-pose")
     rig, rig_lines = _rig_result(results)
-    setup = setup_sentences(results.setup)
+    setup = (*frame_sentences(results.session.wrench_frames, snapshot.contacts), *setup_sentences(results.setup))
     tip, tip_lines = _tip_result(snapshot.tip_frame)
     if (found := _estimates_if_corrected(results)) is not None:
         methods |= output.method_summaries(found, known, *planned, "-corrected")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import Batch, Loss, SideReading, Stream
+from skincal.model.wrench_frames import WrenchFrames
 
 SEQ_MODULUS = 1 << 16
 """The counters of SKT/1 and SKB/1 have 16 bits."""
@@ -315,6 +316,8 @@ class FrameDecoder(ABC):
     """Whether a connection begins with a whole frame. Else the first frame is not counted as lost if it cannot be read."""
     single_stream: ClassVar[bool] = False
     """Whether a file of this format carries one stream only."""
+    names_frames: ClassVar[bool] = False
+    """Whether its records may name the frame of a wrench; then it converts wrenches itself, each from its own frame."""
     needs_recipe: ClassVar[bool] = False
     """Whether a frame does not say which streams it holds: only a decoder of the requested streams can read it."""
 
@@ -336,6 +339,8 @@ class FrameDecoder(ABC):
         self._first = not self.starts_whole
         self.joint_names: tuple[str, ...] = ()
         """Names of the scene's columns of joint angles; empty if it has none. For formats that name their joints."""
+        self.wrench_frames = WrenchFrames()
+        """Frames of the wrenches; of the link, so that they stay when it is opened again."""
         self.units = dict(DEFAULT_UNITS)
         """Names and unit of the values of a reading."""
         self.side_readings: dict[str, SideReading] = {}
@@ -414,6 +419,9 @@ class FrameDecoder(ABC):
         self, stream: Stream, seq: IntArray, device_s: FloatArray, values: FloatArray, status: IntArray | None = None
     ) -> Batch:
         """Return n readings, their values (n, width), as a batch; count values that are not finite. For the rest see `_add`."""
+        if stream is Stream.WRENCH and not self.names_frames:
+            known = self.wrench_frames.to_sensor("", values)
+            values = values if known is None else known
         finite = np.isfinite(values)
         if not finite.all():
             self.counts[Loss.NOT_A_NUMBER] += int(np.count_nonzero(~finite.all(axis=1)))
@@ -426,6 +434,15 @@ class FrameDecoder(ABC):
             if flags.any():
                 self.counts[loss] += int(np.count_nonzero(flags))
         return Batch(stream, seq, device_s, values, saturated, invalid)
+
+    def _wrenches_from(self, frame: str, wrenches: FloatArray) -> FloatArray | None:
+        """Convert wrenches (n, 6) of a named frame into the sensor's; if that is not possible, count them and return `None`."""
+        known = self.wrench_frames.to_sensor(frame, wrenches)
+        if known is None:
+            self.counts[Loss.OTHER_FRAME] += len(wrenches)
+        names = self.wrench_frames.names
+        self.units[Stream.WRENCH] = DEFAULT_UNITS[Stream.WRENCH] + (f", in the frame {' and '.join(names)}" if names else "")
+        return known
 
     def _count_gap(self, seq: int) -> None:
         """Count the numbers that are missing before the device's own number of a record."""

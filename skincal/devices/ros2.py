@@ -19,7 +19,15 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any, ClassVar, cast
 
-from skincal.devices.decoding import NO_SEQ, TIME_STAMP_MAX_S, FrameDecoder, FrameSplitter, pack, packet_splitter
+from skincal.devices.decoding import (
+    NO_SEQ,
+    TIME_STAMP_MAX_S,
+    WRENCH_VALUES,
+    FrameDecoder,
+    FrameSplitter,
+    pack,
+    packet_splitter,
+)
 from skincal.devices.family import DeviceAddress, Family, Form, Route, Vector
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
@@ -108,6 +116,7 @@ class TopicDecoder(FrameDecoder):
     """
 
     starts_whole: ClassVar[bool] = True
+    names_frames: ClassVar[bool] = True
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
@@ -180,6 +189,11 @@ class TopicDecoder(FrameDecoder):
             self._status = reader.missing_joints
             return None
         self._status = self._type_problem or reader.silent_joints
+        if self._stream is Stream.WRENCH and len(values) == WRENCH_VALUES:
+            known = self._wrenches_from(reader.frame_of(message), values[None])
+            if known is None:
+                return None
+            values = known[0]
         if len(self._patches.topics) == 1:
             return self._add(self._stream, NO_SEQ, stamp, values)
         before = sum(self._patches.superseded)
@@ -236,7 +250,13 @@ class Ros2Decoder(TopicDecoder):
         if self._runs is None or (read := self._runs.read([frame[1 + TIMES_STRUCT.size :] for frame in frames])) is None:
             return False
         self._status = self._type_problem
-        for frame, values, stamp_s in zip(frames, read[0], read[1].tolist(), strict=True):
+        rows = read[0]
+        if self._stream is Stream.WRENCH and rows.shape[1] == WRENCH_VALUES:
+            known = self._wrenches_from(self._runs.frame, rows)
+            if known is None:
+                return True
+            rows = known
+        for frame, values, stamp_s in zip(frames, rows, read[1].tolist(), strict=True):
             source_ns, arrival_ns = TIMES_STRUCT.unpack_from(frame, 1)
             time_s = self._date(0, None if math.isnan(stamp_s) else stamp_s, source_ns * 1e-9, arrival_ns * 1e-9)
             if (problem := self._add(self._stream, NO_SEQ, time_s, values)) is not None:

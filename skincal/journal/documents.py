@@ -59,6 +59,8 @@ class LinkTotals:
     losses: Mapping[Loss, int] = field(default_factory=dict[Loss, int])
     beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
     """Other quantities of the device, by name and unit."""
+    frames: tuple[str, ...] = ()
+    """Frames that its messages named for the wrench."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,9 @@ class Totals:
             old = links.get(new.link, LinkTotals(new.link, "", 0))
             losses = Counter(old.losses) + Counter(new.losses)
             beside = merge_side_readings(old.beside, new.beside)
-            links[new.link] = LinkTotals(new.link, new.format or old.format, old.readings + new.readings, losses, beside)
+            counts = old.readings + new.readings, losses, beside
+            frames = tuple(dict.fromkeys((*old.frames, *new.frames)))
+            links[new.link] = LinkTotals(new.link, new.format or old.format, *counts, frames)
         return Totals(tuple(links.values()), self.unpaired + unpaired)
 
 
@@ -141,6 +145,7 @@ def result_to_json(result: Result) -> dict[str, Any]:
                 "readings": link.readings,
                 "lost": {loss.name: count for loss, count in link.losses.items() if count},
                 **({"beside": {name: to_json(found) for name, found in link.beside.items()}} if link.beside else {}),
+                **({"frames": list(link.frames)} if link.frames else {}),
             }
             for link in result.links
         }
@@ -272,4 +277,5 @@ def _check_contact(contact: Contact) -> Contact:
 def _read_totals(name: str, body: Mapping[str, Any]) -> LinkTotals:
     losses = {Loss[loss]: int(count) for loss, count in body["lost"].items()}
     beside = {key: from_json(SideReading, found) for key, found in body.get("beside", {}).items()}
-    return LinkTotals(name, str(body["format"]), int(body["readings"]), losses, beside)
+    frames = tuple(map(str, body.get("frames", ())))
+    return LinkTotals(name, str(body["format"]), int(body["readings"]), losses, beside, frames)

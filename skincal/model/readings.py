@@ -46,6 +46,7 @@ class Loss(Enum):
     INVALID = "sensor says invalid"
     LATE = "arrived too late to be paired"
     UNPAIRED = "no wrench at the time of the skin frame"
+    OTHER_FRAME = "in another frame than the first reading"
     DROPPED = "bytes dropped, as they came faster than they could be read"
 
 
@@ -231,6 +232,8 @@ class LinkHealth:
     """Other quantities of the device so far, by name and unit."""
     units: str = ""
     """Units of its readings; empty while unknown."""
+    frames: tuple[str, ...] = ()
+    """Frames that its messages name for the wrench, in the order in which they came."""
     verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
     address: str = ""
     warning: str = ""

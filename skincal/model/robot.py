@@ -26,6 +26,8 @@ class RobotSpec:
     chain: UrdfChain
     columns: tuple[str, ...]
     """Joint names of the joint stream's columns."""
+    fixed: Mapping[str, float]
+    """rad, angles of joints that are not streamed."""
     sign: int | None
     """1 if the sensor reports the force on the part, -1 for the reaction; `None` if the URDF does not say."""
     poses: Mapping[str, FloatArray]
@@ -74,7 +76,7 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
         scale_and_pose = found[0].scale_and_pose(found[1], where) if unit is None else (unit, found[1])
         mesh = file, *scale_and_pose, unit is not None
     table.refuse_unknown_keys()
-    return RobotSpec(urdf, sensor, chain, columns, sign, poses, tolerance, mesh, found[0].link if mesh and found else "")
+    return RobotSpec(urdf, sensor, chain, columns, fixed, sign, poses, tolerance, mesh, found[0].link if mesh and found else "")
 
 
 def read_poses(table: Table, joints: int) -> tuple[dict[str, FloatArray], float]:

@@ -20,6 +20,7 @@ from skincal.model.robot import RobotSpec, read_poses, read_robot
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
 from skincal.model.tables import MAX_LENGTH_M, UNITS, Table, check_degrees, check_metres, parse_toml, read_text
 from skincal.model.urdf_chain import UrdfChain
+from skincal.model.wrench_frames import WrenchFrame, WrenchPlace, find_wrench_frame, read_wrench_place
 
 _KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
 """Settings that the file gives in degrees, by their key there."""
@@ -184,6 +185,12 @@ class Scene:
     text: str = field(repr=False, default="")
     """The file's text, kept in every session."""
     robot: RobotSpec | None = None
+    wrench_place: WrenchPlace = field(default_factory=WrenchPlace)
+    """Frame of the wrench that the scene names in place of the messages."""
+
+    def wrench_frame(self, name: str) -> WrenchFrame:
+        """Find the frame that messages name for a wrench; empty: they name none."""
+        return find_wrench_frame(self.robot, self.wrench_place, name)
 
 
 def load_scene(path: Path) -> Scene:
@@ -217,6 +224,7 @@ def load_scene(path: Path) -> Scene:
         distances=_read_distances(root, spec.layout),
         text=text,
         robot=made,
+        wrench_place=read_wrench_place(wrench, made),
     )
     _check_force_order("" if contacts is None else contacts.where, scene.contacts)
     for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):

@@ -130,6 +130,11 @@ class Robot:
         advice = f"it has the sensors {', '.join(known)}" if known else "name a joint or a link at the sensor"
         raise InputError(f"{where}: {self.path.name} has no force/torque sensor, joint or link {name!r}; {advice}.")
 
+    def sensor_frame(self, name: str, where: str) -> tuple[str, FloatArray]:
+        """Find the link that carries a sensor's frame, and the (4, 4) pose of that frame in it; `name` as in `sensor_named`."""
+        sensor = self.sensor_named(name, where)
+        return _sensor_frame(sensor, self.joints.get(sensor.joint))
+
     def chain(
         self, link: str, sensor_name: str, columns: Sequence[str], fixed: Mapping[str, float], where: str
     ) -> tuple[UrdfChain, int | None]:

@@ -25,6 +25,7 @@ from skincal.session.error_history import MAX, MEAN, P95, TAXELS
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import PredictedError
+from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
 from skincal.words.link_words import beside_words
 from skincal.words.poke_words import REASON_WORDS
@@ -175,6 +176,9 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
         yield "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN
     else:
         yield "Sensor's frame", frame_sentence(frame), AGREES if frame.right else AGAINST
+    if frames := frame_sentences(facts.results.session.wrench_frames, facts.results.snapshot.contacts):
+        settled = all(each.is_settled for each in facts.results.session.wrench_frames)
+        yield "Wrench's frame", " ".join(frames), OPEN if settled else AGAINST
     if setup := setup_sentences(facts.results.setup):
         yield "Scene and pokes", " ".join(setup), AGAINST
     yield "Modules as planned", *_module_evidence(facts)

@@ -110,6 +110,8 @@ class FrameDiagnosis:
     correction: FrameCorrection
     slip: Slip | None = None
     """The poke that was at another point; `None` without one."""
+    wrench_frame: str = ""
+    """Frame of the wrench's messages that may explain a wrong frame, and is to be settled first; empty for none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

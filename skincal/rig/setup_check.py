@@ -30,6 +30,7 @@ from skincal.model.robot import RobotSpec
 from skincal.model.scene import ArmSpec, Scene
 from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf_chain import UrdfChain
+from skincal.model.wrench_frames import FrameKind, WrenchFrame, rigid_points
 from skincal.modules.pose import rotations
 from skincal.rig.frame_check import STANDARD_GRAVITY
 
@@ -61,6 +62,8 @@ ANGLE_STEP, ANGLE_STEPS = 1e-4, 4
 MIN_TURN_DEG, TURN_STEP_DEG = 30, 15
 """Of a turned flange. Smaller turns look like the errors of an ordinary rig."""
 SHIFT_FIT_STEPS = 10
+OTHER_POINT_MIN_SHIFT_M = 0.010
+"""m. A nearer point of the moments looks like a shift of the skin."""
 TRIED_FIXED_ANGLE_STEP_DEG = 10
 
 
@@ -83,6 +86,12 @@ class MistakeKind(Enum):
     """The whole layout is mirrored or turned."""
     MODULES = "modules"
     """Two modules are exchanged."""
+    WRENCH_FRAME = "wrench frame"
+    """It is not known in which frame the wrench is; everything else may follow from that."""
+    WRENCH_POINT = "wrench point"
+    """The moments are about another point than the origin of the frame that the messages name."""
+    WRENCH_LABEL = "wrench label"
+    """The wrench is in the sensor's frame, and its messages name another one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +106,7 @@ class Mistake:
     scale: float = 1.0
     """Right moments over reported ones."""
     names: tuple[str, ...] = ()
-    """Joints, sensor and link of the other arm, or ids of modules."""
+    """Joints, sensor and link of the other arm, ids of modules, or the wrench's frame and its right point."""
     degrees: float = 0.0
     mirrored: bool = False
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -144,7 +153,11 @@ class _Judged:
 
 
 def check_setup(
-    contacts: Sequence[Contact], scene: Scene, laid: PlacedLayout | None, surface: Surface | None
+    contacts: Sequence[Contact],
+    scene: Scene,
+    laid: PlacedLayout | None,
+    surface: Surface | None,
+    frames: Sequence[WrenchFrame] = (),
 ) -> SetupDiagnosis | None:
     """Look for mistakes of a scene; `None` with too few pokes at planned taxels, or without a plan.
 
@@ -152,6 +165,7 @@ def check_setup(
     ----------
     contacts : as the rig reported them
     laid : the scene's layout on the part
+    frames : that the messages of the wrench name
     """
     layout = scene.skin.layout
     planned = [] if laid is None else [each for each in contacts if np.isfinite(laid.places[each.strongest_channel]).all()]
@@ -164,7 +178,7 @@ def check_setup(
     limit = described.cost - NAME_MISTAKE_IF_COST_FALLS_BY
     found: list[tuple[float, Mistake]] = []
     if described.cost > SCENE_FITS_BELOW_COST_PER_POKE * count:
-        hypotheses = list(_hypotheses(asked, used, scene, laid))
+        hypotheses = [*_hypotheses(asked, used, scene, laid), *_wrench_frames(asked, scene, frames)]
         # To lay the layout takes up to a second.
         if described.cost > LAYOUT_FITS_BELOW_COST_PER_POKE * count:
             hypotheses += _layouts(asked, used, layout, scene.skin.anchor, surface)
@@ -177,9 +191,13 @@ def check_setup(
     likely = sorted(
         (each for each in found if each[0] <= min(limit, best + NAME_OTHER_MISTAKES_WITHIN_COST_OF)), key=lambda each: each[0]
     )
+    miss = float(np.median(described.reported))
+    unsettled = next((each for each in frames if not each.is_settled), None)
+    if unsettled is not None and (likely or described.cost > LAYOUT_FITS_BELOW_COST_PER_POKE * count):
+        return SetupDiagnosis(count, miss, (Mistake(MistakeKind.WRENCH_FRAME, miss, names=(unsettled.name,)),))
     by_kind = {mistake.kind: mistake for _, mistake in reversed(likely)}
     kinds = dict.fromkeys(mistake.kind for _, mistake in likely)
-    return SetupDiagnosis(count, float(np.median(described.reported)), tuple(by_kind[kind] for kind in kinds))
+    return SetupDiagnosis(count, miss, tuple(by_kind[kind] for kind in kinds))
 
 
 def _as_described(used: Sequence[Contact], laid: PlacedLayout) -> _Pokes:
@@ -287,6 +305,39 @@ def _sensors(asked: _Pokes) -> _Hypotheses:
             wrench = replace(asked, force=asked.force @ turn.T, moment=asked.moment @ turn.T)
             signed = float(degrees if degrees < 180 else degrees - 360)
             yield _prior(60), Mistake(MistakeKind.FLANGE, 0.0, names=("xyz"[axis],), degrees=signed), wrench
+
+
+def distances_from_sensor(contacts: Sequence[Contact], frame: WrenchFrame) -> tuple[float, float]:
+    """Compute how far the force axes pass from the sensor (median, m), as reported, and with moments about the sensor."""
+    force, moment = (np.array([getattr(each, name) for each in contacts]) for name in ("force", "moment"))
+    squares = np.sum(force * force, axis=1)
+    about_sensor = moment - np.cross(frame.sensor_from_frame[:3, 3], force)
+    far, near = (float(np.median(np.linalg.norm(np.cross(force, each), axis=1) / squares)) for each in (moment, about_sensor))
+    return far, near
+
+
+def _wrench_frames(asked: _Pokes, scene: Scene, frames: Sequence[WrenchFrame]) -> _Hypotheses:
+    """Try other points of the moments than the origin of the only frame, and that the messages name a wrong frame.
+
+    Drivers that turn the axes alone keep the moments about the sensor, or about another point that is fixed to it.
+    """
+    if len(frames) != 1 or frames[0].kind is not FrameKind.RIGID or scene.robot is None:
+        return
+    frame = frames[0]
+    turn, point = frame.sensor_from_frame[:3, :3], frame.sensor_from_frame[:3, 3]
+    others = {
+        name: place
+        for name, place in rigid_points(scene.robot).items()
+        if np.linalg.norm(place - point) >= OTHER_POINT_MIN_SHIFT_M
+    }
+    for name, place in others.items():
+        moment = asked.moment + np.cross(place - point, asked.force)
+        prior = 0.0 if name == frame.sensor else _prior(len(others))
+        yield prior, Mistake(MistakeKind.WRENCH_POINT, 0.0, names=(frame.name, name)), replace(asked, moment=moment)
+    if frame.turn >= np.radians(MIN_TURN_DEG):
+        moment = (asked.moment - np.cross(point, asked.force)) @ turn
+        label = Mistake(MistakeKind.WRENCH_LABEL, 0.0, names=(frame.name, frame.sensor))
+        yield 0.0, label, replace(asked, force=asked.force @ turn, moment=moment)
 
 
 def _angles(used: Sequence[Contact], arm: ArmSpec) -> FloatArray | None:

@@ -147,6 +147,8 @@ class MessageLayout:
     values: _Column
     stamps: tuple[_Column, ...]
     """Seconds and nanoseconds, seconds alone, or none."""
+    frame: str
+    """Frame that the messages name; empty for none."""
 
     def read(self, messages: Sequence[bytes], arrivals_s: FloatArray | None = None) -> tuple[FloatArray, FloatArray] | None:
         """Read the (n, width) values and (n,) stamps of messages; NaN for no stamp. `None`: one has another layout.
@@ -212,7 +214,8 @@ def find_layout(types: MessageTypes, reader: MessageReader, data: bytes, arrival
         stamps = tuple(_Column.at_offsets(np.array([each]), walk) for each in parts)
         fixed_at = np.flatnonzero(walk.is_fixed)
         fixed = np.frombuffer(data, np.uint8)[fixed_at]
-        layout = MessageLayout(reader, len(data), names, fixed_at, fixed, _Column.at_offsets(offsets, walk), stamps)
+        column, frame = _Column.at_offsets(offsets, walk), reader.frame_of(message)
+        layout = MessageLayout(reader, len(data), names, fixed_at, fixed, column, stamps, frame)
         return layout if layout.agrees(types, data) else None
     except (_LayoutError, MessageError, InputError, struct.error, UnicodeDecodeError, KeyError, TypeError):
         return None
@@ -230,6 +233,11 @@ class RunReader:
         self._types, self._reader = types, reader
         self._layout: MessageLayout | None = None
         self._searches_left = FAILED_LAYOUT_SEARCHES_BEFORE_GIVING_UP
+
+    @property
+    def frame(self) -> str:
+        """Frame that the messages of the last run name; empty for none."""
+        return self._layout.frame if self._layout is not None else ""
 
     def read(self, messages: Sequence[bytes], arrivals_s: FloatArray | None = None) -> tuple[FloatArray, FloatArray] | None:
         """Read (n, width) values and (n,) stamps, NaN for no stamp. `None`: few messages, or they have not one layout.

@@ -219,6 +219,7 @@ class MessageReader:
             self._get = self._find_getter(types)
             self._forces = _getter(types, self.type_name, _XELA_FORCES) if self.field == _XELA_RAW and not field else None
             self._stamp = _stamp_path(types, self.type_name)
+            self._header = _header_field(types, self.type_name)
         except MessageError as error:
             raise InputError(f"Messages of {self.type_name} cannot be read: {error}.") from None
 
@@ -267,6 +268,16 @@ class MessageReader:
         for step in self._stamp:
             stamp = getattr(stamp, step.name) if step.index < 0 and type(stamp) is not dict else _step_into(stamp, step)
         return stamp
+
+    def frame_of(self, message: Any) -> str:
+        """Return the frame that a message's header names, empty for none. ROS 1 may begin it with a slash, which is removed."""
+        if not self._header:
+            return ""
+        try:
+            name = _member(_member(message, self._header), "frame_id")
+        except MessageError:
+            return ""
+        return name.strip().removeprefix("/") if isinstance(name, str) else ""
 
     def values_of(self, message: Any, arrival_s: float = math.nan) -> FloatArray | None:
         """Return the values of a message, (n,) float: N and N m, raw values of the skin, or degrees.
@@ -538,6 +549,12 @@ def _numbers(value: Any) -> FloatArray:
     if numbers.ndim != 1:
         raise MessageError(f"a field has an array of {numbers.ndim} dimensions; expected one")
     return numbers
+
+
+def _header_field(types: MessageTypes, type_name: str) -> str:
+    """Find the field with a type's header; empty for none."""
+    fields = types.fields_of(type_name)
+    return next((each.name for each in fields if each.type_name == HEADER_TYPE and not each.is_array), "")
 
 
 def _stamp_path(types: MessageTypes, type_name: str) -> tuple[_Step, ...] | None:

@@ -144,6 +144,8 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
     pokes : number of landmark pokes
     used : corrections that were in use at that time
     """
+    if frame is not None and not frame.right and frame.wrench_frame:
+        return None  # it would hide that the wrench is in another frame
     tried = rig.correction if rig.used else None
     if frame is not None and not frame.right and frame.explained and (frame.sure or tried is None):
         found = frame_correction(frame.correction)

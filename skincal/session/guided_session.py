@@ -170,7 +170,7 @@ class GuidedSession:
             self._asked = asked
         if is_recording:
             record_request(self.guidance, pipeline, now_ns)
-        self.setup.check_snapshot(snapshot)
+        self.setup.check_snapshot(snapshot, pipeline.session.wrench_frames)
         if self.shows_modules():
             self.modules.check_snapshot(snapshot)
         if self.shows_errors():

@@ -79,6 +79,7 @@ class Pipeline:
         self.laid = laid
         """The layout on the part; `None` if it is not laid."""
         self._earlier = Totals()
+        self._frame_names: tuple[str, ...] = ()
         self._now_ns = 0
         self._found_dead = False
         self.poses = ArmPoses(scene)
@@ -90,7 +91,8 @@ class Pipeline:
         arm = self.scene.arm
         used = () if arm is None else tuple(arm.arm.joints)
         names = () if self.scene.robot is None else self.scene.robot.columns
-        self._intake = Intake(self.scene.skin.channels, links, max(used, default=-1) + 1, names, used)
+        width = max(used, default=-1) + 1
+        self._intake = Intake(self.scene.skin.channels, links, width, names, used, self.scene.wrench_frame)
         self._frozen = frozenset[str]()
         self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
@@ -106,7 +108,9 @@ class Pipeline:
         self._begin_ns = self._begin_ns or item.host_ns
         outcomes: list[Outcome] = []
         try:
-            for sample in self._intake.feed(item):
+            samples = self._intake.feed(item)
+            self._note_frames()
+            for sample in samples:
                 outcomes += self._process_sample(sample)
             if self._interrupts_samples(item):
                 outcomes += self._detector.reset(item.host_ns * 1e-9)
@@ -128,12 +132,21 @@ class Pipeline:
         """Apply what a detector made of an item: outcomes and dead channels, or counts of readings."""
         if isinstance(note, Totals):
             self._earlier = note
+            self._note_frames()
             return
         if note.dead is not None:
             self.session.set_detected_dead(note.dead)
         for outcome in note.outcomes:
             self.session.add(outcome)
             self.poses.add_used(outcome.pose, outcome.link_from_sensor)
+
+    def _note_frames(self) -> None:
+        """Find new frames of the wrench in the scene's robot."""
+        earlier = (name for link in self._earlier.links for name in link.frames)
+        names = tuple(dict.fromkeys((*earlier, *self._intake.wrench_frames)))
+        if names != self._frame_names:
+            self._frame_names = names
+            self.session.wrench_frames = tuple(map(self.scene.wrench_frame, names))
 
     def act(self, action: Action, host_ns: int) -> None:
         """Apply an action and record it; `InputError` if it is impossible, and then nothing changes."""

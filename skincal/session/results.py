@@ -81,7 +81,8 @@ class SessionResults:
     @cached_property
     def setup(self) -> SetupDiagnosis | None:
         """Mistakes of the scene that pokes on the skin show; `None` without a laid layout or with too few pokes."""
-        return check_setup(self.snapshot.contacts, self.session.scene, self.part.laid, self.session.surface)
+        session = self.session
+        return check_setup(self.snapshot.contacts, session.scene, self.part.laid, session.surface, session.wrench_frames)
 
     @cached_property
     def leading(self) -> Method | None:

@@ -18,6 +18,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark, Scene
+from skincal.model.wrench_frames import frame_in_question
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
@@ -66,12 +67,15 @@ class ReviewRequest:
     landmarks: tuple[Landmark, ...]
     channels: tuple[int, ...]
     used: Mapping[str, UsedCorrection]
+    frame_in_question: str = ""
+    """Frame of the wrench's messages that may explain a wrong sensor frame; empty for none."""
 
     @staticmethod
     def from_session(session: Session) -> ReviewRequest:
         """Make a request with the session's present state."""
         decisions = session.decisions
-        return ReviewRequest(session.rig_request(), decisions.landmarks, session.channels, decisions.corrections)
+        asked = session.rig_request(), decisions.landmarks, session.channels, decisions.corrections
+        return ReviewRequest(*asked, frame_in_question(session.wrench_frames))
 
 
 def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: None) -> tuple[FrameDiagnosis | None, RigAnswer]:
@@ -81,6 +85,8 @@ def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: N
     """
     pokes, known = request.rig.landmarks, {landmark.name: landmark for landmark in request.landmarks}
     frame = diagnose(pokes, landmark_normals([known[poke.name] for poke in pokes], request.rig.surface))
+    if frame is not None:
+        frame = replace(frame, wrench_frame=request.frame_in_question)
     between()
     return frame, correct_rig(request.rig, between)
 

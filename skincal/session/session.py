@@ -22,6 +22,7 @@ from skincal.journal.documents import WallClock
 from skincal.model.actions import Action, AskPoke, FoundAtLandmark, Redo, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.model.wrench_frames import WrenchFrame
 from skincal.rig.correction import FRAME, RIG, Correction, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fit
@@ -78,6 +79,8 @@ class Session:
         layout = scene.skin.layout
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
         self._solving.taxels_changed(self.channels)
+        self.wrench_frames: tuple[WrenchFrame, ...] = ()
+        """Frames that the messages of the wrench named, in the order in which they came."""
         self.tip_frame: TipFrame | None = None
         """Frame of the tip positions; `None` before the first contact with one."""
         self._has_tips = False

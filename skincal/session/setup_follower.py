@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
+from skincal.model.wrench_frames import WrenchFrame
 from skincal.rig.setup_check import MistakeKind, SetupDiagnosis, check_setup
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
+from skincal.words.frame_words import frame_sentences
 from skincal.words.setup_words import setup_sentences
 
 Run: TypeAlias = Callable[[Callable[[], object], Callable[[object], None]], None]
@@ -26,11 +28,20 @@ class SetupFollower:
         self._news: list[str] = []
         self._named: tuple[MistakeKind, tuple[str, ...]] | None = None
         """Mistake that the last check named first."""
-        self.sentences: tuple[str, ...] = ()
-        """Of the last check."""
+        self._frames: Sequence[WrenchFrame] = ()
+        self._of_frames: tuple[str, ...] = ()
+        self._of_pokes: tuple[str, ...] = ()
 
-    def check_snapshot(self, snapshot: Snapshot) -> None:
-        """Check a snapshot if enough pokes were added since the last check."""
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """On the wrench's frame, then of the last check."""
+        return self._of_frames + self._of_pokes
+
+    def check_snapshot(self, snapshot: Snapshot, frames: Sequence[WrenchFrame] = ()) -> None:
+        """Check a snapshot if enough pokes were added since the last check; `frames` are those of the wrench's messages."""
+        if frames is not self._frames:
+            self._frames, self._of_frames = frames, frame_sentences(frames)
+            self._news += self._of_frames
         part, count = self._part, len(snapshot.contacts)
         if part.laid is None or self._busy or self._next >= len(CHECK_AT_POKES) or count < CHECK_AT_POKES[self._next]:
             return
@@ -38,7 +49,7 @@ class SetupFollower:
             self._next += 1
         contacts = snapshot.contacts
         self._busy = True
-        self._run(lambda: check_setup(contacts, part.scene, part.laid, part.surface), self._finish)
+        self._run(lambda: check_setup(contacts, part.scene, part.laid, part.surface, frames), self._finish)
 
     def _finish(self, found: object) -> None:
         self._busy = False
@@ -48,7 +59,7 @@ class SetupFollower:
         sentences = setup_sentences(diagnosis)
         if named != self._named:
             self._news += sentences
-        self.sentences, self._named = sentences, named
+        self._of_pokes, self._named = sentences, named
 
     def take_news(self) -> list[str]:
         """Return new sentences for the operator, once."""

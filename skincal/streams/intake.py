@@ -32,6 +32,7 @@ from skincal.model.readings import (
     Stream,
     merge_side_readings,
 )
+from skincal.model.wrench_frames import FindFrame, WrenchFrames, unchecked_frame
 from skincal.streams.clocks import Timestamper
 from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class
 from skincal.streams.link_diagnosis import Differences, LinkMonitor
@@ -53,6 +54,7 @@ class Intake:
 
     `joint_names` are those of the columns of angles, for formats that name their joints; empty if the scene has none.
     `used_joints` are the columns that must be numbers; all of them if it is empty.
+    `find_frame` finds the frames that messages name for the wrench.
     The constructor raises InputError: a format is not known, or two links have one name.
     """
 
@@ -63,8 +65,9 @@ class Intake:
         joints: int = 0,
         joint_names: tuple[str, ...] = (),
         used_joints: Sequence[int] = (),
+        find_frame: FindFrame = unchecked_frame,
     ) -> None:
-        self._links = {spec.name: LinkIntake(channels, spec, joints, joint_names, used_joints) for spec in links}
+        self._links = {spec.name: LinkIntake(channels, spec, joints, joint_names, used_joints, find_frame) for spec in links}
         self._used_joints = np.array(used_joints, np.int64)
         if len(self._links) < len(links):
             raise InputError("Two links have the same name; expected a name of its own for each.")
@@ -79,6 +82,11 @@ class Intake:
         """Names of the links that are not open, or that send no measurement."""
         links = self._links.items()
         return frozenset(name for name, link in links if link.state is not LinkState.OPEN or link.monitor.is_lifeless)
+
+    @property
+    def wrench_frames(self) -> tuple[str, ...]:
+        """Names of the frames that messages of the wrench named, in the order in which they came."""
+        return tuple(name for link in self._links.values() for name in link.wrench_frames)
 
     @property
     def unpaired(self) -> int:
@@ -165,8 +173,10 @@ class LinkIntake:
         joints: int = 0,
         joint_names: tuple[str, ...] = (),
         used_joints: Sequence[int] = (),
+        find_frame: FindFrame = unchecked_frame,
     ) -> None:
         self.spec, self._joint_names, self._joints = spec, joint_names, joints
+        self._wrench_frames = WrenchFrames(find_frame)
         self._used_joints = np.array(used_joints, np.int64)
         self._numberless = 0
         self._stamper = Timestamper()
@@ -190,9 +200,14 @@ class LinkIntake:
         self._rate: deque[tuple[int, int]] = deque(maxlen=RATE_AVERAGING_WINDOW_NS // RATE_COUNTING_STEP_NS + 1)
         """Begin of a step, ns, and its number of readings."""
 
+    @property
+    def wrench_frames(self) -> tuple[str, ...]:
+        """Names of the frames that messages of the wrench named, in the order in which they came."""
+        return self._wrench_frames.names
+
     def _new_decoder(self) -> LinkDecoder:
         decoder = LinkDecoder(self._format, self._channels, self.spec.carries)
-        decoder.current.joint_names = self._joint_names
+        decoder.use_scene(self._joint_names, self._wrench_frames)
         return decoder
 
     def read_ahead(self, chunks: Sequence[Chunk]) -> None:
@@ -287,6 +302,7 @@ class LinkIntake:
             self._last_ns,
             losses=self._losses_before + decoder.counts + Counter(pairing),
             beside=self.side_readings(),
+            frames=self.wrench_frames,
             units="; ".join(words for stream, words in decoder.units.items() if stream in spec.carries),
             verdict=self.monitor.diagnose(now_ns),
             address=spec.address,

@@ -86,6 +86,11 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
 def frame_sentence(found: FrameDiagnosis) -> str:
     """Say whether the sensor frame is right, with the error at landmarks as reported and as corrected."""
     reported = f"{found.miss * 1e3:.0f} mm"
+    if found.wrench_frame and not found.right:
+        return (
+            f"The landmark pokes miss their landmarks by {reported}. First settle the wrench's frame, {found.wrench_frame}: "
+            "[wrench] of the scene may name its frame, and the point of its moments (about)."
+        )
     if not found.explained:
         return (
             f"The landmark pokes miss their landmarks by {reported}, and no known mistake of the sensor frame explains that. "

@@ -21,6 +21,12 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
     if found is None or not found.mistakes:
         return ()
     first, *others = found.mistakes
+    if first.kind is MistakeKind.WRENCH_FRAME:
+        return (
+            f"{found.pokes} pokes miss the taxels that answer by {first.miss * 1e3:.0f} mm (median), and it is not known in "
+            f"which frame the wrench is: its messages name {first.names[0]}. Settle that first, then other mistakes are looked "
+            "for.",
+        )
     what, remedy = mistake_words(first)
     misses = (
         ""
@@ -55,6 +61,14 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
         "use that sensor and the link {names[1]}",
     ),
     MistakeKind.MODULES: ("modules {names[0]} and {names[1]} are exchanged", "exchange their first_channel in the layout"),
+    MistakeKind.WRENCH_POINT: (
+        "the moments of the wrench are about {names[1]}, not about the origin of {names[0]}",
+        'write about = "{names[1]}" in [wrench] of the scene',
+    ),
+    MistakeKind.WRENCH_LABEL: (
+        "the wrench is in the frame of the sensor {names[1]}, though its messages name {names[0]}",
+        'write frame = "{names[1]}" in [wrench] of the scene',
+    ),
 }
 """Mistake and remedy."""
 

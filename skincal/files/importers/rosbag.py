@@ -34,6 +34,7 @@ from skincal.ros.proposals import is_command, natural_order
 from skincal.ros.topics import TopicChoice
 from skincal.ros.types import MessageError, MessageTypes
 from skincal.streams.links import LinkSpec
+from skincal.words.frame_words import frame_words
 
 MESSAGES_READ_TO_GUESS_STREAM = 100
 """Messages of a topic that are read to guess its stream."""
@@ -167,6 +168,8 @@ class _Recorded:
     """Seconds by the sender's clock; NaN without one."""
     messages: Counter[str] = field(default_factory=Counter[str])
     """By topic."""
+    frames: Counter[str] = field(default_factory=Counter[str])
+    """Readings of a wrench by the frame that their messages name; empty for none."""
     unreadable: int = 0
     why_unreadable: str = ""
 
@@ -201,6 +204,7 @@ class _Recorded:
         if read is None:
             return False
         values, stamps = read
+        self._note_frame(self.runs[topic].frame, len(values))
         self.tape.add_many(values)
         self.arrivals.extend(arrivals_s)
         self.stamps.extend(stamps)
@@ -221,9 +225,16 @@ class _Recorded:
             values = self.patches.add(self.choice.topics.index(topic), values, stamp_s)
             stamp_s = self.patches.stamp_s
         if values is not None:
+            self._note_frame(reader.frame_of(message), 1)
             self.tape.add(values)
             self.arrivals.append(arrival_ns * 1e-9)
             self.stamps.append(stamp_s)
+
+    def _note_frame(self, name: str, readings: int) -> None:
+        """Note the frame of the next readings of a wrench."""
+        if self.stream is Stream.WRENCH:
+            self.frames[name] += readings
+            self.tape.set_frame(name)
 
     @property
     def last_arrival(self) -> float:
@@ -237,7 +248,8 @@ class _Recorded:
     def findings(self) -> list[str]:
         """Sentences on the messages."""
         reader = self.readers[self.choice.topics[0]]
-        found = [f"{self.choice} ({reader.type_name})" + (f", field {reader.field}." if self.choice.field else ".")]
+        field_words = f", field {reader.field}" if self.choice.field else ""
+        found = [f"{self.choice} ({reader.type_name}){field_words}{frame_words(self.frames)}."]
         if self.stream is Stream.JOINTS and reader.joints:
             found.append(f"the order of the joints is {', '.join(name or 'unused' for name in reader.joints)}.")
         for name, silence in reader.silences.items():

@@ -17,7 +17,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.streams.decoders.records import KIND_DTYPES, pack_records
+from skincal.streams.decoders.records import KIND_DTYPES, pack_frame, pack_records
 
 BUFFERED_VALUES_MAX_BYTES = 1 << 20
 """Of the values that are kept before they are written: 20,000 wrenches."""
@@ -98,6 +98,14 @@ class Tape:
         """Rows, values of a row, and kind of record."""
         self._block: list[FloatArray] = []
         self._block_bytes = 0
+        self._frames: dict[int, str] = {}
+        """Frames of the wrenches, by the row from which each holds."""
+        self._frame = ""
+
+    def set_frame(self, name: str) -> None:
+        """Note the frame of the wrenches in the rows that follow; empty for none."""
+        if name != self._frame:
+            self._frames[self.rows] = self._frame = name
 
     def add(self, values: FloatArray) -> None:
         """Add the (n,) values of a reading. Raises InputError: the disk is full."""
@@ -141,5 +149,9 @@ class Tape:
                 at += len(data)
                 last = first + count
                 values = np.frombuffer(data, dtype).reshape(count, width)
-                yield pack_records(np.arange(first, last), seconds.read(first, last), values)
+                records = pack_records(np.arange(first, last), seconds.read(first, last), values)
+                for row in range(first, last) if self._frames else ():
+                    if (name := self._frames.get(row)) is not None:
+                        records[row - first] = pack_frame(name) + records[row - first]
+                yield records
                 first = last

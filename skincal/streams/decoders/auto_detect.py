@@ -16,6 +16,7 @@ from skincal.devices.family import AUTO
 from skincal.devices.registry import CHECKSUMMED_FORMATS, FORMATS, find_decoder
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
+from skincal.model.wrench_frames import WrenchFrames
 from skincal.streams.decoders.delimited import TextDecoder
 from skincal.streams.decoders.records import RecordsDecoder
 from skincal.streams.decoders.skb import SkbDecoder
@@ -82,10 +83,17 @@ class LinkDecoder:
         self._first_ns: int | None = None
         self._bytes = 0
         self._has_binary = False
+        self._wrench_frames = WrenchFrames()
         if format_name == AUTO:
             self._probes = [SkbDecoder(channels, carries), SktDecoder(channels, carries)]
         else:
             self.current = make_decoder(format_name, channels, carries)
+
+    def use_scene(self, joint_names: tuple[str, ...], wrench_frames: WrenchFrames) -> None:
+        """Give all decoders the scene's names of the columns of joints, and the frames of the link's wrenches."""
+        for each in {id(each): each for each in (self.current, self._text, *self._probes)}.values():
+            each.joint_names, each.wrench_frames = joint_names, wrench_frames
+        self._wrench_frames = wrench_frames
 
     def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:
         """Return the readings that `data` completes, each batch with the arrival of its last bytes."""
@@ -93,7 +101,10 @@ class LinkDecoder:
             return [(host_ns, batch) for batch in self.current.feed(data)]
         if not self._has_binary and data.translate(None, _TEXT_BYTES):
             self._has_binary = True
-            self._probes += [make_decoder(name, *self._link) for name in CHECKSUMMED_FORMATS]
+            added = [make_decoder(name, *self._link) for name in CHECKSUMMED_FORMATS]
+            for each in added:
+                each.wrench_frames = self._wrench_frames
+            self._probes += added
         for probe in self._probes:
             batches = probe.feed(data)
             if probe.valid_records:

@@ -1,6 +1,7 @@
 """Readings as binary records: what importers make of recordings whose messages are binary, such as bags of ROS.
 
-A record is a packet (`skincal.devices.decoding.pack`) of kind 1 or 2, little-endian:
+A record is a packet (`skincal.devices.decoding.pack`) of kind 1 or 2, little-endian; one of kind 3 is text, the name of the
+frame of the wrenches that follow:
 
     number     int64
     time       float64, seconds
@@ -19,7 +20,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.devices.decoding import PACKET_HEAD, SEQ_MAX, TIME_STAMP_MAX_S, FrameDecoder, FrameSplitter, packet_splitter
+from skincal.devices.decoding import (
+    PACKET_HEAD,
+    SEQ_MAX,
+    TIME_STAMP_MAX_S,
+    WRENCH_VALUES,
+    FrameDecoder,
+    FrameSplitter,
+    pack,
+    packet_splitter,
+)
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
@@ -27,6 +37,8 @@ from skincal.model.readings import Batch, Loss, Stream
 RECORD_MAX_BYTES = 1 << 20
 """Of the values of a record: 131,000 channels."""
 KIND_DTYPES = {1: "<f8", 2: "<f4"}
+FRAME_KIND = 3
+FRAME_NAME_MAX_BYTES = 200
 _HEAD_FIELDS = [("kind", "u1"), ("size", "<u4"), ("number", "<i8"), ("seconds", "<f8")]
 _STAMP_BYTES = 16
 """Of number and time, with which the payload of a packet begins."""
@@ -35,6 +47,11 @@ _STAMP_BYTES = 16
 def record_dtype(kind: int, width: int) -> np.dtype[np.void]:
     """Describe a record of `width` values in memory."""
     return np.dtype([*_HEAD_FIELDS, ("values", KIND_DTYPES[kind], (width,))])
+
+
+def pack_frame(name: str) -> bytes:
+    """Make the packet that names the frame of the wrenches after it; a long name is cut."""
+    return pack(FRAME_KIND, name.encode()[:FRAME_NAME_MAX_BYTES])
 
 
 def pack_records(numbers: IntArray, seconds: FloatArray, values: NDArray[Any]) -> list[bytes]:
@@ -53,12 +70,15 @@ class RecordsDecoder(FrameDecoder):
     name: ClassVar[str] = "records"
     starts_whole: ClassVar[bool] = True
     single_stream: ClassVar[bool] = True
+    names_frames: ClassVar[bool] = True
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         if len(carries) != 1:
             raise InputError("Imported records carry one stream; expected one source each for wrench, skin and joints.")
         self._stream = carries[0]
+        self._frame = ""
+        """Frame of the wrenches that follow; empty for none."""
 
     def _make_splitter(self) -> FrameSplitter:
         self._packets = packet_splitter(RECORD_MAX_BYTES)
@@ -70,7 +90,8 @@ class RecordsDecoder(FrameDecoder):
         if records is None:
             return super().feed(data)
         self._count_missing(self._gaps.missing_among(records["number"]))
-        return [self._batch_of_records(records)]
+        found = self._batch_of_records(records)
+        return [] if found is None else [found]
 
     def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
         """Decode chunks of whole records of one width with finite values, none missing. Else take nothing."""
@@ -79,8 +100,13 @@ class RecordsDecoder(FrameDecoder):
             return None
         if any(len(chunk) % records.itemsize for chunk in chunks):
             return None
+        if self._stream is Stream.WRENCH and self.wrench_frames.to_sensor(self._frame, np.empty((0, WRENCH_VALUES))) is None:
+            return None
+        found = self._batch_of_records(records)
+        if found is None:
+            return None
         self._gaps = gaps
-        return self._batch_of_records(records), list(accumulate(len(chunk) // records.itemsize for chunk in chunks))
+        return found, list(accumulate(len(chunk) // records.itemsize for chunk in chunks))
 
     def _records(self, data: bytes) -> NDArray[Any] | None:
         """Read whole records of one width; `None` if the bytes are anything else."""
@@ -98,12 +124,21 @@ class RecordsDecoder(FrameDecoder):
         self._widths[self._stream] = width
         return records
 
-    def _batch_of_records(self, records: NDArray[Any]) -> Batch:
-        self.valid_records += len(records)
+    def _batch_of_records(self, records: NDArray[Any]) -> Batch | None:
+        """Return the readings as a batch; `None` if they are left out, since their frame is another one."""
         seconds, values = records["seconds"].astype(np.float64), records["values"].astype(np.float64)
+        if self._stream is Stream.WRENCH:
+            known = self._wrenches_from(self._frame, values)
+            if known is None:
+                return None
+            values = known
+        self.valid_records += len(records)
         return self._batch(self._stream, records["number"].astype(np.int64), seconds, values)
 
     def _decode(self, frame: bytes) -> Loss | None:
+        if frame[0] == FRAME_KIND:
+            self._frame = frame[1:].decode(errors="replace")
+            return None
         values_type = KIND_DTYPES.get(frame[0])
         if values_type is None or len(frame) <= _STAMP_BYTES:
             return Loss.UNREADABLE
@@ -118,7 +153,13 @@ class RecordsDecoder(FrameDecoder):
         number = int(record["number"][0])
         self._count_gap(number)
         self.valid_records += 1
-        return self._add(self._stream, number, float(record["seconds"][0]), record["values"][0].astype(np.float64))
+        values = record["values"].astype(np.float64)
+        if self._stream is Stream.WRENCH and width == WRENCH_VALUES:
+            known = self._wrenches_from(self._frame, values)
+            if known is None:
+                return None
+            values = known
+        return self._add(self._stream, number, float(record["seconds"][0]), values[0])
 
 
 def _in_range(records: NDArray[Any]) -> bool:
