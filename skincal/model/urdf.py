@@ -133,7 +133,7 @@ class Robot:
     def sensor_frame(self, name: str, where: str) -> tuple[str, FloatArray]:
         """Find the link that carries a sensor's frame, and the (4, 4) pose of that frame in it; `name` as in `sensor_named`."""
         sensor = self.sensor_named(name, where)
-        return _sensor_frame(sensor, self.joints.get(sensor.joint))
+        return sensor.place_frame(self.joints.get(sensor.joint))
 
     def chain(
         self, link: str, sensor_name: str, columns: Sequence[str], fixed: Mapping[str, float], where: str
@@ -162,7 +162,7 @@ class Robot:
         joint = self.joints.get(sensor.joint)
         at, pose = sensor.place_frame(joint)
         steps = tuple(
-            self._find_driver(each, is_up, columns, fixed, where) for each, is_up in self._joints_between(link, at)
+            self._find_driver(each, is_up, columns, fixed, where) for each, is_up in self.joints_between(link, at)
         )  # fmt: skip
         drivers = dict.fromkeys(step.driver for step in steps if step.driver)
         moving = sorted((name for name in drivers if name not in fixed), key=columns.index)
@@ -175,7 +175,7 @@ class Robot:
         )
         return chain, self._sign(sensor, joint, link)
 
-    def _joints_between(self, link: str, other: str) -> list[tuple[UrdfJoint, bool]]:
+    def joints_between(self, link: str, other: str) -> list[tuple[UrdfJoint, bool]]:
         """List the joints from a link to another one, and whether each step goes up to the parent."""
         up, down = self.path_to_root(link), self.path_to_root(other)
         while up and down and up[-1] is down[-1]:
@@ -188,7 +188,7 @@ class Robot:
         if link not in self.links or other not in self.links:
             return None
         pose = np.eye(4)
-        for joint, is_up in self._joints_between(link, other):
+        for joint, is_up in self.joints_between(link, other):
             pose = pose @ (inverse_pose(joint.origin) if is_up else joint.origin)
         return pose
 

@@ -7,7 +7,7 @@ frame's name and the scene alone, so a replay gives the same readings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TypeAlias
@@ -19,6 +19,7 @@ from skincal.model.errors import InputError
 from skincal.model.robot import RobotSpec
 from skincal.model.tables import Table
 from skincal.model.urdf import Robot
+from skincal.model.urdf_chain import UrdfJoint
 
 SAME_PLACE_MAX_SHIFT_M = 1e-6
 SAME_PLACE_MAX_TURN = 1e-6
@@ -167,19 +168,27 @@ def _pose_in_sensor(robot: RobotSpec, name: str) -> FloatArray | tuple[str, ...]
         return None
     sensor_link, link_from_sensor = urdf.sensor_frame(robot.sensor, "")
     link, link_from_frame = found
-    up, down = urdf.path_to_root(sensor_link), urdf.path_to_root(link)
-    while up and down and up[-1] is down[-1]:
-        up.pop()
-        down.pop()
-    moving = tuple(joint.name for joint in (*up, *reversed(down)) if joint.kind != "fixed" and joint.name not in robot.fixed)
+    steps = urdf.joints_between(sensor_link, link)
+    moving = tuple(joint.name for joint, _ in steps if not _is_held(urdf, joint, robot.fixed))
     if moving:
         return moving
-    pose = inverse_pose(link_from_sensor)
-    for joint in up:
-        pose = pose @ inverse_pose(joint.transform(robot.fixed.get(joint.name, 0.0)))
-    for joint in reversed(down):
-        pose = pose @ joint.transform(robot.fixed.get(joint.name, 0.0))
+    angles, pose = urdf.complete_angles(robot.fixed), inverse_pose(link_from_sensor)
+    for joint, is_up in steps:
+        step = joint.transform(angles.get(joint.name, 0.0))
+        pose = pose @ (inverse_pose(step) if is_up else step)
     return pose @ link_from_frame
+
+
+def _is_held(urdf: Robot, joint: UrdfJoint, fixed: Mapping[str, float]) -> bool:
+    """Whether a joint cannot move, or the scene gives its angle, or that of the joint that it follows."""
+    seen = set[str]()
+    while joint.kind != "fixed" and joint.name not in fixed:
+        seen.add(joint.name)
+        leader = None if joint.mimic is None else urdf.joints.get(joint.mimic.leader)
+        if leader is None or leader.name in seen:
+            return False
+        joint = leader
+    return True
 
 
 def _place_of(urdf: Robot, name: str) -> tuple[str, FloatArray] | None:
