@@ -233,7 +233,7 @@ class LinkHealth:
     units: str = ""
     """Units of its readings; empty while unknown."""
     frames: tuple[str, ...] = ()
-    """Frames that its messages name for the wrench, in the order in which they came."""
+    """Frames that its messages name for the wrench, in their order."""
     verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
     address: str = ""
     warning: str = ""

@@ -25,7 +25,7 @@ SAME_PLACE_MAX_SHIFT_M = 1e-6
 SAME_PLACE_MAX_TURN = 1e-6
 """rad. A URDF often has seven digits of pi / 2."""
 FRAMES_KEPT_MAX = 20
-"""Frames of one link that are told apart. A robot publishes one or two; a damaged stream could name millions."""
+"""Frames of one link that are kept. A robot publishes one or two; a damaged stream could name millions."""
 
 
 class FrameKind(Enum):

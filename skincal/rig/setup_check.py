@@ -87,7 +87,7 @@ class MistakeKind(Enum):
     MODULES = "modules"
     """Two modules are exchanged."""
     WRENCH_FRAME = "wrench frame"
-    """It is not known in which frame the wrench is; everything else may follow from that."""
+    """The frame of the wrench is not known; everything else may follow from that."""
     WRENCH_POINT = "wrench point"
     """The moments are about another point than the origin of the frame that the messages name."""
     WRENCH_LABEL = "wrench label"

@@ -80,7 +80,7 @@ class Session:
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
         self._solving.taxels_changed(self.channels)
         self.wrench_frames: tuple[WrenchFrame, ...] = ()
-        """Frames that the messages of the wrench named, in the order in which they came."""
+        """Frames that the messages of the wrench named, in their order."""
         self.tip_frame: TipFrame | None = None
         """Frame of the tip positions; `None` before the first contact with one."""
         self._has_tips = False

@@ -85,7 +85,7 @@ class Intake:
 
     @property
     def wrench_frames(self) -> tuple[str, ...]:
-        """Names of the frames that messages of the wrench named, in the order in which they came."""
+        """Names of the frames that messages of the wrench named, in their order."""
         return tuple(name for link in self._links.values() for name in link.wrench_frames)
 
     @property
@@ -202,7 +202,7 @@ class LinkIntake:
 
     @property
     def wrench_frames(self) -> tuple[str, ...]:
-        """Names of the frames that messages of the wrench named, in the order in which they came."""
+        """Names of the frames that messages of the wrench named, in their order."""
         return self._wrench_frames.names
 
     def _new_decoder(self) -> LinkDecoder:

@@ -29,7 +29,7 @@ def frame_words(readings: Mapping[str, int]) -> str:
 
 
 def frame_sentences(frames: Sequence[WrenchFrame], contacts: Sequence[Contact] = ()) -> tuple[str, ...]:
-    """Say how the frames of the wrench are related to the sensor's, and what is done; empty if there is nothing to say.
+    """Describe the frames of the wrench by the sensor's frame, and the conversion; empty if there is nothing to say.
 
     `contacts` show, if the frame is far from the sensor, about which of both points its moments are.
     """
