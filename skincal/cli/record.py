@@ -358,7 +358,8 @@ def finish(
     text += setup
     # Without a byte of one of its devices no poke can ever be found in a recording.
     no_result = not counts["accepted"] if imported else not snapshot.pokes
-    useless = silent and no_result and (imported or not all(link.last_host_ns for link in live.links))
+    mixed = imported and any(link.is_mixture for link in live.links)
+    useless = silent and (mixed or no_result) and (imported or not all(link.last_host_ns for link in live.links))
     kept = (bool(pipeline.journal_failure) or not useless) and out.exists()
     text += [*output.loss_lines(live.links), *([f"session {out}"] if kept else [])]
     result: dict[str, Any] = {

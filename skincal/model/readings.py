@@ -210,6 +210,10 @@ class Freeze:
     """Host's monotonic clock, nanoseconds; `None` if it lasts."""
 
 
+MIXTURE_MIN_READINGS = 100
+"""Wrenches that alternate, from which two series lie over each other."""
+
+
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
     """State of a link, for the devices panel."""
@@ -245,10 +249,18 @@ class LinkHealth:
     numberless: int = 0
     """Readings without usable numbers: wrenches and angles with NaN, skin frames of NaN alone."""
 
+    mixed: int = 0
+    """Wrenches that alternate between two series: two runs or two senders."""
+
+    @property
+    def is_mixture(self) -> bool:
+        """Whether two series lie over each other."""
+        return self.mixed >= MIXTURE_MIN_READINGS
+
     @property
     def has_usable(self) -> bool:
-        """Whether a reading came with usable numbers."""
-        return self.readings > self.numberless
+        """Whether a reading came with usable numbers, of one series."""
+        return self.readings > self.numberless and not self.is_mixture
 
 
 def merge_side_readings(before: Mapping[str, SideReading], later: Mapping[str, SideReading]) -> dict[str, SideReading]:

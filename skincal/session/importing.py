@@ -171,7 +171,7 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         if pipeline.journal_failure:
             raise InputError(pipeline.journal_failure)
         accepted = sum(isinstance(outcome, Contact) for outcome in outcomes)
-        if silent and not accepted:
+        if silent and (not accepted or any(link.is_mixture for link in links)):
             raise InputError(f"{silent} No session was made.")
         unpoked = "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts, links)
         warnings = [f"{link.link}: {link.warning}" for link in links if link.warning]

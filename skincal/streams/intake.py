@@ -309,6 +309,7 @@ class LinkIntake:
             freezes=self.monitor.freezes,
             levels=self.monitor.levels,
             numberless=self._numberless,
+            mixed=self.monitor.mixed_readings,
         )
 
     def side_readings(self) -> Mapping[str, SideReading]:

@@ -31,6 +31,12 @@ FROZEN_IF_UNCHANGED_FOR_NS = 1_000_000_000
 NOISE_MIN_SHARE = {Stream.WRENCH: 0.5, Stream.SKIN: 0.9, Stream.JOINTS: math.inf, Stream.TIP: math.inf}
 """Share of the readings that differ from the one before them, from which a stream has noise. A skin behind a threshold has a
 small one; joints and a tip may rest."""
+ALTERNATION_MIN_RATIO = 10.0
+"""Change from a wrench to the next one, over that to the one after it, in a mixture of two series; noise has about 1."""
+ALTERNATION_MIN_FORCE_N = 0.5
+"""Smallest such change: above the steps of a coarse sensor."""
+ALTERNATION_MIN_READINGS = 20
+"""Wrenches in a row that alternate. No vibration of half the sensor's rate lasts as long, so far above the noise."""
 MAX_SKIN_LEVELS = 2
 """Values of a skin that was made binary."""
 NOISE_MIN_CHANGED_READINGS = 20
@@ -147,6 +153,11 @@ class LinkMonitor:
         self._streams: dict[Stream, _StreamHistory] = {}
         self._freezes_before: list[Freeze] = []
         """Of the devices that the link had before."""
+        self.mixed_readings = 0
+        """Wrenches that alternate between two series."""
+        self._wrenches: FloatArray = np.empty((0, 6))
+        """The last two."""
+        self._alternating = 0
         self._levels: set[float] | None = set()
         """Values of the skin so far; `None` for more than `MAX_SKIN_LEVELS`."""
         self._bauds_tried: tuple[int, ...] = ()
@@ -204,6 +215,8 @@ class LinkMonitor:
                 if known is None or known.width != news.last.shape[1]:
                     known = self._streams[batch.stream] = _StreamHistory(batch.stream, news.last, host_ns)
                 known.add(news, host_ns)
+            if batch.stream is Stream.WRENCH:
+                self._count_alternations(batch.values)
             if batch.stream is Stream.SKIN and self._levels is not None:
                 self._levels = _add_levels(self._levels, batch.values)
         if self._wanted_streams and not self._missing(host_ns):
@@ -212,6 +225,20 @@ class LinkMonitor:
         else:
             self._missing_since_ns = self._missing_since_ns or host_ns
             self._count_unexpected(data, host_ns)
+
+    def _count_alternations(self, values: FloatArray) -> None:
+        """Count the (n, 6) wrenches that differ from the one before them, but not from the one before that."""
+        known = self._wrenches if self._wrenches.shape[1] == values.shape[1] else values[:0]
+        rows = np.concatenate([known, values])
+        self._wrenches = rows[-2:]
+        if len(rows) < 3:
+            return
+        step = np.linalg.norm(rows[2:, :3] - rows[1:-1, :3], axis=1)
+        over_two = np.linalg.norm(rows[2:, :3] - rows[:-2, :3], axis=1)
+        for alternates in (step > np.maximum(ALTERNATION_MIN_RATIO * over_two, ALTERNATION_MIN_FORCE_N)).tolist():
+            self._alternating = self._alternating + 1 if alternates else 0
+            if self._alternating >= ALTERNATION_MIN_READINGS:
+                self.mixed_readings += ALTERNATION_MIN_READINGS if self._alternating == ALTERNATION_MIN_READINGS else 1
 
     def _count_unexpected(self, data: bytes, host_ns: int) -> None:
         if self._fallback is None and self._make_fallback is not None:

@@ -27,6 +27,11 @@ def silent_links(links: Sequence[LinkHealth]) -> str:
 
 def _why_silent(link: LinkHealth, *, brief: bool) -> str:
     verdict = link.verdict
+    if link.is_mixture:
+        return (
+            "they alternate between two series: two runs lie over each other, as of a simulation whose clock began again, "
+            "or two programs send on one topic" + ("" if brief else ". Record each alone")
+        )
     if link.readings:
         every = f"all its {link.readings} readings" if link.readings > 1 else "its only reading"
         advice = "" if brief else ". Check the sensor and the program that published them"

@@ -292,3 +292,16 @@ def test_two_runs_of_a_simulation_follow_each_other(rig, imported, kind, tmp_pat
     assert approved("recording.file_order") in said
     assert len(poke_times(snapshot)) >= POKES - 1
     assert max(errors_mm(snapshot)) < RIGHT_MM
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_two_runs_that_lie_over_each_other_are_refused(rig, imported, write, tmp_path):
+    """Their order is lost: every time has a reading of each run."""
+    for stream in rig.times:
+        half = len(rig.times[stream]) // 2
+        rig.times[stream] = np.repeat(rig.times[stream][:half], 2) + np.tile([0.0, 0.001], half)
+        rig.rows[stream] = np.stack([rig.rows[stream][:half], rig.rows[stream][half : 2 * half]], 1).reshape(2 * half, -1)
+    code, said, _ = imported(write(tmp_path / "r", rig))
+    assert code == 2
+    assert approved("recording.mixture") in said
+    assert not (tmp_path / "s").exists()
