@@ -9,6 +9,8 @@ of ROS 1 (`unfinished_bag`).
 from __future__ import annotations
 
 import contextlib
+import shutil
+import sqlite3
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -120,17 +122,37 @@ class Bag:
         reader: Any = (Reader1 if file.suffix in ROS1_SUFFIXES else Reader2)(file)
         try:
             reader.open()
+        except KeyError:
+            # The recorder found no definition of a type, and says that its language is "unknown", which the library refuses.
+            reader = Reader2(self._without_unknown_definitions(file))
+            reader.open()
         except Exception:
             if file.suffix not in ROS1_SUFFIXES or not (unfinished := UnfinishedBag(file)).connections:
                 raise
             return unfinished
         return reader
 
+    def _without_unknown_definitions(self, file: Path) -> Path:
+        """Copy a database of ROS 2 and empty the definitions in it that are in no known language."""
+        copied = self._make_folder() / file.name
+        shutil.copyfile(file, copied)
+        with contextlib.closing(sqlite3.connect(copied)) as database:
+            database.execute(
+                "UPDATE message_definitions SET encoding = 'ros2msg', encoded_message_definition = '' "
+                "WHERE encoding NOT IN ('ros2msg', 'ros2idl')"
+            )
+            database.commit()
+        return copied
+
+    def _make_folder(self) -> Path:
+        """Make a temporary folder that lives as long as the bag is open."""
+        return Path(self._stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True)))
+
     def _unpacked(self, file: Path) -> Path:
-        """Unpack a file that is compressed by zstd into a folder that lives as long as the bag is open."""
+        """Unpack a file that is compressed by zstd into a temporary folder."""
         if file.suffix not in ZSTD_SUFFIXES:
             return file
-        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True)))
+        folder = self._make_folder()
         with file.open("rb") as packed, (folder / file.stem).open("wb") as unpacked:
             zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
         return folder / file.stem

@@ -1,6 +1,8 @@
 """Bags that other programs wrote, compressed or did not finish have the messages of a plain bag, or a sentence on the cause."""
 
+import contextlib
 import shutil
+import sqlite3
 import struct
 from collections import Counter
 
@@ -179,6 +181,18 @@ def test_single_messages_that_are_compressed_are_read_without_metadata(tmp_path)
     assert plain_messages(next(bag.glob("*.db3"))) == expected
     values, losses = readings(open_bag(bag))
     assert (values["wrench"][1][7].tolist(), losses) == ([7, 7.5, -7, 0.1, 0.2, 0.3], {})
+
+
+def test_a_database_whose_recorder_found_no_definition_is_read(tmp_path):
+    bag = write_small(tmp_path / "bag", "sqlite3")
+    expected, file = plain_messages(bag), next(bag.glob("*.db3"))
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.execute("UPDATE message_definitions SET encoding = 'unknown', encoded_message_definition = ''")
+        database.commit()
+    whole = file.read_bytes()
+    assert plain_messages(bag) == expected
+    assert guess_streams([bag]).skin == RecordedPlace(bag, "/skin")
+    assert file.read_bytes() == whole
 
 
 # ------------------------------------------------------------------ unfinished

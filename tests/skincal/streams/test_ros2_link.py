@@ -388,6 +388,20 @@ def test_made_types_and_changing_values_are_proposed_first(stream, topics, best)
     assert ros_topics.propose_topics(found)[stream].topic == best
 
 
+def test_commands_are_not_proposed_and_the_topic_with_the_joints_of_the_scene_is():
+    def topic(name, *joints, changed=True, stream=Stream.JOINTS):
+        return ros_topics.FoundTopic(name, "a/msg/T", stream, 50.0, np.zeros(6), True, changed, joints=joints)
+
+    states, command = topic("/joint_states", "elbow"), topic("/z/joint_command", "elbow", "wrist")
+    other = topic("/z/joint_states", "wheel")
+    assert ros_topics.propose_topics([states, command]) == {Stream.JOINTS: states}
+    assert ros_topics.propose_topics([command]) == {}
+    assert ros_topics.propose_topics([states, other], ["elbow"]) == {Stream.JOINTS: states}
+    assert ros_topics.propose_topics([states, other], ["wheel"]) == {Stream.JOINTS: other}
+    raw, filtered = (topic(f"/ft/{name}", stream=Stream.WRENCH) for name in ("a_raw", "filtered"))
+    assert ros_topics.propose_topics([filtered, raw]) == {Stream.WRENCH: raw}
+
+
 URDF = """<robot name="r">
 <link name="base"/>
 <link name="arm"><visual><geometry><mesh filename="package://lab/part.stl"/></geometry></visual></link>
