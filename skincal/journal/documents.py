@@ -27,9 +27,11 @@ from skincal.model.scene import ContactSettings, with_thresholds
 from skincal.model.tables import shown
 from skincal.streams.links import LinkSpec
 
-JOURNAL_FORMAT_VERSION = 4
-"""Version of the session folder; a reader refuses a newer one. Up to 3 a streamed arm pose was named by its rounded angles."""
+JOURNAL_FORMAT_VERSION = 5
+"""Version of the session folder; a reader refuses a newer one. Up to 3 a streamed arm pose was named by its rounded angles, up
+to 4 every wrench was taken for one in the sensor's frame."""
 FIRST_FORMAT_WITH_GROUPED_POSES = 4
+FIRST_FORMAT_WITH_WRENCH_FRAMES = 5
 MAX_LINKS = len(Stream)
 """Links of a session: each carries another stream."""
 MAX_MEASURED_VALUE = 1e12

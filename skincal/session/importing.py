@@ -20,6 +20,7 @@ from skincal.model.scene import Scene, load_scene
 from skincal.session.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
+from skincal.words.frame_words import frame_sentences
 from skincal.words.link_words import silent_links
 from skincal.words.poke_words import late_angles_sentence, no_poke_sentence
 
@@ -175,5 +176,6 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
             raise InputError(f"{silent} No session was made.")
         unpoked = "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts, links)
         warnings = [f"{link.link}: {link.warning}" for link in links if link.warning]
-        findings = (*stream_findings(pipeline), *warnings)
+        frames = frame_sentences(pipeline.session.wrench_frames, pipeline.session.contacts)
+        findings = (*frames, *stream_findings(pipeline), *warnings)
     return Imported(request.folder, len(outcomes), accepted, unpoked, findings)

@@ -26,6 +26,7 @@ from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, Ti
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import Scene
+from skincal.model.wrench_frames import FrameKind, WrenchFrame, WrenchPlace
 from skincal.session.arm_poses import ArmPoses
 from skincal.session.corrections import corrected_progress
 from skincal.session.landmark_pokes import LandmarkFinder
@@ -80,6 +81,8 @@ class Pipeline:
         """The layout on the part; `None` if it is not laid."""
         self._earlier = Totals()
         self._frame_names: tuple[str, ...] = ()
+        self.reads_frames = True
+        """Wrenches are converted from the frames that messages name; in sessions of old formats they are not."""
         self._now_ns = 0
         self._found_dead = False
         self.poses = ArmPoses(scene)
@@ -92,7 +95,7 @@ class Pipeline:
         used = () if arm is None else tuple(arm.arm.joints)
         names = () if self.scene.robot is None else self.scene.robot.columns
         width = max(used, default=-1) + 1
-        self._intake = Intake(self.scene.skin.channels, links, width, names, used, self.scene.wrench_frame)
+        self._intake = Intake(self.scene.skin.channels, links, width, names, used, self._find_frame)
         self._frozen = frozenset[str]()
         self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
@@ -140,13 +143,17 @@ class Pipeline:
             self.session.add(outcome)
             self.poses.add_used(outcome.pose, outcome.link_from_sensor)
 
+    def _find_frame(self, name: str) -> WrenchFrame:
+        is_named = self.scene.wrench_place != WrenchPlace()
+        return self.scene.wrench_frame(name) if self.reads_frames or is_named else WrenchFrame(name, FrameKind.SAME)
+
     def _note_frames(self) -> None:
         """Find new frames of the wrench in the scene's robot."""
         earlier = (name for link in self._earlier.links for name in link.frames)
         names = tuple(dict.fromkeys((*earlier, *self._intake.wrench_frames)))
         if names != self._frame_names:
             self._frame_names = names
-            self.session.wrench_frames = tuple(map(self.scene.wrench_frame, names))
+            self.session.wrench_frames = tuple(map(self._find_frame, names))
 
     def act(self, action: Action, host_ns: int) -> None:
         """Apply an action and record it; `InputError` if it is impossible, and then nothing changes."""
@@ -266,7 +273,7 @@ class Pipeline:
         self._earlier = self.totals()
         self.session.finalize_outcomes()
         self._connect(self.links if links is None else links)
-        self.poses.are_grouped = True
+        self.poses.are_grouped = self.reads_frames = True
         self.journal = journal
         self.session.set_clock(None if journal is None else journal.clock)
         self.renew_detector()

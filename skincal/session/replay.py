@@ -10,7 +10,14 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from skincal.journal.documents import FIRST_FORMAT_WITH_GROUPED_POSES, DetectorResult, SegmentHeader, SessionClosed, Totals
+from skincal.journal.documents import (
+    FIRST_FORMAT_WITH_GROUPED_POSES,
+    FIRST_FORMAT_WITH_WRENCH_FRAMES,
+    DetectorResult,
+    SegmentHeader,
+    SessionClosed,
+    Totals,
+)
 from skincal.journal.lock import SessionLock
 from skincal.journal.reader import LogItem, LogState, SessionLog, recover_session
 from skincal.journal.writer import open_segment
@@ -112,6 +119,7 @@ def apply_item(pipeline: Pipeline, item: LogItem) -> None:
         if item.number > 1:
             pipeline.begin_segment(item.links)
         pipeline.poses.are_grouped = item.format >= FIRST_FORMAT_WITH_GROUPED_POSES
+        pipeline.reads_frames = item.format >= FIRST_FORMAT_WITH_WRENCH_FRAMES
         pipeline.session.set_clock(item.clock)
     elif isinstance(item, TimedAction):
         # These follow again from bytes and requests.

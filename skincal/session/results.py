@@ -48,6 +48,8 @@ def use_offered(session: Session) -> None:
         session.act(action)
         frame, rig = diagnose_rig(ReviewRequest.from_session(session))
     if not session.decisions.corrections:
+        if frame is not None and frame.wrench_frame and not frame.right:
+            raise InputError(f"{frame_sentence(frame)} Leave out --correct until then.")
         raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 
 

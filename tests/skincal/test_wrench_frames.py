@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,22 +10,31 @@ import pytest
 from skincal.cli import main
 from skincal.devices.decoding import pack
 from skincal.devices.ros2 import write_head, write_message
+from skincal.journal.documents import SegmentHeader
+from skincal.model.actions import AtLandmark
+from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, Loss, Stream
 from skincal.model.scene import load_scene
 from skincal.model.wrench_frames import FrameKind, rigid_points
 from skincal.ros.dds import message_types
 from skincal.ros.topics import TopicChoice
-from skincal.session.replay import load, replay
-from skincal.session.results import SessionResults
+from skincal.session.corrections import offered
+from skincal.session.pipeline import Pipeline
+from skincal.session.replay import apply_item, load, replay
+from skincal.session.results import SessionResults, use_offered
+from skincal.session.review import ReviewRequest, diagnose_rig
 from skincal.session.setup_follower import SetupFollower
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import LinkSpec
+from skincal.words.frame_words import frame_sentences
+from skincal.words.rig_words import frame_sentence
 from skincal.words.setup_words import setup_sentences
 from tests.skincal.ros_support import WRENCH_TYPE, make_message, wrench_message
 from tests.skincal.wrench_frame_support import (
     IN_BASE,
     IN_BASE_AXES,
     IN_TOOL,
+    PADS_M,
     TOOL_SHIFT_M,
     largest_difference,
     positions,
@@ -259,6 +269,47 @@ def test_live_messages_are_converted_the_same_in_runs_and_one_by_one(tmp_path, f
     np.testing.assert_allclose(many, wrench, atol=1e-12)
     assert health.frames == ("tool", "ft_link")
     assert health.units.endswith("in the frame tool and ft_link")
+
+
+@pytest.mark.parametrize("entry", ["", 'frame = "tool"'])
+def test_a_session_of_an_old_format_is_replayed_as_it_was_unless_its_scene_names_the_frame(tmp_path, entry):
+    scene = load_scene(write_scene(tmp_path, wrench=entry))
+    link = LinkSpec("wrench", "file:x", (Stream.WRENCH,), "ros2")
+    wrench = true_readings()[0][200:240]
+    packets, _ = live_packets(["tool"] * 20 + ["unheard_of"] * 20, IN_TOOL(wrench))
+    pipeline = Pipeline(scene, [link], None)
+    apply_item(pipeline, SegmentHeader(1, 0, (link,), 4, None, continues=False))
+    pipeline.feed(Chunk("wrench", 1, b"".join(packets)))
+    _, found = pipeline._intake.recent_wrench()
+    if entry:
+        np.testing.assert_allclose(found, wrench[:20], atol=1e-12)
+    else:
+        assert found.tobytes() == IN_TOOL(wrench).tobytes()
+        assert frame_sentences(pipeline.session.wrench_frames[:1]) == ()
+
+
+def test_landmarks_offer_no_correction_that_hides_the_frame_of_the_wrench(tmp_path):
+    bag = write_bag(tmp_path / "bag", lambda _: "unheard_of", IN_TOOL)
+    scene = write_scene(tmp_path / "part")
+    marks = "".join(
+        f'\n[[landmarks]]\nname = "pad {n}"\nplace = [{x}, {y}, 0.0]\nnormal = [0, 0, 1]\n'
+        for n, (x, y) in enumerate(PADS_M.tolist())
+    )
+    scene.write_text(scene.read_text() + marks)
+    session = tmp_path / "session"
+    assert main(["import", "rosbag", str(bag), "--scene", str(scene), "--out", str(session)]) == 0
+    pipeline = load(session)
+    for contact in pipeline.session.contacts:
+        pipeline.act(AtLandmark(contact.poke, f"pad {contact.poke - 1}"), 10**15)
+    frame, rig = diagnose_rig(ReviewRequest.from_session(pipeline.session))
+    assert not frame.right
+    assert frame.wrench_frame == "unheard_of"
+    assert offered(frame, rig, len(pipeline.session.landmark_pokes), {}) is None
+    assert "First settle the wrench's frame, unheard_of" in frame_sentence(frame)
+    with pytest.raises(InputError, match="First settle the wrench's frame, unheard_of"):
+        use_offered(pipeline.session)
+    # Without the doubt the same pokes do offer one: the frame alone holds it back.
+    assert offered(replace(frame, wrench_frame=""), rig, len(pipeline.session.landmark_pokes), {}) is not None
 
 
 def test_live_readings_in_a_second_frame_without_a_urdf_are_left_out():
