@@ -22,7 +22,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_sentences
 from skincal.words.link_words import silent_links
-from skincal.words.poke_words import late_angles_sentence, no_poke_sentence
+from skincal.words.poke_words import late_angles_sentence, no_poke_sentence, too_short_sentence
 
 CHUNKS_PER_PROGRESS_REPORT = 20
 """Chunks between two progress reports: a second of a recording, some 0.01 s of work."""
@@ -174,6 +174,9 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         accepted = sum(isinstance(outcome, Contact) for outcome in outcomes)
         if silent and (not accepted or any(link.is_mixture for link in links)):
             raise InputError(f"{silent} No session was made.")
+        too_short = "" if outcomes else too_short_sentence(pipeline.before_pokes, scene.contacts)
+        if too_short:
+            raise InputError(f"{too_short} No session was made.")
         unpoked = "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts, links)
         warnings = [f"{link.link}: {link.warning}" for link in links if link.warning]
         frames = frame_sentences(pipeline.session.wrench_frames, pipeline.session.contacts)

@@ -136,6 +136,18 @@ def missed_words(missed: MissedLandmark) -> str:
     return f"{missed.miss * 1e3:.0f} mm from {missed.name} (limit {missed.limit * 1e3:.0f} mm)"
 
 
+def too_short_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
+    """Explain why a recording is too short for any poke; empty if it is long enough."""
+    needed_s = thresholds.quiet_s + thresholds.still_s
+    if not seen.samples or seen.seconds >= needed_s:
+        return ""
+    return (
+        f"Force and skin were recorded together for {seen.seconds:.2g} s; a poke needs {needed_s:g} s: "
+        f"{thresholds.quiet_s:g} s without a touch and {thresholds.still_s:g} s of holding still. "
+        "Give the whole recordings of one run."
+    )
+
+
 def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequence[LinkHealth] = ()) -> str:
     """Describe a recording without a poke: its content, the needs of a poke, and the next check."""
     mostly = next((link for link in links if link.link != Stream.JOINTS.value and 2 * link.numberless > link.readings), None)

@@ -259,6 +259,15 @@ def test_a_recording_without_a_poke_says_why(tmp_path, samples, write, said):
     assert no_poke_sentence(ContactDetector(scene).before_pokes, scene.contacts) == approved("import.no_poke_apart")
 
 
+def test_a_recording_too_short_for_a_poke_leaves_no_session(tmp_path):
+    scene = write_scene(tmp_path / "source")
+    logs = write_csv(tmp_path / "logs", Script(scene, force_noise=0.01).quiet(0.42).samples)
+    with pytest.raises(InputError) as refused:
+        import_recording(ImportRequest(guess_streams([logs]), scene.path, "", tmp_path / "s"))
+    assert str(refused.value) == approved("import.too_short", seconds="0.4")
+    assert not (tmp_path / "s").exists()
+
+
 def test_the_command_says_it_first_and_ends_well(tmp_path, capsys):
     scene = write_scene(tmp_path / "source")
     logs = write_yarp(tmp_path / "logs", weak(scene).samples)
