@@ -483,7 +483,7 @@ class SessionView(QObject):
                 early = () if verdict.enough else (verdict_sentence(verdict),)
                 dialog.show_written((*early, *sentences))
 
-            self._controller.export(format_, path, method, rig, done, dialog.show_failure, dialog.end_task, options)
+            self._controller.export(format_, path, method, rig, done, dialog.show_failure, options, dialog.end_task)
 
         dialog.write_requested.connect(write)
         dialog.open()

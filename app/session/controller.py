@@ -565,8 +565,8 @@ class Controller(QObject):
         rig: RigAnswer | None,
         done: Callable[[tuple[Verdict, tuple[str, ...]]], None],
         failed: Callable[[str], None],
-        ended: Callable[[], None] | None = None,
         options: ExportOptions = NO_OPTIONS,
+        ended: Callable[[], None] | None = None,
     ) -> None:
         """Write a calibration file in the background.
 

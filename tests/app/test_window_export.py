@@ -57,7 +57,9 @@ def test_a_fault_while_a_file_is_written_reaches_its_dialog(bench, tmp_path, mon
     bench.open(OpenRequest(session=resource("sessions/sample")))
     monkeypatch.setattr("skincal.files.export.write_calibration", fail)
     said, ended = [], []
-    bench.controller.export("csv", tmp_path / "c.csv", Method.FREE, None, said.append, said.append, lambda: ended.append(1))
+    bench.controller.export(
+        "csv", tmp_path / "c.csv", Method.FREE, None, said.append, said.append, ended=lambda: ended.append(1)
+    )
     bench.until(lambda: ended == [1])
     assert "ZeroDivisionError" in said[0]
     bench.window.controller._end_recording()

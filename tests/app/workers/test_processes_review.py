@@ -183,7 +183,7 @@ def test_a_fault_of_a_review_is_said_and_logged(qtbot, session, client, processe
 
 
 def test_a_mesh_that_changed_is_said_and_the_rest_is_silence(qtbot, session, client, heard):
-    session.surface = SimpleNamespace(sha256="0" * 64)
+    session.surface = SimpleNamespace(sha256="0" * 64, size=0.1)
     tell(session, client, 1)
     qtbot.waitUntil(lambda: bool(heard.failures), timeout=OPEN_MS)
     assert approved("mesh.changed_after_opening") in heard.failures[0]
