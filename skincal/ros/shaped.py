@@ -30,14 +30,19 @@ POINT_FIELD_DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "
 POSITIONS_AND_COLOURS = ("x", "y", "z", "rgb", "rgba", "normal_x", "normal_y", "normal_z", "curvature", "ring", "time", "t")
 """Fields of points that are no readings, unless one is named."""
 
+EMPTY_LAYOUT: dict[str, Any] = {"data_offset": 0, "dim": []}
+
 
 def elements_of_array(layout: Any, count: int) -> NDArray[np.intp] | None:
     """Compute the indices of the elements of a MultiArray of `count` numbers, in order; `None` for all of them.
 
-    Dimensions that do not fit the data are ignored, since many publishers leave them empty or fill them wrongly.
+    Dimensions that do not fit the data are ignored, since many publishers leave them empty or fill them wrongly. A layout in
+    JSON may be empty.
 
     Raises MessageError: its offset is beyond the data.
     """
+    if isinstance(layout, dict):
+        layout = EMPTY_LAYOUT | cast("dict[str, Any]", layout)
     offset = int(_get(layout, "data_offset"))
     if offset > count:
         raise MessageError(f"its layout.data_offset is {offset}, and its data has {count} elements")
