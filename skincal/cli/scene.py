@@ -188,7 +188,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
 
 def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:
     """List what is unusual or unknown about a robot's sensor, and where its mesh is from."""
-    from skincal.words.robot_words import sensor_findings
+    from skincal.words.robot_words import replaced_mesh_findings, sensor_findings
 
     findings: list[str] = []
     if robot.sign is None:
@@ -196,6 +196,8 @@ def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:
     elif robot.sign != wrench_sign:
         findings.append(f"[wrench] sign is {wrench_sign:+d}, and the URDF says {robot.sign:+d}: check one of them")
     findings += sensor_findings(robot.urdf, robot.sensor, link)
+    if robot.mesh is not None and robot.mesh[3]:
+        findings += replaced_mesh_findings(robot.urdf.meshes[robot.mesh_link], robot.mesh[0])
     if robot.mesh_link and robot.mesh_link != link:
         findings.append(f"the mesh has the pose of that of link {robot.mesh_link}, which is fixed to {link}")
     others = robot.urdf.meshes[robot.mesh_link].others if robot.mesh_link else 0

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Mapping
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from urllib.parse import unquote
 
 from skincal.model.errors import InputError
@@ -20,6 +20,8 @@ PACKAGE_SCHEMES = ("package", "model")
 PACKAGE_FILE = "package.xml"
 """In the folder of a ROS package; names it."""
 MAX_PACKAGE_FILE_BYTES = 1 << 20
+XACRO_MARKS = ("$(", "${")
+"""Begin an expression that xacro replaces."""
 URDF_FOLDER_ENDING = "urdf"
 """Of the folder of a robot's URDFs, such as `urdf` or `base_urdf`: its meshes are next to that folder."""
 
@@ -33,6 +35,11 @@ def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Pat
     Raises InputError: there is no such file, or its name leaves the folders.
     """
     where = f"{robot.path.name}: mesh of link {mesh.link}"
+    if any(mark in mesh.filename for mark in XACRO_MARKS):
+        raise InputError(
+            f"{where}: {mesh.filename} has an expression of xacro in it; make the URDF again (xacro FILE.xacro > robot.urdf), "
+            "or name the part's mesh (--mesh FILE, or [surface])."
+        )
     scheme, name = split_scheme(mesh.filename)
     if scheme and scheme not in (*PACKAGE_SCHEMES, "file"):
         raise InputError(f"{where}: is {mesh.filename}; expected package://NAME/... or a file of the robot's folder.")
@@ -122,6 +129,8 @@ def _in_homes(urdf: Path, name: str, *, is_url: bool) -> Iterator[Path]:
     homes = home_folders(urdf)
     for file in _names_of(urdf):
         for each in names:
+            if PureWindowsPath(each).drive and not Path(each).is_absolute():  # C:/robot.stl on another system
+                continue
             place = Path(os.path.normpath(file.parent / each))
             # A name below the URDF's folder is inside, also where that is the root of a disk.
             if each and (place.is_relative_to(file.parent) or any(place.is_relative_to(home) for home in homes)):

@@ -28,7 +28,7 @@ from skincal.session.part_draft import PartDraft, layout_file_of
 from skincal.session.robot_copy import RobotFiles, list_robot_files
 from skincal.session.robot_mesh import describe_shapes, find_part_mesh, offer_collision_mesh, with_offer
 from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles, missing_packages
-from skincal.words.robot_words import sensor_findings
+from skincal.words.robot_words import replaced_mesh_findings, sensor_findings
 
 KeptResult = TypeVar("KeptResult")
 UNREPORTED_FINDINGS = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS)
@@ -173,6 +173,9 @@ class _Work:
                 return
             spec, self.values["mesh_link"] = found
             self._load_mesh(spec)
+            if spec.replaces_unit and self.values["mesh_link"]:
+                words = replaced_mesh_findings(robot.meshes[self.values["mesh_link"]], spec.path)
+                self.findings["part"] += tuple(f"{each[0].upper()}{each[1:]}." for each in words)
         except InputError as error:
             offer = "" if draft.mesh is not None else offer_collision_mesh(robot, draft)
             raise with_offer(error, offer) from None

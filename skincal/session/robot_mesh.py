@@ -20,6 +20,11 @@ from skincal.session.part_draft import IDENTITY_POSE, PartDraft, pose_rows
 
 COLLISION_OFFER_MAX_CHARS = 200
 """The rest of a sentence is for the error."""
+VISUAL_MESH_ADVICE = "leave --unit out, or save it in its true shape under another name, and give its --unit"
+COLLISION_MESH_ADVICE = (
+    "leave --mesh out, and put it with its <origin> in place of the link's visual shapes, in a copy of the URDF"
+)
+"""A file under another name would lie where the visual mesh does."""
 
 
 def find_part_mesh(robot: Robot, draft: PartDraft) -> tuple[SurfaceSpec, str] | None:
@@ -72,10 +77,9 @@ def _as_in_urdf(draft: PartDraft, shape: LinkMesh, pose: FloatArray, mesh: Path,
         return replace(draft, mesh=None, mesh_pose=None, unit="mm")
     own = unit or unit_of(shape, mesh)
     if not shape.is_uniform or not own:
-        kind, advice = ("collision", "") if is_collision else ("visual", " leave --unit out, or")
         raise InputError(
-            f"{mesh}: is the {kind} mesh of link {shape.link}, and the URDF scales it by {shape.scales.tolist()};{advice} save "
-            "it in its true shape under another name, and give its --unit."
+            f"{mesh}: is the {'collision' if is_collision else 'visual'} mesh of link {shape.link}, and the URDF scales it by "
+            f"{shape.scales.tolist()}; {COLLISION_MESH_ADVICE if is_collision else VISUAL_MESH_ADVICE}."
         )
     return replace(draft, mesh=mesh, unit=own, mesh_pose=pose_rows(pose) if is_collision else None)
 

@@ -52,6 +52,8 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     preview = PartPreviewer().preview(replace(draft, name=out.resolve().parent.name or draft.link), {})
     if "part" in preview.problems and not preview.is_meshless:
         raise InputError(preview.problems["part"])
+    if "skin" in preview.problems:
+        raise InputError(preview.problems["skin"])
     part, comments = completed_draft(preview), dict[tuple[str, ...], str]()
     if robot is not None:
         fixed = {name: float(np.radians(degrees)) for name, degrees in part.fixed}

@@ -1,8 +1,10 @@
-"""Sentences about a robot's force/torque sensor, shared by window and commands."""
+"""Sentences about a robot's force/torque sensor and its meshes, shared by window and commands."""
 
 from __future__ import annotations
 
-from skincal.model.urdf import Robot
+from pathlib import Path
+
+from skincal.model.urdf import LinkMesh, Robot
 
 
 def sensor_findings(robot: Robot, sensor_name: str, link: str) -> list[str]:
@@ -16,3 +18,13 @@ def sensor_findings(robot: Robot, sensor_name: str, link: str) -> list[str]:
         hint = f"; {', '.join(others)} is" if others else ""
         findings.append(f"sensor {sensor_name} is not between the part and the robot's base{hint}: it may not feel the pokes")
     return findings
+
+
+def replaced_mesh_findings(shape: LinkMesh, file: Path) -> list[str]:
+    """Report a mesh that the URDF mirrors or stretches, and that a file with its own unit replaces."""
+    if shape.is_uniform:
+        return []
+    return [
+        f"the URDF mirrors or stretches its mesh of link {shape.link} (scale {shape.scales.tolist()}). {file.name} is used "
+        "without this scale: check that it has the true shape of the part"
+    ]

@@ -64,6 +64,8 @@ def test_a_mesh_of_the_robots_package_is_found(package, name):
         "//somewhere/share/secret.stl",
         "\\\\somewhere\\share\\secret.stl",
         "https://somewhere/secret.stl",
+        "Z:\\robots\\secret.stl",
+        "file:///Z:/robots/secret.stl",
     ],
 )
 def test_a_mesh_outside_the_package_is_refused(package, name):
@@ -117,3 +119,11 @@ def test_a_package_file_that_names_nothing_is_no_package_of_that_name(package, t
     (package / "package.xml").write_text(text)
     with pytest.raises(InputError, match="is not found"):
         find(package / "urdf/robot.urdf", "package://my_arm/meshes/my part.stl")
+
+
+@pytest.mark.parametrize("name", ["$(find my_arm)/meshes/my part.stl", "package://$(arg name)/part.stl", "${folder}/part.stl"])
+def test_an_expression_of_xacro_is_named(package, name):
+    with pytest.raises(
+        InputError, match=r"an expression of xacro in it; make the URDF again \(xacro FILE\.xacro > robot\.urdf\)"
+    ):
+        find(package / "urdf/robot.urdf", name)

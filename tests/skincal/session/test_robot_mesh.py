@@ -49,7 +49,8 @@ def run(robot, shapes, *options, capsys, layout=("--channels", "4"), more=""):
     said = capsys.readouterr()
     if code:
         assert sorted(robot.parents[2].rglob("*")) == before
-        assert "/robot/arm.urdf" not in said.err, "the copy is no file of the user"
+        for copy in ("/robot/arm.urdf", "modules.toml"):
+            assert copy not in said.err, "it is no file of the user"
     return code, load_part(out) if code == 0 else None, said.out + said.err
 
 
@@ -151,11 +152,33 @@ def test_no_collision_mesh_is_offered_that_would_be_wrong(robot, collision, caps
     code, _, said = run(robot, shape("../meshes/gone.stl") + collision, capsys=capsys)
     assert code == 2
     assert "collision mesh of" not in said
-    if collision:
-        mesh = str(robot.parents[1] / "meshes/part.stl")
-        code, _, said = run(robot, shape("../meshes/gone.stl") + collision, "--mesh", mesh, capsys=capsys)
-        assert code == 2
-        assert "save it in its true shape under another name" in said
+
+
+@pytest.mark.parametrize("scale", ["0.001 -0.001 0.001", "0.0007 0.0007 0.0007"])
+def test_the_advice_on_a_collision_mesh_without_a_unit_keeps_its_place(robot, scale, capsys):
+    """Under another name the file would lie where the visual mesh does."""
+    mesh, origin = robot.parents[1] / "meshes/part.stl", '<origin xyz="0 0 0.02" rpy="0.3 0 0.2"/>'
+    collision = shape("../meshes/part.stl", scale, origin, "collision")
+    visual = shape("../meshes/gone.stl", origin='<origin xyz="0.3 0 0"/>')
+    code, _, said = run(robot, visual + collision, "--mesh", str(mesh), capsys=capsys)
+    assert code == 2
+    assert "leave --mesh out, and put it with its <origin> in place of the link's visual shapes, in a copy of the URDF" in said
+    code, part, _ = run(robot, collision.replace("collision", "visual"), capsys=capsys)
+    truth = wedge().apply_scale([float(word) for word in scale.split()])
+    truth.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.0, 0.2, "sxyz"))
+    assert same_shape(part, truth.apply_translation((0, 0, 0.02)))
+
+
+def test_a_mesh_in_place_of_a_mirrored_one_is_reported(robot, tmp_path, capsys):
+    """The file may be the one that the URDF mirrors, under a name that is not found."""
+    wedge().export(tmp_path / "own.stl")
+    for scale, is_reported in (("0.001 -0.001 0.001", True), ("1 2 1", True), ("0.001 0.001 0.001", False)):
+        shapes = shape("package://elsewhere/own.stl", scale)
+        code, part, said = run(robot, shapes, "--mesh", str(tmp_path / "own.stl"), capsys=capsys)
+        assert code == 0
+        assert ("own.stl is used without this scale" in said) == is_reported
+        preview = PartPreviewer().preview(open_draft(part.scene.path), {})
+        assert ("own.stl is used without this scale" in " ".join(preview.findings["part"])) == is_reported
 
 
 def test_the_urdfs_own_mesh_may_be_named_and_a_mirrored_one_not_with_a_unit(robot, capsys):
@@ -251,6 +274,11 @@ def test_two_meshes_of_one_name_are_both_copied(robot, tmp_path, capsys):
         (shape("package://nowhere/part.stl"), [], "--package nowhere=FOLDER"),
         (shape("../meshes/part.stl"), [], "Correct its unit"),
         (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--fixed", "nowhere=3"], "no joint 'nowhere'"),
+        (
+            shape("../meshes/part.stl", "0.001 0.001 0.001"),
+            ["--grid", "3x4@8mm"],
+            "a skin frame has 4 values; expected at least 12",
+        ),
         (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--mesh", "nowhere.stl"], "nowhere.stl: there is no such mesh"),
         (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--sensor", "nowhere"], "no force/torque sensor, joint or link"),
     ],
