@@ -53,7 +53,7 @@ def new_scene(
     unit: Annotated[
         Literal["m", "cm", "mm", "in"] | None,
         typer.Option(
-            help="Unit of MESH. Default: mm, or the unit that a COLLADA or glTF file names; "
+            help="Unit of MESH, or of the URDF's own mesh. Default: mm, or the unit that a COLLADA or glTF file names; "
             "of a file that the URDF names, as the URDF scales it."
         ),
     ] = None,

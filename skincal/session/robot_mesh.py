@@ -51,17 +51,20 @@ def with_own_mesh(draft: PartDraft, robot: Robot, mesh: Path | None, unit: str, 
 
     Parameters
     ----------
-    mesh : `None` for that of the URDF
+    mesh : `None` for that of the URDF, whose file is taken if a unit is given
     unit : of its numbers; if empty, the URDF's for a file that it names, else `default_unit`, the file's or mm
 
     Raises
     ------
     InputError
-        The URDF mirrors or stretches this very file, and a unit is given or it is the collision mesh.
+        The URDF mirrors or stretches this very file, and a unit is given or it is the collision mesh; or a unit is given and
+        there is no mesh.
     """
+    joint = _sensor_joint(robot, draft)
+    if mesh is None and unit:
+        mesh = _visual_mesh_file(robot, draft, joint)
     if mesh is None:
         return replace(draft, mesh=None, mesh_pose=None, unit="mm")
-    joint = _sensor_joint(robot, draft)
     for is_collision in (False, True):
         found = robot.mesh_for(draft.link, joint, is_collision=is_collision)
         if found is not None and _is_file_of(robot, found[0], mesh, dict(draft.packages)):
@@ -70,6 +73,17 @@ def with_own_mesh(draft: PartDraft, robot: Robot, mesh: Path | None, unit: str, 
     return replace(
         draft, mesh=mesh, unit=unit or default_unit or unit_without_option(mesh), mesh_pose=None if has_place else IDENTITY_POSE
     )
+
+
+def _visual_mesh_file(robot: Robot, draft: PartDraft, sensor_joint: str) -> Path:
+    """Find the file of the link's visual mesh, to give it a unit. Raises InputError: there is none, or it is not found."""
+    found = robot.mesh_for(draft.link, sensor_joint)
+    if found is None:
+        raise InputError(
+            f"--unit is that of a mesh, and {describe_shapes(robot, draft.link, sensor_joint)}; leave --unit out, or name the "
+            "part's mesh (--mesh FILE)."
+        )
+    return find_mesh(robot, found[0], dict(draft.packages))
 
 
 def _as_in_urdf(draft: PartDraft, shape: LinkMesh, pose: FloatArray, mesh: Path, unit: str, *, is_collision: bool) -> PartDraft:

@@ -122,6 +122,26 @@ def test_the_advice_on_a_wrong_unit_is_an_option(robot, tmp_path, capsys):
     assert same_shape(part, wedge().apply_scale(1e-3))
 
 
+def test_the_advice_on_a_wrong_unit_holds_for_the_urdfs_own_mesh(robot, capsys):
+    shapes = shape("../meshes/part.stl", origin='<origin xyz="0 0 0.05"/>')
+    code, _, said = run(robot, shapes, capsys=capsys)
+    assert code == 2
+    unit = re.search(r"unit (\w+) would give 123.* mm.*Correct its unit \(--unit,", said)[1]
+    code, part, _ = run(robot, shapes, "--unit", unit, capsys=capsys)
+    assert same_shape(part, wedge().apply_scale(1e-3).apply_translation((0, 0, 0.05)))
+
+
+def test_a_unit_without_a_mesh_is_refused(robot, capsys):
+    code, _, said = run(robot, "", "--unit", "cm", capsys=capsys)
+    assert code == 2
+    assert (
+        "--unit is that of a mesh, and link part has no shape; leave --unit out, or name the part's mesh (--mesh FILE)" in said
+    )
+    code, _, said = run(robot, shape("../meshes/part.stl", "0.001 -0.001 0.001"), "--unit", "mm", capsys=capsys)
+    assert code == 2
+    assert "leave --unit out" in said
+
+
 UNREADABLE = ["damaged.stl", "gone.stl", "part.xyz", "package://arm/meshes/damaged.stl"]
 
 
