@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PureWindowsPath
 from urllib.parse import unquote
 
@@ -62,7 +62,19 @@ def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Pat
             if candidate.is_file():
                 return candidate
     advice = _where_to_look(robot.path, name, packages) if scheme in PACKAGE_SCHEMES else "copy it there"
+    if respelled := _find_other_spelling(candidates):
+        advice = f"{respelled} is there: correct the capital letters in the URDF"
     raise InputError(f"{where}: {mesh.filename} is not found; {advice}, or name the part's mesh (--mesh FILE, or [surface]).")
+
+
+def _find_other_spelling(missing: Iterable[Path]) -> str:
+    """Find the name of a file that differs from a missing one in capital letters alone; empty without one."""
+    for path in missing:
+        with contextlib.suppress(OSError):
+            for file in path.parent.iterdir():
+                if file.name.lower() == path.name.lower():
+                    return file.name
+    return ""
 
 
 def split_scheme(filename: str) -> tuple[str, str]:

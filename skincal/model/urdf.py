@@ -429,7 +429,8 @@ def _read_mesh(link: str, element: ElementTree.Element, kind: str, path: Path) -
             continue
         where = f"{path}: link {link}"
         scale = read_numbers(mesh.get("scale", "1 1 1"), 3, f"{where}: scale of the mesh")
-        return LinkMesh(link, read_attribute(mesh, "filename", path), read_origin(shape, where), scale, len(shapes) - 1)
+        filename = read_attribute(mesh, "filename", path).strip()
+        return LinkMesh(link, filename, read_origin(shape, where), scale, len(shapes) - 1)
     return None
 
 

@@ -99,7 +99,7 @@ def _with_names(urdf: bytes, renamed: Mapping[str, str]) -> bytes:
     """Replace names of meshes in the text of a URDF; all else stays as it was."""
 
     def rename(match: re.Match[bytes]) -> bytes:
-        name = unescape(match[2].decode("utf-8", "replace"), {"&quot;": '"', "&apos;": "'"})
+        name = unescape(match[2].decode("utf-8", "replace"), {"&quot;": '"', "&apos;": "'"}).strip()
         if name not in renamed:
             return match[0]
         return match[1] + quoteattr(renamed[name]).encode("ascii", "xmlcharrefreplace")

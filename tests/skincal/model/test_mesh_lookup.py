@@ -42,6 +42,7 @@ def package(tmp_path):
         "file:{package}/robots/../meshes/my part.stl",
         "{package}/meshes/my part.stl",
         "file:../../meshes/my part.stl",
+        " ../../meshes/my part.stl\n",
     ],
 )
 def test_a_mesh_of_the_robots_package_is_found(package, name):
@@ -127,3 +128,12 @@ def test_an_expression_of_xacro_is_named(package, name):
         InputError, match=r"an expression of xacro in it; make the URDF again \(xacro FILE\.xacro > robot\.urdf\)"
     ):
         find(package / "urdf/robot.urdf", name)
+
+
+def test_the_advice_on_capital_letters_is_right(package):
+    if (package / "meshes/MY PART.stl").exists():
+        pytest.skip("this disk does not distinguish capital letters")
+    for name in ("../meshes/My Part.STL", "package://my_arm/meshes/My Part.STL"):
+        with pytest.raises(InputError, match=r"is not found; my part\.stl is there: correct the capital letters in the URDF"):
+            find(package / "urdf/robot.urdf", name)
+        assert find(package / "urdf/robot.urdf", name.replace("My Part.STL", "my part.stl")).is_file()

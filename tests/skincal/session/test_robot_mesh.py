@@ -249,7 +249,9 @@ def test_a_link_without_a_mesh_gets_an_own_one_in_the_links_frame(robot, tmp_pat
     assert completed_draft(seen).mesh_pose == draft.mesh_pose
 
 
-@pytest.mark.parametrize("name", ["../meshes/part.stl", "file://{}/meshes/part.stl", "{}/meshes/part.stl"])
+@pytest.mark.parametrize(
+    "name", ["../meshes/part.stl", "file://{}/meshes/part.stl", "{}/meshes/part.stl", " ../meshes/part.stl "]
+)
 def test_a_copy_has_the_mesh_and_no_private_file_and_can_be_moved(robot, tmp_path, name, capsys):
     (robot.parents[1] / "meshes/notes.stl").write_text("private")
     (tmp_path / "secret.stl").write_bytes((robot.parents[1] / "meshes/part.stl").read_bytes())
