@@ -30,7 +30,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
 
     Parameters
     ----------
-    draft : without an anchor
+    draft : without an anchor; with a URDF `unit` is what the user typed, or empty
     anchor_mm : (3,) mm, link frame: position of the layout's middle; `None` for the farthest point along the link's z axis
 
     Raises

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from skincal.model.urdf import LinkMesh, Robot
 
 
@@ -21,10 +23,19 @@ def sensor_findings(robot: Robot, sensor_name: str, link: str) -> list[str]:
 
 
 def replaced_mesh_findings(shape: LinkMesh, file: Path) -> list[str]:
-    """Report a mesh that the URDF mirrors or stretches, and that a file with its own unit replaces."""
-    if shape.is_uniform:
-        return []
-    return [
-        f"the URDF mirrors or stretches its mesh of link {shape.link} (scale {shape.scales.tolist()}). {file.name} is used "
-        "without this scale: check that it has the true shape of the part"
-    ]
+    """Report the place of a file that replaces a mesh of the URDF, and a mirrored or stretched mesh."""
+    findings: list[str] = []
+    is_same_file = file.name == Path(shape.filename.replace("\\", "/")).name
+    if not is_same_file and not np.allclose(shape.origin, np.eye(4), atol=1e-9):
+        at = ", ".join(f"{value + 0.0:.4g}" for value in shape.origin[:3, 3] * 1e3)
+        turn = np.degrees(np.arccos(np.clip((np.trace(shape.origin[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+        findings.append(
+            f"{file.name} lies at the pose of the mesh that it replaces: its origin is at ({at}) mm in link {shape.link}, "
+            f"turned by {turn:.4g} degrees; check that it is so"
+        )
+    if not shape.is_uniform:
+        findings.append(
+            f"the URDF mirrors or stretches its mesh of link {shape.link} (scale {shape.scales.tolist()}). {file.name} is used "
+            "without this scale: check that it has the true shape of the part"
+        )
+    return findings

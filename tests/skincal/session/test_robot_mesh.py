@@ -110,6 +110,10 @@ def test_an_own_mesh_has_its_own_unit_at_the_pose_of_the_urdfs_mesh(robot, tmp_p
     )
     assert code == 0, said
     assert same_shape(part, wedge().apply_scale(1e-3).apply_translation((0, 0, 0.05)))
+    assert (
+        "own.stl lies at the pose of the mesh that it replaces: its origin is at (0, 0, 50) mm in link part, turned by 0"
+        in said
+    )
 
 
 def test_the_advice_on_a_wrong_unit_is_an_option(robot, tmp_path, capsys):

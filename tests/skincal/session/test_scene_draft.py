@@ -45,7 +45,7 @@ def urdf(tmp_path):
 
 def write(tmp_path, urdf, **values):
     grid = parse_grid("3x4@8mm").layout_text()
-    given = {"urdf": urdf, "link": "part", "sensor": "wrist_ft", "layout_text": grid, **values}
+    given = {"urdf": urdf, "link": "part", "sensor": "wrist_ft", "unit": "", "layout_text": grid, **values}
     return write_scene(PartDraft(**given), tmp_path / "scenes/new/scene.toml")
 
 
@@ -191,8 +191,9 @@ def test_a_mesh_in_place_of_that_of_the_urdf_and_a_sign_are_options(tmp_path, ur
     scene = write(tmp_path, urdf, mesh=tmp_path / "own.stl", sign=-1)
     assert scene.surface.path.name == "own.stl"
     assert scene.wrench_sign == -1
-    findings = robot_findings(scene.robot, scene.link, scene.wrench_sign)
-    assert findings == ["[wrench] sign is -1, and the URDF says +1: check one of them"]
+    sign, place = robot_findings(scene.robot, scene.link, scene.wrench_sign)
+    assert sign == "[wrench] sign is -1, and the URDF says +1: check one of them"
+    assert "own.stl lies at the pose of the mesh that it replaces" in place
 
 
 def test_a_joint_that_is_not_streamed_is_fixed_by_the_command(tmp_path, urdf, capsys):
