@@ -77,12 +77,14 @@ def new_scene(
 
     if layout is not None and grid:
         raise InputError("--layout and --grid exclude each other; keep one.")
+    columns = [name.strip() for name in joints.split(",") if name.strip()]
+    _refuse_twice(columns, "--joints")
     layout_text = parse_grid(grid).layout_text() if grid else "" if layout is None else read_layout_file(layout)
     draft = PartDraft(
         urdf=_saved_description(str(urdf), out) if str(urdf).startswith("ros2:") else urdf,
         link=link,
         sensor=sensor,
-        joints=tuple(name.strip() for name in joints.split(",") if name.strip()),
+        joints=tuple(columns),
         fixed=tuple((name, _degrees(name, text)) for name, text in _pairs(fixed or [], "--fixed", "DEGREES")),
         packages=tuple((name, Path(folder)) for name, folder in _pairs(package or [], "--package", "FOLDER")),
         copies_robot=not reference,
@@ -227,7 +229,14 @@ def _pairs(given: list[str], option: str, value: str) -> list[tuple[str, str]]:
     pairs = [text.partition("=") for text in given]
     if not all(name and after for name, _, after in pairs):
         raise InputError(f"{option} {' '.join(given)}: expected NAME={value}.")
+    _refuse_twice([name for name, _, _ in pairs], option)
     return [(name, after) for name, _, after in pairs]
+
+
+def _refuse_twice(names: list[str], option: str) -> None:
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{option} has {twice} twice; expected different names.")
 
 
 def _numbers(text: str, count: int | None, option: str) -> FloatArray:
@@ -238,10 +247,14 @@ def _numbers(text: str, count: int | None, option: str) -> FloatArray:
     except ValueError:
         values = np.empty(0)
     if not len(values) or (count is not None and len(values) != count) or not np.isfinite(values).all():
-        expected = "numbers" if count is None else f"{count} numbers"
-        raise InputError(f"{option} is {text}; expected {expected} separated by commas.")
+        expected = {None: "numbers separated by commas", 1: "a number"}.get(count, f"{count} numbers separated by commas")
+        raise InputError(f"{option} is {text}; expected {expected}.")
     return values
 
 
 def _degrees(name: str, text: str) -> float:
-    return float(_numbers(text, 1, f"--fixed {name}")[0])
+    from skincal.model.tables import check_degrees
+
+    angle = _numbers(text, 1, f"--fixed {name}")
+    check_degrees(angle, f"--fixed {name}")
+    return float(angle[0])

@@ -46,6 +46,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
             raise InputError(f"{robot.path}: name the force/torque sensor (--sensor); {_list_sensors(robot)}.")
         robot.require_link(draft.link, str(robot.path))
         robot.sensor_named(draft.sensor, str(robot.path))
+        _require_joints(robot, [name for name, _ in draft.fixed])
         draft = with_own_mesh(draft, robot, draft.mesh, draft.unit)
     if not draft.layout_text and draft.channels is None:
         raise InputError(f"{out}: say how many values a frame of the skin has (--channels), or name its layout.")
@@ -95,6 +96,12 @@ def _farthest_point(surface: Surface) -> FloatArray:
     around = np.flatnonzero((surface.triangles == highest).any(axis=1))
     triangle = int(around[surface.normals[around, 2].argmax()])
     return surface.vertices[surface.triangles[triangle]].mean(axis=0)
+
+
+def _require_joints(robot: Robot, fixed: list[str]) -> None:
+    unknown = next((name for name in fixed if name not in robot.joints), None)
+    if unknown is not None:
+        raise InputError(f"--fixed {unknown}: {robot.path.name} has no joint {unknown!r}; expected joints of the URDF.")
 
 
 def _list_sensors(robot: Robot) -> str:

@@ -49,7 +49,7 @@ def run(robot, shapes, *options, capsys, layout=("--channels", "4"), more=""):
     said = capsys.readouterr()
     if code:
         assert sorted(robot.parents[2].rglob("*")) == before
-        for copy in ("/robot/arm.urdf", "modules.toml"):
+        for copy in ("/robot/arm.urdf", "modules.toml", "scene.toml"):
             assert copy not in said.err, "it is no file of the user"
     return code, load_part(out) if code == 0 else None, said.out + said.err
 
@@ -305,6 +305,10 @@ def test_two_meshes_of_one_name_are_both_copied(robot, tmp_path, capsys):
             ["--grid", "3x4@8mm"],
             "a skin frame has 4 values; expected at least 12",
         ),
+        (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--fixed", "ft=3", "--fixed", "ft=4"], "--fixed has ft twice"),
+        (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--fixed", "ft=4000"], "skincal: --fixed ft has an angle of 4000"),
+        (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--fixed", "ft=x"], "--fixed ft is x; expected a number."),
+        (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--joints", "a,b, a"], "--joints has a twice"),
         (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--mesh", "nowhere.stl"], "nowhere.stl: there is no such mesh"),
         (shape("../meshes/part.stl", "0.001 0.001 0.001"), ["--sensor", "nowhere"], "no force/torque sensor, joint or link"),
     ],
