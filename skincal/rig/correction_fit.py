@@ -69,9 +69,13 @@ widened by their own misses."""
 REPORT_LANDMARK_POKES_WITH_TRUST_BELOW = 0.9
 """A landmark poke with less trust is named to the operator."""
 LANDMARK_OFFSETS_M = (0.0, 0.0005, 0.001, 0.002, 0.004)
-"""m: candidate sds of a landmark's place in each direction, shared by all its pokes; the likeliest is used."""
+"""m: candidate sds of a landmark's place in each direction, shared by all its pokes. The likeliest gives the correction, all
+of them its covariance."""
 NOISE_FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Candidate factors on the scene's noise for landmark pokes: an arm that wanders, a sensor that drifts."""
+MIN_LIKELIHOOD_RATIO_OF_LANDMARK_ERRORS = 1e-4
+"""Errors of landmarks less likely than this, over the likeliest, are left out: they have less than 0.0001 of its weight in the
+covariance."""
 NONLINEAR_SENSOR_QUADRATIC_SHARE = 0.03
 """`RigPrior.quadratic` of the nonlinear sensor that is fitted as an alternative."""
 NONLINEAR_FIT_STEPS = 2
@@ -405,16 +409,19 @@ class _Fit:
 
         Returns
         -------
-        ------- What they add to the covariance of landmark pokes, (2 m, 2 m), the noise factor, and the log likelihood up to a
-        constant.
+        What they add to the covariance of landmark pokes, (2 m, 2 m), the noise factor, and the log likelihood but a constant.
         """
+        every, likelihoods = self._errors_of_landmarks(base, rows, trust)
+        best = int(np.argmax(likelihoods))
+        return every[best], NOISE_FACTORS[best // len(LANDMARK_OFFSETS_M)], float(likelihoods[best])
+
+    def _errors_of_landmarks(self, base: FloatArray, rows: RigRows, trust: FloatArray) -> tuple[list[FloatArray], FloatArray]:
+        """List what `NOISE_FACTORS` with each of `LANDMARK_OFFSETS_M` adds, and the log likelihoods: see `_likeliest`."""
         of_place = (rows.of_place[:, :, None] * self._at_landmark[:, None, :, None]).reshape(2 * len(self.landmarks), -1)
         alike = of_place @ of_place.T
         own, marginal = np.eye(len(alike)), _Marginal(base, rows, trust)
         every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISE_FACTORS for off in LANDMARK_OFFSETS_M]
-        likelihoods = [marginal.log_likelihood(added) for added in every]
-        best = int(np.argmax(likelihoods))
-        return every[best], NOISE_FACTORS[best // len(LANDMARK_OFFSETS_M)], likelihoods[best]
+        return every, np.array([marginal.log_likelihood(added) for added in every])
 
     def _landmark_rows(self, state: RigState) -> RigRows:
         return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
@@ -464,9 +471,7 @@ class _Fit:
 
     def posterior(self, columns: int) -> tuple[FloatArray, FloatArray]:
         """Compute the unknowns (n,), SI, and a root (n, k) of their covariance. Columns of C that the fit lacks are 0."""
-        assert self._last is not None
-        rows, base = self._last
-        root = _solve_rows(base, rows, self._shared, self.trust)[1]
+        of_fit = self._spread()
         own, size = len(self.scales), 6 * columns
         at = np.concatenate(
             [
@@ -476,8 +481,28 @@ class _Fit:
         )
         unknowns, spread = np.zeros(at[-1] + 1), np.zeros((at[-1] + 1, own))
         unknowns[at] = self.state.unknowns(self.scales) * self.scales
-        spread[at] = self.scales[:, None] * np.asarray(np.linalg.inv(root), dtype=np.float64)
+        spread[at] = self.scales[:, None] * of_fit
         return unknowns, spread
+
+    def _spread(self) -> FloatArray:
+        """Compute a root (n, n), upper triangular, of the covariance of the unknowns, in standard deviations of the prior.
+
+        The errors of landmarks and of their pokes are not known, and the likeliest are often too small: the fit bends to few
+        landmarks. All candidates have the same prior probability. With their probabilities w by the misses, solutions x and
+        covariances C, the second moment about the solution x_0 in use is sum w (C + (x - x_0)(x - x_0)').
+        """
+        assert self._last is not None
+        rows, base = self._last
+        every, likelihoods = self._errors_of_landmarks(base, rows, self.trust)
+        kept = np.flatnonzero(likelihoods > likelihoods.max() + np.log(MIN_LIKELIHOOD_RATIO_OF_LANDMARK_ERRORS))
+        weights = np.exp(likelihoods[kept] - likelihoods.max())
+        weights = weights / weights.sum()
+        used, roots = _solve_rows(base, rows, self._shared, self.trust)[0], list[FloatArray]()
+        pairs: list[tuple[int, float]] = list(zip(kept.tolist(), weights.tolist(), strict=True))
+        for index, weight in pairs:
+            step, root = _solve_rows(base, rows, every[index], self.trust)
+            roots.append(np.sqrt(weight) * np.column_stack([np.linalg.inv(root), step - used]))
+        return _first_rows(np.concatenate(roots, axis=1), len(used))
 
     def share_of_prior(self, spread: FloatArray) -> FloatArray:
         """Compute the sd (n,) of the unknowns, by a root (n, k) of their covariance, over the prior's, at most 1."""

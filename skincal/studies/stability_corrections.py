@@ -41,6 +41,7 @@ from skincal.rig.correction_fit import (
     GAUSS_NEWTON_STEPS,
     LANDMARK_HELD_OUT_FOLDS,
     LANDMARK_OFFSETS_M,
+    MIN_LIKELIHOOD_RATIO_OF_LANDMARK_ERRORS,
     MIN_MEAN_LANDMARK_POKE_TRUST,
     NOISE_FACTORS,
     NONLINEAR_FIT_STEPS,
@@ -340,12 +341,19 @@ class _Fit:
         return (*axes_off(wrenches, poses, to_mp(pokes.places)[pokes.at[of]]), of)
 
     def spread(self, skin: tuple[Exact, Exact, IntArray]) -> Exact:
-        """Return (k, 3, 3) the covariance of the axes of k pokes on the skin."""
-        found = self._last.solve(self.trust, self._chosen)
+        """Return (k, 3, 3) the covariance of the axes of k pokes on the skin, over the errors that landmarks may have."""
+        rounded, choices = self._last.rounded(), [(noisier, off) for noisier in NOISE_FACTORS for off in LANDMARK_OFFSETS_M]
+        logs = np.array([float(rounded.solve(self.trust, choice).log) for choice in choices])
+        kept = np.flatnonzero(logs > logs.max() + np.log(MIN_LIKELIHOOD_RATIO_OF_LANDMARK_ERRORS)).tolist()
         count, at = len(skin[2]), np.arange(len(skin[2]))
-        seen = self._together(skin, self._parts)[:, found.counts]
-        every = self._together(skin, skin) - seen @ solve_positive(found.covariance, seen.T)[0]
-        return every.reshape(count, 3, count, 3)[at, :, at]
+        every, here = self._together(skin, skin), self.shifts(*skin)
+        total, moments = MP.zero, to_mp(np.zeros((count, 3, 3)))
+        for found in (self._last.solve(self.trust, choices[index]) for index in kept):
+            seen, weight = self._together(skin, self._parts)[:, found.counts], MP.exp(found.log - logs.max())
+            known = (every - seen @ solve_positive(found.covariance, seen.T)[0]).reshape(count, 3, count, 3)[at, :, at]
+            moved = (seen @ found.pulls).reshape(count, 3) - here
+            total, moments = total + weight, moments + weight * (known + moved[:, :, None] * moved[:, None])
+        return moments / total
 
 
 def axes_off(wrenches: Exact, poses: Exact, places: Exact) -> tuple[Exact, Exact]:

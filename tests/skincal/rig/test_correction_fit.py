@@ -357,6 +357,39 @@ def predicted_whole(rig, request, answer):
     return predicted_error(list(found.values()), np.inf).whole
 
 
+def test_what_is_not_known_counts_all_errors_that_landmarks_may_have():
+    """Against Bayes' rule with dense covariances for each candidate: the program solves whitened rows by QR."""
+    _, request = second_request("landmarks_1.5mm", 1, planned=True)
+    fit = correction_fit._Fit(request, sorted({poke.pose for poke in request.landmarks}), PRIOR)
+    for _ in range(correction_fit.GAUSS_NEWTON_STEPS):
+        fit.do_step()
+    (rows, base), count = fit._last, len(request.landmarks)
+    prior = np.linalg.inv(base[:-1, :-1].T @ base[:-1, :-1])
+    mean = -prior @ base[:-1, :-1].T @ base[:-1, -1]
+    slopes, misses = rows.of_rig.reshape(2 * count, -1), rows.misses.ravel()
+    of_place = np.zeros((2 * count, 3 * count))
+    names = sorted({poke.name for poke in fit.landmarks})
+    for at, poke in enumerate(fit.landmarks):
+        own = names.index(poke.name)
+        of_place[2 * at : 2 * at + 2, 3 * own : 3 * own + 3] = rows.of_place[at]
+    found = []
+    for noisier in correction_fit.NOISE_FACTORS:
+        for off in correction_fit.LANDMARK_OFFSETS_M:
+            noise = off**2 * of_place @ of_place.T + np.diag(noisier**2 - 1.0 + np.repeat(1.0 / fit.trust, 2))
+            together = slopes @ prior @ slopes.T + noise
+            seen, gain = misses + slopes @ mean, prior @ slopes.T @ np.linalg.inv(together)
+            log = -0.5 * (seen @ np.linalg.solve(together, seen) + np.linalg.slogdet(together)[1])
+            found.append((log, mean - gain @ seen, prior - gain @ slopes @ prior))
+    logs, steps, covariances = map(np.array, zip(*found, strict=True))
+    weights, used = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum(), steps[int(np.argmax(logs))]
+    moved = steps - used
+    expected = np.tensordot(weights, covariances + moved[:, :, None] * moved[:, None], 1)
+    root = fit.posterior(6)[1] / fit.scales[:, None]
+    np.testing.assert_allclose(root @ root.T, expected, rtol=0, atol=1e-4)
+    # The likeliest candidate alone is far from it.
+    assert np.abs(covariances[int(np.argmax(logs))] - expected).max() > 0.02
+
+
 def test_landmarks_whose_places_are_off_leave_more_unknown():
     """By 3 mm: 0.42 mm becomes 0.59, and 0.33 becomes 0.92."""
     for seed in (1, 2):
