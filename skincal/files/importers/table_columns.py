@@ -333,8 +333,19 @@ class TableColumns:
         return ValueColumns(found.at, found.factors, tuple(findings))
 
     def _in_order(self, family: _Family, channels: int) -> ValueColumns:
-        """Order the columns of a family by their numbers. A missing number is a taxel without readings."""
+        """Order the columns of a family by their numbers. A missing number is a taxel without readings.
+
+        Raises InputError: numbers are missing, though there are as many columns as channels.
+        """
         numbers, missing = sorted(family.at), family.missing
+        names = ", ".join(f"{family.base}{number}" for number in missing[:NAMES_SHOWN_MAX])
+        if missing and len(numbers) == channels:
+            raise InputError(
+                f"{self.path}: {family} are {plural(channels, 'column')}, as many as the scene has channels, but {names} "
+                f"{'is' if len(missing) == 1 else 'are'} missing: the columns behind would be read as their neighbours. If the "
+                f"skin has the missing numbers, too, [skin] channels of the scene is {family.span}; else number the columns "
+                "without a gap."
+            )
         fills = (
             missing
             and len(numbers) != channels
@@ -342,7 +353,6 @@ class TableColumns:
         )
         if fills:
             at = tuple(family.at.get(number, -1) for number in range(numbers[0], numbers[-1] + 1))
-            names = ", ".join(f"{family.base}{number}" for number in missing[:NAMES_SHOWN_MAX])
             finding = f"{plural(len(missing), 'column')} missing ({names}): no readings of that channel."
         else:
             at = tuple(family.at[number] for number in numbers)

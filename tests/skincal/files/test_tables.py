@@ -270,6 +270,18 @@ def test_a_missing_number_is_a_channel_without_readings_and_no_taxel_gets_its_ne
     assert "skin: 1 column missing (t5): no readings of that channel." in done.findings
 
 
+def test_as_many_columns_as_channels_with_a_gap_in_their_numbers_are_refused(tmp_path):
+    """Sixteen of the seventeen taxels of a skin, or sixteen taxels whose numbers skip one: the names do not tell."""
+    names = [f"t{k + (k >= 5)}" for k in range(CHANNELS)]
+    wrench, skin = W.write(tmp_path / "w.csv"), Table(("t_s", *names), S.columns).write(tmp_path / "s.csv")
+    words = r"t0 to t16 are 16 columns, as many as the scene has channels, but t5 is missing.*channels of the scene is 17; else"
+    with pytest.raises(InputError, match=words):
+        import_tables(wrench, skin)
+    # The advice, followed.
+    done = import_tables(wrench, Table(S.names, S.columns).write(tmp_path / "s.csv"))
+    assert (done.accepted, np.nanmax(done.errors_mm) < MAX_ERROR_MM) == (POKES, True)
+
+
 @pytest.mark.parametrize(("keep", "missing"), [(range(15), "t15"), (range(1, 16), "t0 or t16")])
 def test_a_number_that_is_missing_at_an_end_is_asked_for(tmp_path, keep, missing):
     names, columns = ("t_s", *(TAXEL_NAMES[k] for k in keep)), [S.columns[0], *(S.columns[1 + k] for k in keep)]
