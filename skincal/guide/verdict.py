@@ -286,10 +286,13 @@ class Verdict:
     landmarks_left: int = 0
     """Number of landmark pokes that the guide still requests."""
 
+    frame_in_doubt: str = ""
+    """Frame that messages of the wrench name, if it is not settled what their readings mean; else empty."""
+
     @property
     def doubted(self) -> bool:
         """Whether anything contradicts the predicted errors."""
-        contradicted = not self.check.believed or self.check.off_plan is not None
+        contradicted = not self.check.believed or self.check.off_plan is not None or bool(self.frame_in_doubt)
         return self.has_moved or contradicted or (self.landmarks is not None and not self.landmarks.agrees)
 
     @property
@@ -300,7 +303,7 @@ class Verdict:
     @property
     def believed(self) -> bool:
         """Whether the predicted errors are confirmed (see `is_believed`)."""
-        return is_believed(self.check, self.landmarks)
+        return not self.frame_in_doubt and is_believed(self.check, self.landmarks)
 
 
 def verdict_of(

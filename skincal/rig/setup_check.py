@@ -65,6 +65,9 @@ SHIFT_FIT_STEPS = 10
 OTHER_POINT_MIN_SHIFT_M = 0.010
 """m. A nearer point of the moments looks like a shift of the skin."""
 TRIED_FIXED_ANGLE_STEP_DEG = 10
+DOUBT_POINT_IF_AXES_ARE_NEARER_BY = 3.0
+"""Factor: force axes that pass the sensor so much nearer if the moments are about the sensor make that likely."""
+MIN_POKES_TO_DOUBT_POINT = 3
 
 
 class MistakeKind(Enum):
@@ -314,6 +317,22 @@ def distances_from_sensor(contacts: Sequence[Contact], frame: WrenchFrame) -> tu
     about_sensor = moment - np.cross(frame.sensor_from_frame[:3, 3], force)
     far, near = (float(np.median(np.linalg.norm(np.cross(force, each), axis=1) / squares)) for each in (moment, about_sensor))
     return far, near
+
+
+def is_point_doubted(contacts: Sequence[Contact], frame: WrenchFrame) -> bool:
+    """Tell whether the pokes pass the sensor much nearer if the moments are about it than about the origin of their frame."""
+    if frame.kind is not FrameKind.RIGID or frame.about or frame.taken_as or len(contacts) < MIN_POKES_TO_DOUBT_POINT:
+        return False
+    far, near = distances_from_sensor(contacts, frame)
+    return far >= DOUBT_POINT_IF_AXES_ARE_NEARER_BY * near
+
+
+def frame_in_doubt(frames: Sequence[WrenchFrame], contacts: Sequence[Contact]) -> str:
+    """Return the name of the first frame whose readings or moments may be others than the scene's; empty without one.
+
+    Small predicted errors prove nothing then.
+    """
+    return next((each.name for each in frames if not each.is_settled or is_point_doubted(contacts, each)), "")
 
 
 def _wrench_frames(asked: _Pokes, scene: Scene, frames: Sequence[WrenchFrame]) -> _Hypotheses:

@@ -28,6 +28,7 @@ from skincal.rig.closing import CLOSING_CHECK_MIN_PLACES, CLOSING_CHECK_PLACES, 
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import MAX_PREDICTED_ARM_POSES, Gain, PlannedPoke, expected_error, unchecked_of
+from skincal.rig.setup_check import frame_in_doubt
 from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
     ClosingProgress,
@@ -178,7 +179,8 @@ class SessionGuide:
             snapshot.part_size,
         )
         left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
-        return replace(verdict, left=left, closings=closings_of(snapshot, noise))
+        doubt = frame_in_doubt(snapshot.wrench_frames, snapshot.contacts)
+        return replace(verdict, left=left, closings=closings_of(snapshot, noise), frame_in_doubt=doubt)
 
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Describe the pokes of a channel; `None` while guidance is off or nothing is known. Call `next_target` before."""

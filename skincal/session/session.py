@@ -306,6 +306,7 @@ class Session:
             tried_distances=self._solving.tried_distances,
             clocks=self._clocks,
             tip_frame=self.tip_frame,
+            wrench_frames=self.wrench_frames,
             part_size=self._part_size(estimates),
         )
         return self._snapshot

@@ -13,6 +13,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import AskPoke
 from skincal.model.readings import LinkHealth
+from skincal.model.wrench_frames import WrenchFrame
 from skincal.session.decisions import Decisions
 from skincal.session.undo import History, describe_entry
 from skincal.taxels.result import Estimate, Method
@@ -56,6 +57,8 @@ class Snapshot:
     """For each part of the session the last poke before it, and its clock; `None` if the recording does not say."""
     tip_frame: TipFrame | None = None
     """Frame of the tip positions; `None` without a tip stream."""
+    wrench_frames: tuple[WrenchFrame, ...] = ()
+    """Frames that the messages of the wrench name; empty without such messages."""
     part_size: float = inf
     """m, of `known_error`: of the mesh, else of the layout, else of the box around the estimates."""
 

@@ -9,13 +9,10 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.model.errors import plural
 from skincal.model.wrench_frames import FrameKind, WrenchFrame
-from skincal.rig.setup_check import distances_from_sensor
+from skincal.rig.setup_check import distances_from_sensor, is_point_doubted
 
 TCP_FRAME = "tool0_controller"
 """Frame of Universal Robots' driver: the tool centre point that is set at the robot. No URDF has it."""
-DOUBT_POINT_IF_AXES_ARE_NEARER_BY = 3.0
-"""Factor: force axes that pass the sensor so much nearer if the moments are about the sensor make that likely."""
-MIN_POKES_TO_DOUBT_POINT = 3
 SHOWN_TURN_MIN_DEG, SHOWN_SHIFT_MIN_MM = 0.05, 0.05
 
 
@@ -85,13 +82,12 @@ def _rigid_sentence(frame: WrenchFrame, contacts: Sequence[Contact]) -> str:
     if shift_mm < SHOWN_SHIFT_MIN_MM:
         return said
     doubt = f"if positions are off by about {shift_mm:.0f} mm"
-    if len(contacts) >= MIN_POKES_TO_DOUBT_POINT:
+    if is_point_doubted(contacts, frame):
         far, near = distances_from_sensor(contacts, frame)
-        if far >= DOUBT_POINT_IF_AXES_ARE_NEARER_BY * near:
-            doubt = (
-                f"by the rule the pokes pass the sensor at {far * 1e3:.0f} mm (median), with moments about the sensor at "
-                f"{near * 1e3:.0f} mm. If that is right"
-            )
+        doubt = (
+            f"by the rule the pokes pass the sensor at {far * 1e3:.0f} mm (median), with moments about the sensor at "
+            f"{near * 1e3:.0f} mm. If that is right"
+        )
     return (
         f"{said} Its moments are taken about the origin of {frame.name}, the rule of ROS. Some programs turn the axes alone "
         f'(tf2 before ROS 2 Iron): {doubt}, write about = "{frame.sensor}" in [wrench] of the scene. '

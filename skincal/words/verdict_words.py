@@ -60,6 +60,11 @@ def verdict_sentence(verdict: Verdict) -> str:
 def _skin_words(verdict: Verdict) -> str:
     """Say whether held-out pokes agree; a movement makes that meaningless."""
     check = verdict.check
+    if verdict.frame_in_doubt:
+        return (
+            f"The wrench's messages name the frame {verdict.frame_in_doubt}, and what they mean is not settled: "
+            "do not use the positions before it is."
+        )
     if verdict.has_moved:
         return "Something has moved since the start."
     if not check.believed:

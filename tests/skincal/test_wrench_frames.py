@@ -29,6 +29,7 @@ from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_sentences
 from skincal.words.rig_words import frame_sentence
 from skincal.words.setup_words import setup_sentences
+from skincal.words.verdict_words import verdict_sentence
 from tests.skincal.ros_support import WRENCH_TYPE, make_message, wrench_message
 from tests.skincal.wrench_frame_support import (
     IN_BASE,
@@ -56,6 +57,16 @@ def right(tmp_path_factory):
         with_layout: positions(imported(folder / f"{with_layout}", bag, with_layout=with_layout)[0])
         for with_layout in (False, True)
     }
+
+
+def assert_verdict_doubts(session, frame):
+    """Every method's verdict names the frame that is not settled, and believes nothing; without one, it does not."""
+    results = SessionResults(load(session))
+    for method in results.session.methods:
+        verdict = results.verdict(method)
+        assert verdict.frame_in_doubt == frame
+        assert (f"name the frame {frame}, and what they mean is not settled" in verdict_sentence(verdict)) is bool(frame)
+        assert not frame or (verdict.doubted and not verdict.believed)
 
 
 def imported(folder, bag, capsys=None, **scene):
@@ -118,6 +129,7 @@ def test_a_frame_that_the_urdf_does_not_have_is_settled_by_adding_it(tmp_path, c
     session, said = imported(tmp_path / "before", bag, capsys, with_layout=True)
     assert said.startswith("The wrench is in the frame tool0_controller, which is not in bench.urdf: the tool centre point")
     assert "its messages name tool0_controller. Settle that first" in said
+    assert_verdict_doubts(session, "tool0_controller")
     assert "turned by" not in said
     assert "must move" not in said
     assert largest_difference(positions(session), right[True]) > 0.05
@@ -146,6 +158,7 @@ def test_axes_of_the_base_with_moments_about_the_sensor_are_found_out(tmp_path, 
     bag = write_bag(tmp_path / "bag", lambda _: "base_link", IN_BASE_AXES)
     session, said = imported(tmp_path / "before", bag, capsys, with_layout=with_layout)
     advice = 'about = "wrist_ft"'
+    assert_verdict_doubts(session, "base_link")
     assert "Its moments are taken about the origin of base_link, the rule of ROS" in said
     assert "by the rule the pokes pass the sensor at" in said
     assert f"write {advice} in [wrench] of the scene" in said
@@ -157,6 +170,7 @@ def test_axes_of_the_base_with_moments_about_the_sensor_are_found_out(tmp_path, 
         assert "turned by -90" not in said
     session, said = imported(tmp_path / "after", bag, capsys, with_layout=with_layout, wrench=advice)
     assert largest_difference(positions(session), right[with_layout]) < EQUAL_M
+    assert_verdict_doubts(session, "")
     assert "Its moments are taken about wrist_ft, as [wrench] of the scene says" in said
 
 
