@@ -21,7 +21,9 @@ TESTED_PROCESSORS = ("sse2", "sse4.1", "avx")
 PROCESSOR_VARIABLE = "GALLIUM_OVERRIDE_CPU_CAPS"
 """Mesa's variable that limits the processor features of its software OpenGL."""
 SLOW_CORE_TESTS = tuple(f"tests/skincal/{room}" for room in ("cli", "guide", "journal", "session", "simulate", "studies"))
-"""Tests of the core that take as long as all its others."""
+"""Tests of the core that take the longest."""
+READER_TESTS = tuple(f"tests/skincal/{room}" for room in ("files", "mesh", "model", "ros", "streams"))
+"""Tests of what reads files and devices."""
 WINDOW_PARTS = tuple(
     f"tests/app/{room}" for room in ("dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
 )
@@ -34,8 +36,9 @@ CHECK_ARGUMENTS = {
         "-m",
         "not quiet",
         "tests",
-        *(f"--ignore={folder}" for folder in ("tests/app", *SLOW_CORE_TESTS)),
+        *(f"--ignore={folder}" for folder in ("tests/app", *SLOW_CORE_TESTS, *READER_TESTS)),
     ),
+    "pytest of the readers": (*PYTEST_ARGUMENTS, "-m", "not quiet", *READER_TESTS),
     f"pytest {' '.join(SLOW_CORE_TESTS)}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *SLOW_CORE_TESTS),
     "pytest of the window": (
         *PYTEST_ARGUMENTS,
