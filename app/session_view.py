@@ -480,7 +480,7 @@ class SessionView(QObject):
 
             def done(found: tuple[Verdict, tuple[str, ...]]) -> None:
                 verdict, sentences = found
-                early = () if verdict.enough else (verdict_sentence(verdict),)
+                early = () if verdict.enough and not verdict.frame_in_doubt else (verdict_sentence(verdict),)
                 dialog.show_written((*early, *sentences))
 
             self._controller.export(format_, path, method, rig, done, dialog.show_failure, options, dialog.end_task)

@@ -177,8 +177,7 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     else:
         yield "Sensor's frame", frame_sentence(frame), AGREES if frame.right else AGAINST
     if frames := frame_sentences(facts.results.session.wrench_frames, facts.results.snapshot.contacts):
-        settled = all(each.is_settled for each in facts.results.session.wrench_frames)
-        yield "Wrench's frame", " ".join(frames), OPEN if settled else AGAINST
+        yield "Wrench's frame", " ".join(frames), AGAINST if facts.verdict.frame_in_doubt else OPEN
     if setup := setup_sentences(facts.results.setup):
         yield "Scene and pokes", " ".join(setup), AGAINST
     yield "Modules as planned", *_module_evidence(facts)

@@ -81,17 +81,18 @@ def _rigid_sentence(frame: WrenchFrame, contacts: Sequence[Contact]) -> str:
         return f"{said} Its moments are taken about {frame.about}, as [wrench] of the scene says."
     if shift_mm < SHOWN_SHIFT_MIN_MM:
         return said
-    doubt = f"if positions are off by about {shift_mm:.0f} mm"
+    doubt, other = f"if positions are off by about {shift_mm:.0f} mm", ""
     if is_point_doubted(contacts, frame):
         far, near = distances_from_sensor(contacts, frame)
         doubt = (
             f"by the rule the pokes pass the sensor at {far * 1e3:.0f} mm (median), with moments about the sensor at "
             f"{near * 1e3:.0f} mm. If that is right"
         )
+        other = f'If they are about {frame.name}, write about = "{frame.name}"; a layout or landmarks show which. '
     return (
         f"{said} Its moments are taken about the origin of {frame.name}, the rule of ROS. Some programs turn the axes alone "
         f'(tf2 before ROS 2 Iron): {doubt}, write about = "{frame.sensor}" in [wrench] of the scene. '
-        f"{_own_frame_advice(frame)}"
+        f"{other}{_own_frame_advice(frame)}"
     )
 
 

@@ -168,6 +168,12 @@ def test_axes_of_the_base_with_moments_about_the_sensor_are_found_out(tmp_path, 
         )
         assert "must move" not in said
         assert "turned by -90" not in said
+    # The operator knows that the rule holds: the same positions, and no doubt.
+    by_rule = 'about = "base_link"'
+    assert f"If they are about base_link, write {by_rule}; a layout or landmarks show which" in said
+    kept, _ = imported(tmp_path / "kept", bag, capsys, with_layout=with_layout, wrench=by_rule)
+    assert largest_difference(positions(kept), positions(session)) < EQUAL_M
+    assert_verdict_doubts(kept, "")
     session, said = imported(tmp_path / "after", bag, capsys, with_layout=with_layout, wrench=advice)
     assert largest_difference(positions(session), right[with_layout]) < EQUAL_M
     assert_verdict_doubts(session, "")
