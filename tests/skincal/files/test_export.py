@@ -127,7 +127,7 @@ def test_csv_has_a_row_a_channel_and_method(part, tmp_path):
     said = write_calibration(calibration, "csv", tmp_path / "c.csv", Method.FREE)
     text = (tmp_path / "c.csv").read_text()
     assert text.splitlines()[0] == (
-        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes,normal_sd_deg"
+        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes"
     )
     gains = calibration.gains(Method.FREE)
     for gain, row in zip(gains, csv.DictReader(text.splitlines()), strict=False):
