@@ -152,6 +152,9 @@ def _holder(root: ET.Element, link: str, path: Path) -> ET.Element:
         raise InputError(
             f"{path}: {len(holders)} models have a link {link!r} ({named}); expected one. Write the model's own file."
         )
+    count = sum(each.get("name") == link for each in holders[0].findall("link"))
+    if count > 1:
+        raise InputError(f"{path}: has the link {link!r} {count} times, so that no program loads it; leave out the others.")
     if root.tag == "sdf":
         version = root.get("version", "")
         found = re.fullmatch(r"(\d{1,3})\.(\d{1,3})", version)

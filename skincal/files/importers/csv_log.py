@@ -50,6 +50,8 @@ MAX_CACHED_FIELDS = 1 << 12
 """Raw values of a skin repeat, so their text is kept."""
 MAX_ROW_INTERVAL_S = 0.2
 """A tool holds still for 0.3 s in a poke: rows further apart, if their time has no unit, are not seconds."""
+MIN_ROW_INTERVAL_S = 1e-5
+"""No sensor of a rig is read faster than 100,000 times a second."""
 UNIX_NS = (1e18, 5e18)
 """Nanoseconds since 1970 of the years 2001 to 2128; as seconds they would be no time of any clock."""
 NANOSECONDS_MIN = 1000
@@ -239,6 +241,11 @@ def _check_times(table: _Table, timeline: Timeline) -> None:
         raise InputError(
             f"{table.path}: most of its rows have the same time as the row before, such as "
             f"{table.first_time[:FIELD_SHOWN_MAX_CHARS]!r}. {FINER_TIMES}"
+        )
+    if table.unit_assumed and 0 < timeline.interval < MIN_ROW_INTERVAL_S:
+        raise InputError(
+            f"{table.path}: its rows lie {timeline.interval:.2g} s apart, since its time names no unit and was read as "
+            f"seconds; expected at least {MIN_ROW_INTERVAL_S:g} s. Spreadsheets may write days: write seconds as t_s."
         )
     if table.unit_assumed and table.stream is not Stream.JOINTS and timeline.interval > MAX_ROW_INTERVAL_S:
         raise InputError(

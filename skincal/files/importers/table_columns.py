@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 
 from skincal.devices.netft import FORCE_UNITS, TORQUE_UNITS
 from skincal.files.importers.table_form import TableForm
@@ -41,7 +42,9 @@ _WRENCH_AXIS_RE = re.compile(
     r"(?:.*[./_ ])?([fmt]|force|torque|moment)[._/ ,-]*([xyz])((?:[ _,/]*[\[(].*[\])]|[ _,/]*[a-z][a-z .*\u00b7-]*)?)"
 )
 _BRACKETS_RE = re.compile(r"[\[(]")
-_NUMBERED_COLUMN_RE = re.compile(r"((?:.*[./])?\D*?)(\d+)[\])]?(?:[ _]*[\[(].*[\])])?")
+_NUMBERED_COLUMN_RE = re.compile(r"((?:.*[./])?\D*?)(\d+)[\])]?(?:[ _]*[\[(]\D[^\])]*[\])])?")
+_NUMBER_WITHIN_RE = re.compile(r"(\D*)(\d+)(\D+)")
+"""A number with a word behind it: `t0_raw`."""
 _JOINT_COLUMN_RE = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
 _JOINT_NAME_RE = re.compile(r".+[ _\[(](?:deg|rad)[\])]?")
 _PRESSURE_CENTRE_RE = re.compile(r"(?:.*[./_ ])?(?:a|cop|cop_|cop |p|cp)[xy](?:[ _]*[\[(].*)?")
@@ -76,12 +79,17 @@ class _Family:
     """Columns whose names differ by a number alone."""
 
     base: str
+    end: str = ""
+    """Behind the number."""
     at: dict[int, int] = field(default_factory=dict[int, int])
     """Column by number."""
 
     def __str__(self) -> str:
-        first, last = min(self.at), max(self.at)
-        return f"{self.base}{first} to {self.base}{last}" if last > first else f"{self.base}{first}"
+        first, last = self.name(min(self.at)), self.name(max(self.at))
+        return f"{first} to {last}" if last != first else first
+
+    def name(self, number: int) -> str:
+        return f"{self.base}{number}{self.end}"
 
     @property
     def span(self) -> int:
@@ -199,7 +207,8 @@ class TableColumns:
         missing = [axis for axis in WRENCH_AXES if axis not in at]
         if missing:
             raise InputError(self._missing_axes(missing))
-        counts, finding = self._counts_per_unit([at[axis] for axis in WRENCH_AXES], set(factor.values()))
+        has_units = any(unit for _, unit in filter(None, (_axis_of(self.names[k]) for k in at.values())))
+        counts, finding = self._by_facts([at[axis] for axis in WRENCH_AXES], has_units=has_units)
         factors = tuple(factor[axis] * counts.get(axis[0], 1.0) for axis in WRENCH_AXES)
         return ValueColumns(tuple(at[axis] for axis in WRENCH_AXES), factors, finding)
 
@@ -226,32 +235,39 @@ class TableColumns:
             raise InputError(f"{self.path}: the unit of column {name!r} is not known; expected {expected}: convert its values.")
         return factors[unit]
 
-    def _counts_per_unit(self, columns: Sequence[int], units: set[float]) -> tuple[dict[str, float], tuple[str, ...]]:
-        """Return factors of force and moment from the facts before the names, where the values are counts."""
+    def _by_facts(self, columns: Sequence[int], *, has_units: bool) -> tuple[dict[str, float], tuple[str, ...]]:
+        """Return factors of force and moment from the facts before the names: units, and counts a unit where there are counts.
+
+        Raises InputError: the values are counts, and the facts do not say the unit; or a unit is not known.
+        """
         facts = "\n".join(self._form.facts)
         counts = {kind: to_float(found[1].replace(",", "")) for kind, found in _facts(_COUNTS_RE, facts).items()}
-        if not counts:
+        units = {kind: _plain_unit(found[1]) for kind, found in _facts(_FACT_UNIT_RE, facts).items()}
+        if has_units or not (counts or units):
             return {}, ()
-        values = [to_float(row[k]) for row in self._form.examples for k in columns if k < len(row)]
-        are_counts = all(
-            value is not None and value == round(value) for value in values if value is None or math.isfinite(value)
-        )
-        named = {kind: _plain_unit(found[1]) for kind, found in _facts(_FACT_UNIT_RE, facts).items()}
+        are_counts = bool(counts) and self._are_whole(columns)
         factors: dict[str, float] = {}
         for kind, table in (("force", FORCE_UNITS), ("torque", _MOMENT_UNITS)):
-            unit, count = named.get(kind, "n" if kind == "force" else "nm"), counts.get(kind)
-            if unit not in table or not count or units != {1.0}:
+            unit, count = units.get(kind, "n" if kind == "force" else "nm"), counts.get(kind)
+            if unit not in table or (are_counts and not count):
                 raise InputError(
-                    f"{self.path}: its values are counts, and the lines before the names do not say the counts a unit; "
-                    "expected 'Counts per Unit Force', 'Force Units' and those of the torque."
+                    f"{self.path}: the lines before the names do not say the unit of its {kind}, or one that is not known; "
+                    "expected 'Force Units' and 'Torque Units' (N, Nm, lbf, lbf-in, ...); of of counts 'Counts per Unit Force' "
+                    "and those of the torque."
                 )
-            factors["f" if kind == "force" else "m"] = table[unit] / (count if are_counts else 1.0)
-        said = (
-            f"divided by {counts['force']:g} and {counts['torque']:g} counts a unit"
-            if are_counts
-            else "not counts, as they have decimals"
-        )
-        return factors, (f"the values are {said}, by the lines before the names.",)
+            factors["f" if kind == "force" else "m"] = table[unit] / (count if are_counts and count else 1.0)
+        said = "in the units of the lines before the names" if units else "in N and Nm"
+        if are_counts:
+            said = f"divided by {counts['force']:g} and {counts['torque']:g} counts a unit, by the lines before the names"
+        elif counts:
+            said += ", and not counts, as they have decimals"
+        return factors, (f"the values are {said}.",)
+
+    def _are_whole(self, columns: Sequence[int]) -> bool:
+        """Check whether the first values are whole numbers."""
+        uses = self._form.number_uses()
+        values = [to_float(row[k], uses) for row in self._form.examples for k in columns if k < len(row)]
+        return all(value is not None and value == round(value) for value in values if value is None or math.isfinite(value))
 
     # Joints
 
@@ -274,13 +290,14 @@ class TableColumns:
 
     # Skin
 
-    def _families(self, columns: Sequence[int]) -> list[_Family]:
-        found: dict[str, _Family] = {}
+    def _families(self, columns: Sequence[int], pattern: re.Pattern[str] = _NUMBERED_COLUMN_RE) -> list[_Family]:
+        found: dict[tuple[str, str], _Family] = {}
         for column in columns:
-            numbered = _NUMBERED_COLUMN_RE.fullmatch(self.names[column])
+            numbered = pattern.fullmatch(self.names[column])
             if numbered is None:
                 continue
-            family = found.setdefault(numbered[1], _Family(numbered[1]))
+            base, end = numbered[1], numbered[3] if pattern.groups > 2 else ""
+            family = found.setdefault((base, end), _Family(base, end))
             number = int(numbered[2])
             if number in family.at:
                 raise InputError(
@@ -298,13 +315,14 @@ class TableColumns:
     def _skin_columns(self, columns: list[int], channels: int) -> ValueColumns:
         if not columns:
             raise InputError(f"{self.path}: no column besides the time; expected one a channel, such as t0, t1, ...")
-        families = self._families(columns)
+        families = self._families(columns) or self._families(columns, _NUMBER_WITHIN_RE)
         fitting = [each for each in families if channels and channels in (len(each.at), each.span)]
         if len(fitting) > 1:
             bases = " or ".join(f"{self.path.name}::{each.base}" for each in fitting)
+            advice = f"name it: {bases}" if len({each.base for each in fitting}) == len(fitting) else "leave out the others"
             raise InputError(
                 f"{self.path}: {' and '.join(map(str, fitting))} have {channels} channels each, as the scene; expected one "
-                f"skin: name it: {bases}."
+                f"skin: {advice}."
             )
         numbered = sum(len(each.at) for each in families)
         if fitting:
@@ -314,10 +332,7 @@ class TableColumns:
         elif channels in (0, len(columns)):
             large = max(families, key=lambda each: len(each.at), default=None)
             if channels or large is None or len(large.at) * 2 <= len(columns):
-                number_of = {column: number for each in families for number, column in each.at.items()}
-                if len({*number_of.values()}) == len(columns):
-                    columns = sorted(columns, key=number_of.__getitem__)
-                return ValueColumns(tuple(columns), (1.0,) * len(columns))
+                return self._as_they_stand(columns, families, channels)
             chosen = large
         else:
             raise InputError(self._wrong_width(columns, families, channels))
@@ -332,13 +347,43 @@ class TableColumns:
         ]
         return ValueColumns(found.at, found.factors, tuple(findings))
 
+    def _as_they_stand(self, columns: Sequence[int], families: Sequence[_Family], channels: int) -> ValueColumns:
+        """Take columns of several families, or without numbers, by distinct numbers, else in the order of the file.
+
+        Raises InputError: some columns are of no family and others are, or the names count in another order than the file.
+        """
+        several = [each for each in families if len(each.at) > 1]
+        members = {column for each in several for column in each.at.values()}
+        strays = [k for k in columns if k not in members]
+        if channels and several and strays:
+            raise InputError(
+                f"{self.path}: {self._list_names(strays)} and {' and '.join(map(str, several))} together are {channels} "
+                "columns, as many as channels. Leave out what is no taxel; add a missing taxel as an empty column with its "
+                "number, or number all taxels from one name (t0, t1, ...)."
+            )
+        number_of = {column: number for each in families for number, column in each.at.items()}
+        numbers = sorted({*number_of.values()})
+        if len(numbers) == len(columns) == numbers[-1] - numbers[0] + 1:
+            return ValueColumns(tuple(sorted(columns, key=number_of.__getitem__)), (1.0,) * len(columns))
+        names = [self.names[k] for k in columns]
+        if not _counts_up(names):
+            raise InputError(
+                f"{self.path}: the numbers in the names ({self._list_names(columns[:5])}, ...) do not rise in the order of the "
+                "file; expected one number a name, which is the channel: name the taxels t0, t1, ..."
+            )
+        finding = (
+            f"the names have no one number a channel: taken in the order of the file, channel 0 is {names[0]}, "
+            f"channel {len(names) - 1} is {names[-1]}."
+        )
+        return ValueColumns(tuple(columns), (1.0,) * len(columns), (finding,))
+
     def _in_order(self, family: _Family, channels: int) -> ValueColumns:
         """Order the columns of a family by their numbers. A missing number is a taxel without readings.
 
         Raises InputError: numbers are missing, though there are as many columns as channels.
         """
         numbers, missing = sorted(family.at), family.missing
-        names = ", ".join(f"{family.base}{number}" for number in missing[:NAMES_SHOWN_MAX])
+        names = ", ".join(map(family.name, missing[:NAMES_SHOWN_MAX]))
         if missing and len(numbers) == channels:
             raise InputError(
                 f"{self.path}: {family} are {plural(channels, 'column')}, as many as the scene has channels, but {names} "
@@ -373,8 +418,14 @@ class TableColumns:
         ends = ""
         if count < channels <= count + 2 and not large.missing:
             first, last = min(large.at), max(large.at)
-            maybe = [f"{large.base}{number}" for number in (first - 1, last + 1) if number >= 0]
+            maybe = [large.name(number) for number in (first - 1, last + 1) if number >= 0]
             ends = f" If {' or '.join(maybe)} is missing, add it as an empty column."
+        if count < channels and large.missing:
+            names = ", ".join(map(large.name, large.missing[:NAMES_SHOWN_MAX]))
+            return (
+                f"{self.path}: its numbered columns are {large} without {names} ({plural(count, 'column')}), and {scene}. Add "
+                "each missing taxel as an empty column, also those before the first or behind the last."
+            )
         return (
             f"{self.path}: its numbered columns are {large} ({plural(count, 'column')}), and {scene}.{ends} If each of these "
             f"columns is a taxel, [skin] channels of the scene is {count}; else name the taxels alone so."
@@ -432,6 +483,16 @@ def _plain_unit(text: str) -> str:
 def _joint_unit(name: str) -> str:
     found = _JOINT_COLUMN_RE.fullmatch(name)
     return found[1] if found else ""
+
+
+def _counts_up(names: Sequence[str]) -> bool:
+    """Check whether names that differ in numbers alone stand together, with numbers that rise: `r0c0 r0c1 r1c0 r1c1`."""
+    shapes = [re.sub(r"\d+", "#", name) for name in names]
+    blocks = [
+        (shape, [name for _, name in block]) for shape, block in groupby(zip(shapes, names, strict=True), lambda each: each[0])
+    ]
+    numbers = [[[int(word) for word in re.findall(r"\d+", name)] for name in block] for _, block in blocks]
+    return len(blocks) == len({*shapes}) and all(block == sorted(block) for block in numbers)
 
 
 def _family_base(name: str) -> str:

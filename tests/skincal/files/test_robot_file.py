@@ -141,6 +141,8 @@ def test_frames_go_into_the_model_that_has_the_link(calibration, tmp_path):
     ("format_", "text", "words"),
     [
         ("urdf", URDF.replace(f'link name="{LINK}"', 'link name="r_forearm"'), f"has no link '{LINK}'.*nearest are r_forearm"),
+        ("urdf", URDF.replace("</robot>", f'<link name="{LINK}"/></robot>'), "has the link .* 2 times.*leave out the others"),
+        ("sdf", SDF.replace(f'<link name="{LINK}', f'<link name="{LINK}"/><link name="{LINK}', 1), "has the link .* 2 times"),
         ("urdf", "<robot name='x'/>", "has no link .*it has none at all"),
         ("urdf", SDF, "begins with <sdf>; expected <robot>.*choose the format sdf"),
         ("sdf", URDF, "begins with <robot>; expected <sdf>.*choose the format urdf or tactile-urdf"),

@@ -282,6 +282,90 @@ def test_as_many_columns_as_channels_with_a_gap_in_their_numbers_are_refused(tmp
     assert (done.accepted, np.nanmax(done.errors_mm) < MAX_ERROR_MM) == (POKES, True)
 
 
+def skin_of(path, names, order=range(CHANNELS), more=()):
+    """Write a skin whose columns are the channels of `order`; `more` columns stand behind the time."""
+    columns = [S.columns[0], *(["21.5"] * len(ROWS.times) for _ in more), *(S.columns[1 + channel] for channel in order)]
+    return Table(("t_s", *more, *names), columns).write(path)
+
+
+@pytest.mark.parametrize("name", ["t{}_raw", "T{} pressure", "taxel {} (kPa)", "/skin/t{}/value"])
+def test_numbers_with_a_word_behind_them_are_channels_in_any_order_of_the_file(tmp_path, name):
+    order = sorted(range(CHANNELS), key=str)
+    done = import_tables(W.write(tmp_path / "w.csv"), skin_of(tmp_path / "s.csv", [name.format(k) for k in order], order))
+    assert (done.accepted, np.nanmax(done.errors_mm) < MAX_ERROR_MM) == (POKES, True)
+
+
+@pytest.mark.parametrize("name", ["r{0}c{1}", "skin[{0}][{1}]", "module{0}_taxel{1}"])
+def test_names_of_row_and_column_are_read_row_by_row_with_a_word_and_refused_in_another_order(tmp_path, name):
+    wrench, names = W.write(tmp_path / "w.csv"), [name.format(*divmod(k, 4)) for k in range(CHANNELS)]
+    done = import_tables(wrench, skin_of(tmp_path / "s.csv", names))
+    assert (done.accepted, np.nanmax(done.errors_mm) < MAX_ERROR_MM) == (POKES, True)
+    words = f"taken in the order of the file, channel 0 is {names[0]}, channel 15 is {names[15]}."
+    assert any(words in finding for finding in done.findings)
+    by_columns = [4 * (k % 4) + k // 4 for k in range(CHANNELS)]
+    with pytest.raises(InputError, match=r"do not rise in the order of the file.*name the taxels t0, t1"):
+        import_tables(wrench, skin_of(tmp_path / "s.csv", [names[k] for k in by_columns], by_columns))
+    # The advice, followed.
+    done = import_tables(wrench, skin_of(tmp_path / "s.csv", [f"t{k}" for k in by_columns], by_columns))
+    assert (done.accepted, np.nanmax(done.errors_mm) < MAX_ERROR_MM) == (POKES, True)
+
+
+@pytest.mark.parametrize("stray", ["temperature", "temp1", "temp0"])
+@pytest.mark.parametrize("lost", [0, 5, 15])
+def test_a_column_that_is_no_taxel_does_not_take_the_place_of_a_missing_one(tmp_path, stray, lost):
+    wrench, order = W.write(tmp_path / "w.csv"), [k for k in range(CHANNELS) if k != lost]
+    skin = skin_of(tmp_path / "s.csv", [f"t{k}" for k in order], order, more=(stray,))
+    if lost != 5:
+        with pytest.raises(
+            InputError, match=f"{stray} and t.* together are 16 columns.*add a missing taxel as an empty column"
+        ):
+            import_tables(wrench, skin)
+        # The advice, followed.
+        columns = [S.columns[0], *(column if k != lost else [""] * len(column) for k, column in enumerate(S.columns[1:]))]
+        skin = Table(S.names, columns).write(tmp_path / "s.csv")
+    done = import_tables(wrench, skin)
+    assert done.accepted == POKES - 2
+    assert np.nanmax(done.errors_mm) < MAX_ERROR_MM
+
+
+def test_numbers_that_are_missing_within_and_at_an_end_are_asked_for_and_no_number_of_channels_is_advised(tmp_path):
+    order = [k for k in range(CHANNELS) if k not in (0, 5)]
+    skin = skin_of(tmp_path / "s.csv", [f"t{k}" for k in order], order)
+    with pytest.raises(InputError, match=r"t1 to t15 without t5 \(14 columns\).*as an empty column") as refusal:
+        import_tables(W.write(tmp_path / "w.csv"), skin)
+    assert "channels of the scene is" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("count", [1e6, 1e4, 1e3])
+def test_counts_with_thousands_separators_are_divided_as_those_without(tmp_path, count):
+    facts = f'Force Units:,N\nTorque Units:,Nm\nCounts per Unit Force:,"{count:,.0f}"\nCounts per Unit Torque:,"1,000,000"\n'
+    counts = ROWS.wrench * np.repeat([count, 1e6], 3)
+    columns = [*fields(counts, "{:,.0f}"), ROWS.seconds()]
+    wrench = Table(("Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "Time"), columns, before=facts).write(tmp_path / "w.csv")
+    done = import_tables(wrench, S.write(tmp_path / "s.csv"))
+    assert (done.accepted, np.nanmax(done.errors_mm) < MAX_ERROR_MM) == (POKES, True)
+
+
+@pytest.mark.parametrize(
+    ("units", "scales"),
+    [(("N", "N-mm"), (1, 1e3)), (("lbf", "lbf-in"), (1 / 4.4482216153, 1 / 0.1129848290)), (("kN", "kNm"), (1e-3, 1e-3))],
+)
+def test_units_before_the_names_count_without_counts(tmp_path, units, scales):
+    columns = [*fields(ROWS.wrench * np.repeat(scales, 3), "{:.9f}"), ROWS.seconds()]
+    facts = f"Force Units:,{units[0]}\nTorque Units:,{units[1]}\n"
+    wrench = Table(("Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "Time"), columns, before=facts).write(tmp_path / "w.csv")
+    done = import_tables(wrench, S.write(tmp_path / "s.csv"))
+    assert (done.accepted, np.nanmax(done.errors_mm) < MAX_ERROR_MM) == (POKES, True)
+    assert "wrench: the values are in the units of the lines before the names." in done.findings
+
+
+def test_days_of_a_spreadsheet_are_no_seconds(tmp_path):
+    days = [f"{45413.5 + time / 86400:.10f}" for time in ROWS.times]
+    tables = [Table(("time", *each.names[1:]), [days, *each.columns[1:]]) for each in (W, S)]
+    with pytest.raises(InputError, match="Spreadsheets may write days: write seconds as t_s"):
+        import_tables(*(table.write(tmp_path / f"{k}.csv") for k, table in enumerate(tables)))
+
+
 @pytest.mark.parametrize(("keep", "missing"), [(range(15), "t15"), (range(1, 16), "t0 or t16")])
 def test_a_number_that_is_missing_at_an_end_is_asked_for(tmp_path, keep, missing):
     names, columns = ("t_s", *(TAXEL_NAMES[k] for k in keep)), [S.columns[0], *(S.columns[1 + k] for k in keep)]
