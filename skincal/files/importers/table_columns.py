@@ -252,8 +252,8 @@ class TableColumns:
             if unit not in table or (are_counts and not count):
                 raise InputError(
                     f"{self.path}: the lines before the names do not say the unit of its {kind}, or one that is not known; "
-                    "expected 'Force Units' and 'Torque Units' (N, Nm, lbf, lbf-in, ...); of of counts 'Counts per Unit Force' "
-                    "and those of the torque."
+                    "expected 'Force Units' and 'Torque Units' (N, Nm, lbf, lbf-in, ...); of counts also 'Counts per Unit "
+                    "Force' and those of the torque."
                 )
             factors["f" if kind == "force" else "m"] = table[unit] / (count if are_counts and count else 1.0)
         said = "in the units of the lines before the names" if units else "in N and Nm"
