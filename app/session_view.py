@@ -491,13 +491,15 @@ class SessionView(QObject):
     def ask_apply(self) -> None:
         """Ask for a robot's address, send the positions and show the robot's answers."""
         state, settings = self.state, self._settings
-        if state is None or self._tick is None:
+        if state is None:
             return
         rig = None if state.review is None else state.review.rig
-        evidence, snapshot = self._tick.evidence, state.snapshot
 
         def verdict_of(method: Method) -> str:
-            return verdict_sentence(self.guided.guide.verdict(snapshot, method, evidence, rig))
+            # Pokes may come while the dialog is open; the positions of the newest are sent.
+            tick = self._tick
+            assert tick is not None
+            return verdict_sentence(self.guided.guide.verdict(tick.snapshot, method, tick.evidence, rig))
 
         address = str(settings.value("apply/address", "")) or offered_port(link.address for link in self._controller.links)
         dialog = ApplyDialog(self.workspace.methods, self.method, verdict_of, address, self.workspace.window())

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from skincal.model.scene import Scene
 from skincal.modules.health import LayoutRepair, count_judged_modules, repair_layout
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, Correction
+from skincal.session.background import BackgroundJob, Run
 from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
@@ -45,8 +46,6 @@ TAXELS, MEAN, P95, MAX = range(4)
 
 Spreads: TypeAlias = Mapping[Method, FloatArray]
 """Errors at one point of the course, (1 + modules, 4) float: all taxels, then each module; columns as for `spreads_of`."""
-Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
-"""Does work in the background and hands its result over in a tick."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,7 +238,7 @@ class ErrorFollower:
     """Course of errors against a source that the operator chose. The past is solved in the background in short steps."""
 
     def __init__(self, part: Part, run: Run) -> None:
-        self._part, self._run = part, run
+        self._part, self._job = part, BackgroundJob(run)
         self.sources: list[TaxelPositions | None] = [None] if part.plan is None else [part.plan, None]
         """Positions to compare estimates with; `None` for the predicted error."""
         self.source = self.sources[0]
@@ -247,7 +246,6 @@ class ErrorFollower:
         """Changes whenever the course or its source changes."""
         self._course = self._new_course()
         self._seen: Snapshot | None = None
-        self._busy = False
         self._failed_at: tuple[ErrorCourse, Snapshot] | None = None
         """Course and snapshot whose work failed; no retry before either changes."""
 
@@ -274,24 +272,16 @@ class ErrorFollower:
             self._course.update(snapshot)
             self.version += 1
         course, at = self._course, (self._course, snapshot)
-        if self._busy or self._failed_at == at or not course.missing:
+        if self._job.is_busy or self._failed_at == at or not course.missing:
             return
 
-        def work() -> tuple[CourseInput, dict[int, Spreads]]:
-            try:
-                return course.work(MAX_WORK_PER_STEP_S)
-            except BaseException:
-                # `run` reports it and does not call `add`.
-                self._failed_at, self._busy = at, False
-                raise
-
         def add(solved: tuple[CourseInput, dict[int, Spreads]]) -> None:
-            self._busy = False
+            self._failed_at = None
             if course.add_points(*solved) and course is self._course:
                 self.version += 1
 
-        self._busy = True
-        self._run(work, add)
+        self._failed_at = at  # Unless `add` gets the result
+        self._job.start(lambda: course.work(MAX_WORK_PER_STEP_S), add)
 
     def series(self) -> ErrorSeries:
         """Give the solved part of the course."""
@@ -333,9 +323,8 @@ class ModulesCheck:
     """Looks for mirrored, turned and swapped modules in the newest snapshot. Without a layout it does nothing."""
 
     def __init__(self, part: Part, run: Run) -> None:
-        self._part, self._run = part, run
+        self._part, self._job = part, BackgroundJob(run)
         self._module_model: ModuleModel | None = None
-        self._busy = False
         self._asked: Snapshot | None = None
         self.found: ModulesFound | None = None
         """`None` before the first result."""
@@ -343,7 +332,7 @@ class ModulesCheck:
     def check_snapshot(self, snapshot: Snapshot) -> None:
         """Check a snapshot, unless an older one is still being checked."""
         layout = self._part.scene.skin.layout
-        if layout is None or self._busy or snapshot is self._asked:
+        if layout is None or self._job.is_busy or snapshot is self._asked:
             return
         method = Method.SURFACE if self._part.surface is not None else Method.FREE
         estimates = {estimate.channel: estimate for estimate in snapshot.estimates.get(method, ())}
@@ -352,15 +341,10 @@ class ModulesCheck:
         model = self._module_model
 
         def work() -> ModulesFound:
-            try:
-                return ModulesFound(method, repair_layout(model, estimates), count_judged_modules(model, estimates))
-            except BaseException:
-                # `run` reports it and does not call `_finish`.
-                self._busy = False
-                raise
+            return ModulesFound(method, repair_layout(model, estimates), count_judged_modules(model, estimates))
 
-        self._busy, self._asked = True, snapshot
-        self._run(work, self._finish)
+        def finish(found: ModulesFound) -> None:
+            self.found = found
 
-    def _finish(self, found: ModulesFound) -> None:
-        self._busy, self.found = False, found
+        self._asked = snapshot
+        self._job.start(work, finish)

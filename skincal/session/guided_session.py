@@ -20,7 +20,8 @@ from skincal.robot.ros_targets import RosTargets
 from skincal.robot.target_lines import NoTarget, TipPose
 from skincal.robot.target_server import RobotChange
 from skincal.robot.targets import Targets
-from skincal.session.error_history import ErrorFollower, ModulesCheck, Run
+from skincal.session.background import Run, run_at_once
+from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.guiding import SessionGuide, asked_poke
 from skincal.session.part import Part, lay_part
 from skincal.session.robot_dialogue import RobotDialogue
@@ -66,10 +67,6 @@ class PressCoach:
         self.coaching = compare_to_target(self._smoothed, progress, target, self._skin[1])
 
 
-def _run_at_once(work: Callable[[], object], done: Callable[[object], None]) -> None:
-    done(work())
-
-
 class GuidedSession:
     """An open session with its pipeline, guide, coach, reviews and error history.
 
@@ -78,7 +75,7 @@ class GuidedSession:
     run : does the slow work beside the session
     """
 
-    def __init__(self, part: Part, run: Run = _run_at_once) -> None:
+    def __init__(self, part: Part, run: Run = run_at_once) -> None:
         self.guide, self.coach = SessionGuide(part), PressCoach(part.surface)
         self.method = first_method(methods_of(part.scene, part.surface), part)
         """Method that is shown, whose needs the guide follows."""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from collections.abc import Sequence
 
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.rig.setup_check import MistakeKind, SetupDiagnosis, check_setup
+from skincal.session.background import BackgroundJob, Run
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.words.frame_words import frame_sentences
 from skincal.words.setup_words import setup_sentences
 
-Run: TypeAlias = Callable[[Callable[[], object], Callable[[object], None]], None]
 CHECK_AT_POKES = (6, 8, 10, 13, 16, 20, 26, 32, 40)
 """Numbers of accepted pokes on the skin."""
 
@@ -21,10 +20,9 @@ class SetupFollower:
     """Looks for mistakes in the scene file by the newest pokes. Without a layout on the part it does nothing."""
 
     def __init__(self, part: Part, run: Run) -> None:
-        self._part, self._run = part, run
+        self._part, self._job = part, BackgroundJob(run)
         self._next = 0
         """Index in `CHECK_AT_POKES`."""
-        self._busy = False
         self._news: list[str] = []
         self._named: tuple[MistakeKind, tuple[str, ...]] | None = None
         """Mistake that the last check named first."""
@@ -43,17 +41,14 @@ class SetupFollower:
             self._frames, self._of_frames = frames, frame_sentences(frames)
             self._news += self._of_frames
         part, count = self._part, len(snapshot.contacts)
-        if part.laid is None or self._busy or self._next >= len(CHECK_AT_POKES) or count < CHECK_AT_POKES[self._next]:
+        if part.laid is None or self._job.is_busy or self._next >= len(CHECK_AT_POKES) or count < CHECK_AT_POKES[self._next]:
             return
         while self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]:
             self._next += 1
         contacts = snapshot.contacts
-        self._busy = True
-        self._run(lambda: check_setup(contacts, part.scene, part.laid, part.surface, frames), self._finish)
+        self._job.start(lambda: check_setup(contacts, part.scene, part.laid, part.surface, frames), self._finish)
 
-    def _finish(self, found: object) -> None:
-        self._busy = False
-        diagnosis = found if isinstance(found, SetupDiagnosis) else None
+    def _finish(self, diagnosis: SetupDiagnosis | None) -> None:
         first = diagnosis.mistakes[0] if diagnosis is not None and diagnosis.mistakes else None
         named = None if first is None else (first.kind, first.names)
         sentences = setup_sentences(diagnosis)

@@ -21,6 +21,7 @@ from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Reje
 from skincal.geometry import Arm, DhLink
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Stream
 from skincal.model.scene import ArmSpec, Scene
+from skincal.session.background import run_at_once
 from skincal.session.guided_session import GuidedSession
 from skincal.session.part import Part
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
@@ -141,13 +142,12 @@ class Queue:
     def __init__(self) -> None:
         self.waiting = []
 
-    def __call__(self, work, done, _failed=None) -> None:
-        self.waiting.append((work, done))
+    def __call__(self, work, done, _failed=None, ended=lambda: None) -> None:
+        self.waiting.append((work, done, ended))
 
     def finish(self) -> None:
         while self.waiting:
-            work, done = self.waiting.pop(0)
-            done(work())
+            run_at_once(*self.waiting[0][:2], ended=self.waiting.pop(0)[2])
 
 
 def context(of: Part | None = None, methods: Sequence[Method] = METHODS, **services: object) -> PanelContext:

@@ -18,6 +18,7 @@ from skincal.model.scene import load_scene
 from skincal.model.wrench_frames import FrameKind, rigid_points
 from skincal.ros.dds import message_types
 from skincal.ros.topics import TopicChoice
+from skincal.session.background import run_at_once
 from skincal.session.corrections import offered
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import apply_item, load, replay
@@ -344,7 +345,7 @@ def test_an_open_session_says_the_frame_once(tmp_path):
     bag = write_bag(tmp_path / "bag", lambda _: "stand", IN_BASE)
     session, _ = imported(tmp_path / "part", bag, with_layout=True)
     results = SessionResults(load(session))
-    follower = SetupFollower(results.part, lambda work, done: done(work()))
+    follower = SetupFollower(results.part, run_at_once)
     for _ in range(2):
         follower.check_snapshot(results.snapshot, results.session.wrench_frames)
     first, second = follower.take_news()

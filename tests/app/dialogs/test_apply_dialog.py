@@ -13,9 +13,12 @@ from app.dialogs.export_dialog import ExportDialog
 from app.session.opening import OpenRequest
 from app.session.recording import SessionFolder
 from app.text.message import NO_SESSION
+from skincal.model.actions import Exclude
 from skincal.model.scene import resource
+from skincal.session.results import verdicts_of
 from skincal.simulate.emulated_transports import SkinManagerOutlet
 from skincal.taxels.result import Method
+from skincal.words.verdict_words import verdict_sentence
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 from tests.skincal.robot.robot_support import robot
@@ -102,6 +105,21 @@ def test_whatever_becomes_of_it_the_dialog_says_so_and_the_rest_of_the_window_wo
     monkeypatch.undo()
     dialog.reject()
     bench.until(lambda: not bench.window.findChildren(ApplyDialog), OPEN_MS)
+
+
+def test_the_verdict_is_that_of_the_pokes_at_the_moment_it_is_asked_for(bench, tmp_path):
+    bench.open(OpenRequest(session=shutil.copytree(resource("sessions/sample"), tmp_path / "mine")))
+    bench.until_all_is_there()
+    dialog = asked(bench)
+    last = bench.accepted()[-1].poke
+    bench.controller.act(Exclude(last))
+    bench.until(lambda: last not in {contact.poke for contact in bench.accepted()})
+    for method in (Method.FREE, Method.MODULES):
+        dialog.method.setCurrentIndex(dialog.method.findData(method))
+        view = bench.window.session_view
+        (verdict,) = verdicts_of(view.workspace.part, bench.snapshot, (method,), None).values()
+        assert dialog.verdict.text() == verdict_sentence(verdict)
+    dialog.reject()
 
 
 def test_the_port_is_asked_for_at_the_name_server_of_the_session():

@@ -16,6 +16,7 @@ from skincal.files.layout_sources import read_layout_file
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import load_scene, resource
 from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, check_setup, mirrored_layout, other_side
+from skincal.session.background import run_at_once
 from skincal.session.draft_preview import PartPreviewer
 from skincal.session.part import load_part
 from skincal.session.part_draft import PartDraft
@@ -178,12 +179,32 @@ def test_a_right_scene_is_not_doubted(rig):
 def test_an_open_session_says_it_once(rig):
     part, contacts = rig
     _, _, wrong = turned("z", 90)(part, contacts)
-    follower = SetupFollower(part, lambda work, done: done(work()))
+    follower = SetupFollower(part, run_at_once)
     said = []
     for count in range(len(wrong) + 1):
         follower.check_snapshot(type("Snapshot", (), {"contacts": wrong[:count]})())
         said.append(follower.take_news())
     assert [count for count, news in enumerate(said) if news] == [SETUP_CHECK_MIN_POKES]
+    assert "about its z axis" in follower.sentences[0]
+
+
+def test_a_check_that_fails_is_made_again_with_more_pokes(rig, monkeypatch):
+    part, contacts = rig
+    _, _, wrong = turned("z", 90)(part, contacts)
+    follower = SetupFollower(part, run_at_once)
+
+    def broken(*_):
+        raise RuntimeError("of the check")
+
+    def follow(count):
+        follower.check_snapshot(type("Snapshot", (), {"contacts": wrong[:count]})())
+
+    with monkeypatch.context() as fault:
+        fault.setattr("skincal.session.setup_follower.check_setup", broken)
+        with pytest.raises(RuntimeError, match="of the check"):
+            follow(SETUP_CHECK_MIN_POKES)
+    assert follower.sentences == ()
+    follow(SETUP_CHECK_MIN_POKES + 2)
     assert "about its z axis" in follower.sentences[0]
 
 
