@@ -200,6 +200,8 @@ def preview_words(health: LinkHealth) -> str:
     words = link_verdict_words(health.verdict)
     if health.frames and health.verdict.answer is LinkAnswer.GOOD:
         words += f", in the frame {' and '.join(health.frames)}"
+    if health.text and health.verdict.line:
+        return f"{words}. {health.text}"
     return f"{words}: {health.text}" if health.text and health.verdict.answer is LinkAnswer.NO_ANSWER else words
 
 

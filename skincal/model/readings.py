@@ -196,6 +196,10 @@ class LinkVerdict:
     """Number of values expected; `OTHER_WIDTH` only."""
     tried: tuple[int, ...] = ()
     """Baud rates tried, if they are searched."""
+    line: str = ""
+    """Last line that arrived, if it is clean text that gives no reading; `NO_READING` only."""
+    nearest: str = ""
+    """Example of the form of lines that is read and is the nearest to `line`."""
     unchanged: bool = False
     """A good skin has not changed a value yet, as thresholded skins do until something touches them."""
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray
 from skincal.model.readings import LINK_SILENT_AFTER_S, Batch, Freeze, LinkAnswer, LinkEvent, LinkState, LinkVerdict, Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
+from skincal.streams.decoders.line_forms import last_clean_line, nearest_form
 
 REPORT_NO_READING_AFTER_NS = 1_000_000_000
 """ns of bytes without a reading: text is believed after 0.3 s, and a slow board sends ten readings in this time."""
@@ -43,6 +44,8 @@ NOISE_MIN_CHANGED_READINGS = 20
 """Readings that differ from the one before, until a stream is known to have noise."""
 MIN_READINGS_FOR_DIAGNOSIS = 5
 """Equal readings that show a wrong stream, or that nothing changes; garbage now and then holds a line with a number."""
+TAIL_BYTES = 1024
+"""Last bytes that are kept to show a line of a link without readings."""
 MAX_VALUES_PER_WRENCH_READING = 12
 """No force/torque sensor sends more values with a reading: six, or six and as many of something else."""
 
@@ -170,6 +173,8 @@ class LinkMonitor:
         self._freezes_before = list(self.freezes)
         self._streams.clear()
         self._opened_ns, self._last_ns = host_ns, 0
+        self._tail = b""
+        """Last bytes while a wanted stream is missing."""
         self._missing_since_ns: int | None = None
         """Arrival of the first bytes while a wanted stream is missing."""
         self._fallback: LinkDecoder | None = None
@@ -220,7 +225,7 @@ class LinkMonitor:
             if batch.stream is Stream.SKIN and self._levels is not None:
                 self._levels = _add_levels(self._levels, batch.values)
         if self._wanted_streams and not self._missing(host_ns):
-            self._missing_since_ns, self._fallback = None, None
+            self._missing_since_ns, self._fallback, self._tail = None, None, b""
             self._unexpected.clear()
         else:
             self._missing_since_ns = self._missing_since_ns or host_ns
@@ -241,6 +246,7 @@ class LinkMonitor:
                 self.mixed_readings += ALTERNATION_MIN_READINGS if self._alternating == ALTERNATION_MIN_READINGS else 1
 
     def _count_unexpected(self, data: bytes, host_ns: int) -> None:
+        self._tail = (self._tail + data[-TAIL_BYTES:])[-TAIL_BYTES:]
         if self._fallback is None and self._make_fallback is not None:
             self._fallback = self._make_fallback()
         for _, batch in [] if self._fallback is None else self._fallback.feed(data, host_ns):
@@ -317,7 +323,11 @@ class LinkMonitor:
             if count >= MIN_READINGS_FOR_DIAGNOSIS and count > self._fallback.current.counts.total():
                 return self._wrong_width(wanted, stream, width)
         is_early = self._missing_since_ns is None or now_ns - self._missing_since_ns < REPORT_NO_READING_AFTER_NS
-        return LinkVerdict(LinkAnswer.LISTENING if is_early else LinkAnswer.NO_READING, wanted, tried=self._bauds_tried)
+        if is_early:
+            return LinkVerdict(LinkAnswer.LISTENING, wanted, tried=self._bauds_tried)
+        line = last_clean_line(self._tail)
+        nearest = nearest_form(line) if line else ""
+        return LinkVerdict(LinkAnswer.NO_READING, wanted, tried=self._bauds_tried, line=line, nearest=nearest)
 
     def _wrong_width(self, wanted: Stream, decoded_as: Stream, width: int) -> LinkVerdict:
         """Name the stream that sends lines of this width; lines without names were decoded as a skin of any width."""

@@ -46,7 +46,14 @@ def _why_silent(link: LinkHealth, *, brief: bool) -> str:
     if not link.last_host_ns:
         return "nothing arrived. Check the power, the cable and the baud rate of the device"
     expected = " and ".join(STREAM_NAMES[stream] for stream in link.carries)
+    if verdict.line:
+        return f"data arrived, but no readings of the {expected}: {_unread_line(verdict)}"
     return f"data arrived, but no readings of the {expected}. Check the baud rate and the format of the device"
+
+
+def _unread_line(verdict: LinkVerdict) -> str:
+    """Show a line of text that gives no reading, and the nearest form that is read."""
+    return f'the last line is "{verdict.line}". The nearest form that is read is "{verdict.nearest}"'
 
 
 def _why_unread(link: LinkHealth) -> str:
@@ -108,6 +115,8 @@ def link_verdict_words(verdict: LinkVerdict) -> str:
         case LinkAnswer.GOOD:
             return "good, but no value has changed yet: press the skin once" if verdict.unchanged else "good"
         case LinkAnswer.NO_READING:
+            if verdict.line:
+                return f"data arrives, but no readings: {_unread_line(verdict)}"
             tried = f" (tried {', '.join(map(str, verdict.tried))})" if verdict.tried else ""
             return f"data arrives, but no readings: wrong baud rate{tried} or wrong device?"
         case LinkAnswer.OTHER_STREAM:

@@ -34,9 +34,10 @@ from pathlib import Path
 
 import numpy as np
 
+from skincal.devices.column_names import TIME_UNITS
 from skincal.devices.decoding import TIME_STAMP_MAX_S, WRENCH_VALUES
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
-from skincal.files.importers.table_columns import TIME_UNITS, TableColumns, TimeColumns, ValueColumns, names_time
+from skincal.files.importers.table_columns import TableColumns, TimeColumns, ValueColumns, names_time
 from skincal.files.importers.table_form import EMPTY_WORDS, TableForm, read_form
 from skincal.files.importers.table_values import FIELD_SHOWN_MAX_CHARS, date_order, date_reader, time_kind, to_float
 from skincal.files.importers.timeline import FINER_TIMES, OpenRecording, Timeline, check_overlap, late_streams

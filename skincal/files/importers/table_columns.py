@@ -12,36 +12,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
-from skincal.devices.netft import FORCE_UNITS, TORQUE_UNITS
+from skincal.devices.column_names import (
+    CLOCK_COLUMN_RE,
+    COUNTER_COLUMN_RE,
+    MOMENT_UNITS,
+    TIME_COLUMN_RE,
+    WRENCH_AXES,
+    axis_of,
+    plain_unit,
+    short_unit,
+)
+from skincal.devices.netft import FORCE_UNITS
 from skincal.files.importers.table_form import TableForm
 from skincal.files.importers.table_values import is_date, is_time_of_day, to_float
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Stream
 
-WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 NAMES_SHOWN_MAX = 8
-_TIME_UNIT = (
-    "(s|ms|us|ns|sec(?:ond)?s?|msecs?|millis(?:econds?)?|usecs?|micros(?:econds?)?|\u00b5s|\u03bcs|nsecs?|nanos(?:econds?)?)"
-)
-_TIME_COLUMN_RE = re.compile(
-    r"(?:t|[%_]*time|datetime|date[ _/]?time|elapsed(?:[ _]time)?|clock|rosbagtimestamp|"
-    rf"(?:.*[./])?(?:stamp|timestamp|time[ _]stamp))(?:[ _/,]*[\[(]?{_TIME_UNIT}[\])]?)?"
-)
-_CLOCK_COLUMN_RE = re.compile(r"(ms|us|msec|usec|millis|micros|milliseconds|microseconds)(?:\(\))?")
 _DATE_COLUMN_RE = re.compile(r"(?:date|day|datum)(?: \[.*\])?")
 _SECONDS_COLUMN_RE = re.compile(r"((?:.*[./_ ])?)(?:sec|secs|seconds)")
 _NANOSECONDS_COLUMN_RE = re.compile(r"((?:.*[./_ ])?)(?:nanosec|nanosecs|nsec|nsecs|nanoseconds)")
-_COUNTER_COLUMN_RE = re.compile(
-    r"(?:(?:.*[./])?header[./])?(?:seq|sequence|index|counter|count|frame|sample|samples|row|line|packet|no|nr|number|id)\.?"
-    r"(?:[ _](?:no|nr|number|id|index|count|counter))?\.?|(?:rdt|f/t|ft)[ _]?seq(?:uence)?"
-)
 _STATUS_COLUMN_RE = re.compile(r"(?:.*[./_ ])?status(?: ?\(hex\))?")
 _HEADER_FIELD_RE = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
-_WRENCH_AXIS_RE = re.compile(
-    r"(?:.*[./_ ])?([fmt]|force|torque|moment)[._/ ,-]*([xyz])((?:[ _,/]*[\[(].*[\])]|[ _,/]*[a-z][a-z .*\u00b7-]*)?)"
-)
-_BRACKETS_RE = re.compile(r"[\[(]")
 _NUMBERED_COLUMN_RE = re.compile(r"((?:.*[./])?\D*?)(\d+)[\])]?(?:[ _]*[\[(]\D[^\])]*[\])])?")
 _NUMBER_WITHIN_RE = re.compile(r"(\D*)(\d+)(\D+)")
 """A number with a word behind it: `t0_raw`."""
@@ -103,7 +95,7 @@ class _Family:
 def names_time(names: Sequence[str]) -> bool:
     """Check whether some of the names say the time."""
     has_pair = any(_SECONDS_COLUMN_RE.fullmatch(name) for name in names) and any(map(_NANOSECONDS_COLUMN_RE.fullmatch, names))
-    return has_pair or any(_TIME_COLUMN_RE.fullmatch(name) or _CLOCK_COLUMN_RE.fullmatch(name) for name in names)
+    return has_pair or any(TIME_COLUMN_RE.fullmatch(name) or CLOCK_COLUMN_RE.fullmatch(name) for name in names)
 
 
 class TableColumns:
@@ -117,11 +109,11 @@ class TableColumns:
         self._form = form
         self._first = form.examples[0] if form.examples else ()
         self.time = self._find_time()
-        numbers = (k for k, name in enumerate(self.names) if k not in self.time.columns and _COUNTER_COLUMN_RE.fullmatch(name))
+        numbers = (k for k, name in enumerate(self.names) if k not in self.time.columns and COUNTER_COLUMN_RE.fullmatch(name))
         self.number = next(numbers, None)
         self.texts = [k for k in range(len(self.names)) if self._is_text(k)]
         """Columns without a number in their first rows."""
-        self.wrench = [k for k, name in enumerate(self.names) if self._is_free(k) and _axis_of(name)]
+        self.wrench = [k for k, name in enumerate(self.names) if self._is_free(k) and axis_of(name)]
         """Columns of forces and moments."""
         joints = [k for k, name in enumerate(self.names) if self._is_free(k) and _JOINT_NAME_RE.fullmatch(name)]
         self.joints = [k for k in joints if k not in self.wrench]
@@ -151,8 +143,8 @@ class TableColumns:
                     return TimeColumns(
                         (seconds, nanoseconds), "s", f"the time columns {name!r} and {names[nanoseconds]!r}", True
                     )
-        times = [(k, found[1]) for k, name in enumerate(names) if (found := _TIME_COLUMN_RE.fullmatch(name))]
-        times += [(k, found[1]) for k, name in enumerate(names) if (found := _CLOCK_COLUMN_RE.fullmatch(name))]
+        times = [(k, found[1]) for k, name in enumerate(names) if (found := TIME_COLUMN_RE.fullmatch(name))]
+        times += [(k, found[1]) for k, name in enumerate(names) if (found := CLOCK_COLUMN_RE.fullmatch(name))]
         days = [k for k, text in enumerate(first) if is_date(text) and k < len(names)]
         clocks = [k for k, text in enumerate(first) if is_time_of_day(text) and k in [each for each, _ in times]]
         if days and clocks:
@@ -164,7 +156,7 @@ class TableColumns:
                 "t_ms, t_us or t_ns."
             )
         at, unit = times[0]
-        return TimeColumns((at,), _short_unit(unit), f"the time column {names[at]!r}")
+        return TimeColumns((at,), short_unit(unit), f"the time column {names[at]!r}")
 
     def of_stream(self, stream: Stream, within: str, channels: int) -> ValueColumns:
         """Choose the columns of a stream.
@@ -196,7 +188,7 @@ class TableColumns:
         at: dict[str, int] = {}
         factor: dict[str, float] = {}
         for index in columns:
-            axis, unit = _axis_of(self.names[index]) or ("", "")
+            axis, unit = axis_of(self.names[index]) or ("", "")
             if axis in at:
                 raise InputError(
                     f"{self.path}: columns {self.names[at[axis]]!r} and {self.names[index]!r} both are {axis}; expected one "
@@ -207,7 +199,7 @@ class TableColumns:
         missing = [axis for axis in WRENCH_AXES if axis not in at]
         if missing:
             raise InputError(self._missing_axes(missing))
-        has_units = any(unit for _, unit in filter(None, (_axis_of(self.names[k]) for k in at.values())))
+        has_units = any(unit for _, unit in filter(None, (axis_of(self.names[k]) for k in at.values())))
         counts, finding = self._by_facts([at[axis] for axis in WRENCH_AXES], has_units=has_units)
         factors = tuple(factor[axis] * counts.get(axis[0], 1.0) for axis in WRENCH_AXES)
         return ValueColumns(tuple(at[axis] for axis in WRENCH_AXES), factors, finding)
@@ -227,7 +219,7 @@ class TableColumns:
         )
 
     def _unit_factor(self, axis: str, unit: str, name: str) -> float:
-        factors = FORCE_UNITS if axis.startswith("f") else _MOMENT_UNITS
+        factors = FORCE_UNITS if axis.startswith("f") else MOMENT_UNITS
         if unit in ("", "count", "counts", "raw"):
             return 1.0
         if unit not in factors:
@@ -242,12 +234,12 @@ class TableColumns:
         """
         facts = "\n".join(self._form.facts)
         counts = {kind: to_float(found[1].replace(",", "")) for kind, found in _facts(_COUNTS_RE, facts).items()}
-        units = {kind: _plain_unit(found[1]) for kind, found in _facts(_FACT_UNIT_RE, facts).items()}
+        units = {kind: plain_unit(found[1]) for kind, found in _facts(_FACT_UNIT_RE, facts).items()}
         if has_units or not (counts or units):
             return {}, ()
         are_counts = bool(counts) and self._are_whole(columns)
         factors: dict[str, float] = {}
-        for kind, table in (("force", FORCE_UNITS), ("torque", _MOMENT_UNITS)):
+        for kind, table in (("force", FORCE_UNITS), ("torque", MOMENT_UNITS)):
             unit, count = units.get(kind, "n" if kind == "force" else "nm"), counts.get(kind)
             if unit not in table or (are_counts and not count):
                 raise InputError(
@@ -432,12 +424,8 @@ class TableColumns:
         )
 
 
-_MOMENT_UNITS = {**TORQUE_UNITS, "mnm": 1e-3, "ncm": 1e-2, "knmm": 1.0}
 _COUNTS_RE = r"counts per unit {}\W*([\d.,]*\d)"
 _FACT_UNIT_RE = r"{} units?\W*([A-Za-z\u00b7.* -]+)"
-
-
-_UNIT_WORDS = (("newtons?", "n"), ("millimet(er|re)s?", "mm"), ("met(er|re)s?", "m"), ("lbf", "lb"), ("kgf", "kg"), ("gf", "g"))
 
 
 def _facts(pattern: str, text: str) -> dict[str, re.Match[str]]:
@@ -447,37 +435,8 @@ def _facts(pattern: str, text: str) -> dict[str, re.Match[str]]:
 
 def _is_known(name: str) -> bool:
     """Check whether a name is of a time, a counter, a status or the header of a message."""
-    patterns = (_TIME_COLUMN_RE, _CLOCK_COLUMN_RE, _DATE_COLUMN_RE, _COUNTER_COLUMN_RE, _STATUS_COLUMN_RE, _HEADER_FIELD_RE)
+    patterns = (TIME_COLUMN_RE, CLOCK_COLUMN_RE, _DATE_COLUMN_RE, COUNTER_COLUMN_RE, _STATUS_COLUMN_RE, _HEADER_FIELD_RE)
     return any(pattern.fullmatch(name) for pattern in patterns)
-
-
-def _short_unit(unit: str | None) -> str | None:
-    if unit is None:
-        return None
-    first = {"\u00b5": "us", "\u03bc": "us"}.get(unit[0])
-    return first or (
-        "us" if unit.startswith(("us", "mic")) else "ns" if unit[0] == "n" else "ms" if unit.startswith(("ms", "mil")) else "s"
-    )
-
-
-def _axis_of(name: str) -> tuple[str, str] | None:
-    """Return axis and unit of a column of a force or moment; `None` if the name is none."""
-    found = _WRENCH_AXIS_RE.fullmatch(name)
-    if found is None:
-        return None
-    axis = ("f" if found[1].startswith("f") else "m") + found[2]
-    unit = _plain_unit(found[3])
-    # A word without brackets may be anything.
-    if unit and not _BRACKETS_RE.search(found[3]) and unit not in {**FORCE_UNITS, **_MOMENT_UNITS}:
-        return None
-    return axis, unit
-
-
-def _plain_unit(text: str) -> str:
-    unit = re.sub("[^a-z]", "", text.lower())
-    for pattern, short in _UNIT_WORDS:
-        unit = re.sub(pattern, short, unit)
-    return unit
 
 
 def _joint_unit(name: str) -> str:

@@ -1,10 +1,12 @@
-"""Delimited lines as makers' sketches send them, without a checksum: lenient, and so the last choice.
+"""Lines of text as makers' sketches print them, without a checksum: lenient, and so the last choice.
 
 One frame a line, or one row a line and a blank line after each frame. Fields are separated by comma, semicolon (then a
 comma is a decimal point), tab or spaces. A line's number of values determines its stream: six of a wrench where the link
 carries wrenches, the width of the skin where it carries skin, anything constant for joints (degrees). Words, such as a
-banner at boot, are passed over. A header line that names leading columns (`seq`, `t`, `time`, `t_s`, `t_ms`, `t_us`;
-seconds unless the name says otherwise) makes them the number and the device's clock.
+banner at boot, are passed over. A header line that names leading columns (`seq`, `t`, `time`, `millis`, `t_us`, ...; `t` and
+`time` are seconds) makes them the number and the device's clock. Without a header a first value that only rises is found.
+
+Lines of other forms (`line_forms.py`) are read once two in a row have one form, unless lines of numbers alone came before.
 
 Limits: a line that lost a digit, or two lines joined into one with the right count, are not noticed.
 """
@@ -12,22 +14,57 @@ Limits: a line that lost a digit, or two lines joined into one with the right co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from typing import ClassVar
 
-from skincal.devices.decoding import CLOCK_MODULUS_US, NO_SEQ, FrameDecoder
+from skincal.devices.column_names import CLOCK_COLUMN_RE, TIME_COLUMN_RE, TIME_UNITS, WRENCH_AXES, short_unit
+from skincal.devices.decoding import CLOCK_MODULUS_US, DEFAULT_UNITS, NO_SEQ, FrameDecoder, FrameSplitter
 from skincal.model.readings import Loss, Stream
+from skincal.streams.decoders.line_forms import (
+    HEXADECIMAL_FORM,
+    LineReading,
+    has_hex_letters,
+    hex_numbers,
+    is_clock_or_counter,
+    read_line,
+    split_fields,
+    to_numbers,
+)
+from skincal.streams.decoders.line_streams import (
+    PLAIN_KEY,
+    ChannelFrames,
+    FormAgreement,
+    LineSplitter,
+    RisingColumn,
+    SeparatedRows,
+)
 
 LINE_MAX_BYTES = 65536
 """Bytes. Some 4,200 values of 12 characters fit."""
-COLUMN_UNITS_S = {"t": 1.0, "time": 1.0, "t_s": 1.0, "t_ms": 1e-3, "t_us": 1e-6}
+SECONDS_COLUMNS = ("t", "time")
 SEQ_COLUMN = "seq"
+SURE_COLUMNS = frozenset((SEQ_COLUMN, "t", "time", "t_s", "t_ms", "t_us"))
+"""Leading columns that are believed also where the number of values is unknown."""
 MAX_PARSED_NUMBER = 1e18
 """Largest number or clock that is taken for one: what a batch's integers hold."""
+MAX_TITLES = 8
+"""Titles of labelled channels that are followed: damaged titles need no memory."""
+HEX_LINES_MIN = 3
+"""Lines with hexadecimal letters among decimal ones that show that these were hexadecimal, too."""
+HEX_WINDOW_LINES = 30
+RISING_SEARCH_LINES = 300
+"""Plain lines of the expected width among which a first value that only rises is searched."""
+HEX_KEY = (HEXADECIMAL_FORM, "")
+HEX_AFTER_DECIMALS = (
+    "Lines have hexadecimal digits (A to F) without 0x, and earlier lines without letters were read as decimals: discard "
+    "those readings. Print 0x before each number, or print decimals"
+)
+MAY_BE_HEX = "Numbers begin with 0 and may be hexadecimal; they are read as decimals. Print 0x before hexadecimal numbers"
 
 
 class TextDecoder(FrameDecoder):
-    """Decodes delimited lines."""
+    """Decodes lines of text."""
 
     name: ClassVar[str] = "text"
     mark: ClassVar[bytes] = b"\n"
@@ -35,10 +72,20 @@ class TextDecoder(FrameDecoder):
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
-        self._carries = carries
         self._columns = LeadingColumns()
         # Of a skin frame whose rows are lines of their own, until the blank line that ends it.
         self._rows: list[list[float]] = []
+        self._has_blank_ends = False
+        self._separated = SeparatedRows()
+        self._agreed = {stream: FormAgreement() for stream in carries}
+        self._channel_frames: dict[tuple[str, str], ChannelFrames] = {}
+        self._rising = RisingColumn()
+        self._rising_inside = RisingColumn()
+        self._lines_searched = 0
+        self._hex_lines = self._lines_since_hex = 0
+
+    def _make_splitter(self) -> FrameSplitter:
+        return LineSplitter(self.limit)
 
     def _decode(self, frame: bytes) -> Loss | None:
         line = frame.strip()
@@ -46,37 +93,105 @@ class TextDecoder(FrameDecoder):
             return None if self._first else self._end_frame()
         if not line.isascii() or not line.decode().replace("\t", " ").isprintable():
             return Loss.UNREADABLE
+        if self._hex_lines >= HEX_LINES_MIN:
+            self._problem = HEX_AFTER_DECIMALS
+            return Loss.UNREADABLE
         fields = split_fields(line.decode())
         # Python reads 1_0 as ten; no device writes that.
         numbers = None if b"_" in line else to_numbers(fields)
         if numbers is None:
-            return self._words(fields)
+            return self._words(line.decode(), fields)
         # Without a checksum nothing shows whether the first line after opening lost its front digits.
-        return None if self._first else self._numbers(numbers)
+        return None if self._first else self._numbers(numbers, fields)
 
-    def _words(self, fields: list[str]) -> Loss | None:
-        """Read a header line or pass over a banner; a line that is mostly numbers is a damaged reading."""
+    def _words(self, line: str, fields: list[str]) -> Loss | None:
+        """Read a header or a line of another form, or pass over a banner. A line that is mostly numbers is damaged."""
         names = [field.strip("\"' ").lower() for field in fields]
         if self._columns.named_by(names, self._stream_of):
             return None
+        if not self._first and self._is_read(line, fields):
+            return None
+        width = self._width(Stream.SKIN)
+        if width is not None and not self._has_blank_ends and not self._first:
+            frame = self._separated.add_words(line, width)
+            if frame is not None or self._separated.is_agreed:
+                return self._end_separated(frame)
         readable = sum(to_numbers([field]) is not None for field in fields)
         return Loss.UNREADABLE if 2 * readable >= len(fields) else None
 
-    def _numbers(self, numbers: list[float]) -> Loss | None:
+    # Lines of numbers alone
+
+    def _numbers(self, numbers: list[float], fields: list[str]) -> Loss | None:
         lead = self._columns.count
         stream = self._stream_of(len(numbers) - lead)
         if stream is None:
-            if not lead and self._is_row(numbers):
-                self._rows.append(numbers)
-                return None
-            self._problem = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
-            return Loss.BAD_WIDTH
+            return self._other_width(numbers)
         if self._rows:
             self.counts[Loss.BAD_WIDTH] += len(self._rows)
             self._rows = []
+        if not lead and self._agreed[stream].key == HEX_KEY:
+            return self._add_hex(stream, fields)
+        # Digits alone that are below 10 are the same number in both bases.
+        is_sure = lead > 0 or not all(
+            field.strip().isdigit() and number < 10 for field, number in zip(fields, numbers, strict=True)
+        )
+        if not self._is_plain(stream, is_sure=is_sure):
+            return Loss.UNREADABLE
+        if not lead:
+            self._watch_plain(stream, numbers, fields)
         seq, device_s, missing = self._columns.read(numbers[:lead])
         self._count_missing(missing)
         return self._add(stream, seq, device_s, numbers[lead:])
+
+    def _is_plain(self, stream: Stream, *, is_sure: bool = True) -> bool:
+        """Check whether plain lines are readings of the stream; a line that is surely plain decides that they are."""
+        agreed = self._agreed[stream]
+        if agreed.accept(PLAIN_KEY) if is_sure else agreed.key in (None, PLAIN_KEY):
+            return True
+        self._problem = f"Lines of numbers alone are left out, since lines of another form ({agreed.name}) came before"
+        return False
+
+    def _watch_plain(self, stream: Stream, numbers: list[float], fields: list[str]) -> None:
+        """Look for signs that plain numbers are something else: hexadecimal digits, or a clock as the first value."""
+        if has_hex_letters(fields):
+            self._count_hex_line()
+        else:
+            self._lines_since_hex += 1
+            if self._lines_since_hex > HEX_WINDOW_LINES:
+                self._hex_lines = 0
+        if self._lines_searched > RISING_SEARCH_LINES:
+            return
+        self._lines_searched += 1
+        if len({*map(len, fields)}) == 1 and len(fields[0]) > 1 and all(map(str.isdigit, fields)):
+            self._status = MAY_BE_HEX if any(field[0] == "0" for field in fields) else self._status
+        if stream in (Stream.SKIN, Stream.WRENCH) and len(numbers) > 2 and self._rising_inside.add(numbers):
+            advice = f"set [skin] channels to {len(numbers) - 1}" if stream is Stream.SKIN else "name it in a header line"
+            self._status = f"The first of {len(numbers)} values a line only rises: if it is a clock or a number, {advice}"
+
+    def _count_hex_line(self) -> None:
+        self._hex_lines, self._lines_since_hex = self._hex_lines + 1, 0
+
+    def _add_hex(self, stream: Stream, fields: list[str]) -> Loss | None:
+        values = hex_numbers(fields)
+        return Loss.UNREADABLE if values is None else self._add(stream, NO_SEQ, math.nan, values)
+
+    def _other_width(self, numbers: list[float]) -> Loss | None:
+        """Read a row of a frame, or a line with a clock or a number before its values."""
+        lead, width = self._columns.count, self._width(Stream.SKIN)
+        if not lead and width is not None and not self._has_blank_ends and len(numbers) < width:
+            frame = self._separated.add_row(numbers, width)
+            if frame is not None or self._separated.is_agreed:
+                return self._end_separated(frame)
+        if not lead and self._is_row(numbers):
+            self._rows.append(numbers)
+            return None
+        inner = None if lead else self._stream_of(len(numbers) - 1)
+        if inner is not None and self._width(inner) is not None and self._rising.add(numbers) and self._is_plain(inner):
+            left_out = f"without the first of {len(numbers)} values a line, which only rises: a clock or a number"
+            self.units[inner], self._problem = f"{DEFAULT_UNITS[inner]}, {left_out}", ""
+            return self._add(inner, NO_SEQ, math.nan, numbers[1:])
+        self._problem = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
+        return Loss.BAD_WIDTH
 
     def _is_row(self, numbers: list[float]) -> bool:
         """Check whether a line may be a row of the unfinished frame."""
@@ -85,7 +200,85 @@ class TextDecoder(FrameDecoder):
 
     def _end_frame(self) -> Loss | None:
         rows, self._rows = self._rows, []
-        return self._add(Stream.SKIN, NO_SEQ, math.nan, [each for row in rows for each in row]) if rows else None
+        if not rows:
+            return None
+        self._has_blank_ends = True
+        if not self._is_plain(Stream.SKIN):
+            return Loss.UNREADABLE
+        return self._add(Stream.SKIN, NO_SEQ, math.nan, [each for row in rows for each in row])
+
+    def _end_separated(self, frame: list[float] | None) -> Loss | None:
+        """Add a frame of rows between two separators, if it is complete, and count those that are not."""
+        self._rows, self._problem = [], ""
+        if incomplete := self._separated.pop_incomplete():
+            self.counts[Loss.BAD_WIDTH] += incomplete
+        if frame is None:
+            return None
+        return self._add(Stream.SKIN, NO_SEQ, math.nan, frame) if self._is_plain(Stream.SKIN) else Loss.UNREADABLE
+
+    # Lines of other forms
+
+    def _is_read(self, line: str, fields: list[str]) -> bool:
+        """Read a line of another form; return `False` if it is words or of no use."""
+        keys = {agreed.key for agreed in self._agreed.values()} - {None}
+        if keys == {PLAIN_KEY} or self._columns.count:
+            if has_hex_letters(fields) and self._stream_of(len(fields)) is not None:
+                self._count_hex_line()
+            return False
+        found = read_line(line)
+        if found is None:
+            return False
+        if found.fault:
+            self.counts[Loss.BAD_CHECKSUM] += 1
+            self._problem = found.fault
+            return True
+        key = found.form, found.title
+        readings, is_pending = self._readings_of(found, key)
+        if readings:
+            self._add_agreed(found, key, readings)
+        elif not is_pending and any(agreed.key == key for agreed in self._agreed.values()):
+            self.counts[Loss.BAD_WIDTH] += 1
+        return bool(readings) or is_pending or any(agreed.key == key for agreed in self._agreed.values())
+
+    def _readings_of(self, found: LineReading, key: tuple[str, str]) -> tuple[list[tuple[Stream, list[float]]], bool]:
+        """Return the readings of a line, and whether its channels are part of a frame that is not complete."""
+        readings = list[tuple[Stream, list[float]]]()
+        is_pending = False
+        if found.axes and Stream.WRENCH in self._widths:
+            readings.append((Stream.WRENCH, [found.axes[axis] for axis in WRENCH_AXES]))
+        if (
+            found.channels
+            and Stream.SKIN in self._widths
+            and (key in self._channel_frames or len(self._channel_frames) < MAX_TITLES)
+        ):
+            frames = self._channel_frames.setdefault(key, ChannelFrames())
+            readings += [(Stream.SKIN, each) for each in frames.add(found.channels, self._width(Stream.SKIN))]
+            incomplete = frames.pop_incomplete()
+            if incomplete and self._agreed[Stream.SKIN].key == key:
+                self.counts[Loss.BAD_WIDTH] += incomplete
+            is_pending = True
+        fitting = defaultdict[Stream, list[list[float]]](list)
+        for values in found.lists.values():
+            stream = self._stream_of(len(values))
+            if stream is not None and not any(stream is known for known, _ in readings):
+                fitting[stream].append(values)
+        # If two lists fit, either may be the stream's.
+        readings += [(stream, lists[0]) for stream, lists in fitting.items() if len(lists) == 1]
+        return readings, is_pending
+
+    def _add_agreed(self, found: LineReading, key: tuple[str, str], readings: list[tuple[Stream, list[float]]]) -> None:
+        """Add the readings of the streams that are agreed to come in this form."""
+        for stream, values in readings:
+            agreed = self._agreed[stream]
+            if agreed.accept(key):
+                seq, device_s, missing = self._columns.read_named(found.lead.items())
+                self._count_missing(missing)
+                loss = self._add(stream, seq, device_s, values)
+            else:
+                # The first line of a form is not counted, as the first line after opening.
+                loss = None if agreed.key is None else Loss.UNREADABLE
+            if loss is not None:
+                self.counts[loss] += 1
 
     def _stream_of(self, count: int) -> Stream | None:
         """Find the stream of a line by its number of values: one of this width, else one of unknown width."""
@@ -117,26 +310,33 @@ class LeadingColumns:
     def named_by(self, names: list[str], stream_of: Callable[[int], Stream | None]) -> bool:
         """Take the names of a header line; return False if it is none."""
         lead = 0
-        while lead < len(names) and (names[lead] == SEQ_COLUMN or names[lead] in COLUMN_UNITS_S):
+        while lead < len(names) and is_clock_or_counter(names[lead]):
             lead += 1
         if not lead or stream_of(len(names) - lead) is None:
+            return False
+        # The first line may have lost its begin: `us` may be the rest of `t_us`.
+        if not SURE_COLUMNS.issuperset(names[:lead]) and stream_of(len(names)) is not None:
             return False
         self._names = names[:lead]
         self.count = lead
         return True
 
-    def read(self, numbers: Sequence[float]) -> tuple[int, float, int]:
+    def read(self, numbers: Iterable[float]) -> tuple[int, float, int]:
         """Return number, device's clock in seconds, and how many numbers are missing before this one."""
+        return self.read_named(zip(self._names, numbers, strict=True))
+
+    def read_named(self, pairs: Iterable[tuple[str, float]]) -> tuple[int, float, int]:
+        """Read clocks and counters by their names; return the same as `read`."""
         seq, device_s, missing = NO_SEQ, math.nan, 0
-        for name, number in zip(self._names, numbers, strict=True):
+        for name, number in pairs:
             if not math.isfinite(number) or abs(number) > MAX_PARSED_NUMBER:
                 continue
             if name == SEQ_COLUMN:
                 seq = int(number)
                 missing = max(seq - self._seq - 1, 0) if self._seq is not None else 0
                 self._seq = seq
-            else:
-                device_s = (self._unwrap_us(number) if name == "t_us" else number) * COLUMN_UNITS_S[name]
+            elif (unit := _clock_unit(name)) is not None:
+                device_s = (self._unwrap_us(number) if unit == "us" else number) * TIME_UNITS[unit]
         return seq, device_s, missing
 
     def _unwrap_us(self, number: float) -> float:
@@ -147,18 +347,7 @@ class LeadingColumns:
         return number + self._wraps_us
 
 
-def split_fields(line: str) -> list[str]:
-    """Split a stripped line at its separator; one separator at the end is allowed."""
-    if ";" in line:
-        return line.replace(",", ".").removesuffix(";").split(";")
-    if "," in line:
-        return line.removesuffix(",").split(",")
-    return line.split()
-
-
-def to_numbers(fields: list[str]) -> list[float] | None:
-    """Read all fields as numbers, `nan` and `inf` included; `None` if one is no number."""
-    try:
-        return [float(field) for field in fields]
-    except ValueError:
-        return None
+def _clock_unit(name: str) -> str | None:
+    """Return the unit of a clock by its name; `None` for a counter, and for a clock of an unknown unit."""
+    found = TIME_COLUMN_RE.fullmatch(name) or CLOCK_COLUMN_RE.fullmatch(name)
+    return None if found is None else "s" if name in SECONDS_COLUMNS else short_unit(found[1])

@@ -9,6 +9,7 @@ from skincal.devices.family import AUTO
 from skincal.devices.link import Link
 from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
+from skincal.streams.decoders.line_forms import last_clean_line
 
 BAUD_RATES = (115200, 460800, 19200, 1_000_000, 921600, 9600, 57600, 2_000_000)
 """In the order of the trials: boards, Bota, Robotiq, OptoForce, and other usual settings of boards."""
@@ -16,6 +17,9 @@ BAUD_RATE_TRIAL_MAX_S = 1.0
 """s of bytes at one rate. Text is believed after 0.3 s; a slow board sends ten readings."""
 MIN_READINGS_AT_RIGHT_BAUD_RATE = 5
 """Readings that show the right rate, if they outnumber the losses: noise now and then holds a line with a number."""
+
+CLEAN_TEXT_BYTES = 512
+"""Last bytes that are clean text at the right rate alone, also if its lines give no reading."""
 
 
 class BaudPort(Link, Protocol):
@@ -41,6 +45,7 @@ class BaudSearchLink:
     def _restart_decoding(self) -> None:
         self._decoder = LinkDecoder(AUTO, None, self._carries)
         self._since_s: float | None = None
+        self._tail = b""
         self._readings = 0
 
     def read(self, timeout_s: float) -> bytes:
@@ -51,10 +56,11 @@ class BaudSearchLink:
 
     def _look_at(self, data: bytes, now_s: float) -> None:
         self._since_s = now_s if self._since_s is None else self._since_s
+        self._tail = (self._tail + data)[-CLEAN_TEXT_BYTES:]
         self._readings += sum(len(batch.seq) for _, batch in self._decoder.feed(data, round(now_s * 1e9)))
         if self._readings >= MIN_READINGS_AT_RIGHT_BAUD_RATE and self._readings > self._decoder.current.counts.total():
             self.found = True
-        elif now_s - self._since_s > BAUD_RATE_TRIAL_MAX_S:
+        elif now_s - self._since_s > BAUD_RATE_TRIAL_MAX_S and not last_clean_line(self._tail):
             self.baud = BAUD_RATES[(BAUD_RATES.index(self.baud) + 1) % len(BAUD_RATES)]
             self.tried = tuple(dict.fromkeys((*self.tried, self.baud)))
             self._port.set_baud(self.baud)

@@ -25,7 +25,16 @@ from app.text.now_text import (
     Tone,
     now_line,
 )
-from app.text.outcomes import error_words, link_words, pitch_of, summary_words, tilt_of, verdict_detail, verdict_words
+from app.text.outcomes import (
+    error_words,
+    link_words,
+    pitch_of,
+    preview_words,
+    summary_words,
+    tilt_of,
+    verdict_detail,
+    verdict_words,
+)
 from skincal.contacts.outcome import RAW_UNIT, PressPhase, Reason
 from skincal.model.actions import Exclude, MissedLandmark, Revive
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
@@ -243,6 +252,16 @@ def test_a_link_without_good_readings_is_said_in_place_of_waiting():
         "Force/torque sensor stuck",
         "It sends the same reading again and again",
     )
+
+
+def test_the_last_line_of_a_link_without_readings_is_shown_with_what_the_decoder_says_of_it():
+    verdict = LinkVerdict(LinkAnswer.NO_READING, Stream.SKIN, line="$SKIN,1,2*00", nearest="$SKIN,1,2,3,4*1B")
+    said = approved("links.no_reading_line", line=verdict.line, nearest=verdict.nearest)
+    assert preview_words(link("skin", verdict=verdict)) == said
+    unread = link("skin", verdict=verdict, text="Checksum *00 of a line is wrong; expected *1B")
+    assert preview_words(unread) == f"{said}. {unread.text}"
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=(link(), unread)), now_s=100.1))
+    assert verdict.line in now.detail
 
 
 @pytest.mark.parametrize(

@@ -71,3 +71,14 @@ def test_the_search_goes_round_and_skin_of_any_width_is_not_found_in_noise():
         link.read(0.1)
     assert not link.found
     assert line.trials[: len(BAUD_RATES) + 1] == [*BAUD_RATES, BAUD_RATES[0]]
+
+
+@pytest.mark.parametrize("record", [b"r0c0=12 r0c1=13 r0c2=14\r\n", b"waiting for the sensor\n"])
+@pytest.mark.usefixtures("clock")
+def test_clean_text_is_no_wrong_rate(record):
+    line = Line(record, 460800)
+    link = BaudSearchLink(line, (Stream.SKIN,))
+    for _ in range(200):
+        link.read(0.1)
+    assert not link.found
+    assert line.trials == [115200, 460800]

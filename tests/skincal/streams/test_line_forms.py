@@ -1,0 +1,421 @@
+"""Forms of lines that boards print: the bytes of each, how they are cut, and the positions of a skin that sends them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from functools import cache, reduce
+
+import numpy as np
+import pytest
+
+from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Loss, Stream
+from skincal.model.scene import load_scene
+from skincal.session.pipeline import Pipeline
+from skincal.streams.decoders.delimited import HEX_AFTER_DECIMALS, MAY_BE_HEX, TextDecoder
+from skincal.streams.decoders.line_forms import LINE_FORMS, last_clean_line, nearest_form, read_line
+from skincal.streams.intake import LinkIntake
+from skincal.streams.links import LinkSpec
+from skincal.words.link_words import link_verdict_words
+from tests.approved import approved
+from tests.skincal.wrench_frame_support import PADS_M, RATE_HZ, write_scene
+
+SKIN, WRENCH = (Stream.SKIN,), (Stream.WRENCH,)
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+WIDTH = 16
+ROWS = 4
+POKE_S = 1.4
+MAX_ERROR_M = 0.8e-3
+
+
+def comma(values):
+    return ",".join(map(str, values))
+
+
+def rows_of(values):
+    return "".join(comma(values[at : at + ROWS]) + "\n" for at in range(0, len(values), ROWS))
+
+
+def checked(body):
+    return f"${body}*{reduce(lambda found, byte: found ^ byte, body.encode(), 0):02X}\n"
+
+
+FORMS = {
+    "plain": lambda _, v: f"{comma(v)}\n",
+    "labels from 0": lambda _, v: ",".join(f"T{n}:{each}" for n, each in enumerate(v)) + "\n",
+    "labels from 1 and tabs": lambda _, v: "\t".join(f"S{n}={each}" for n, each in enumerate(v, 1)) + "\r\n",
+    "labels in any order": lambda k, v: (
+        " ".join(f"taxel[{n}]: {v[n]}" for n in np.random.default_rng(k).permutation(len(v))) + "\n"
+    ),
+    "labels with a clock": lambda k, v: f"millis:{20 * k}," + ",".join(f"T{n}:{each}" for n, each in enumerate(v)) + "\n",
+    "two lines of labels": lambda _, v: "".join(
+        ",".join(f"T{n}:{v[n]}" for n in part) + "\n" for part in (range(8), range(8, WIDTH))
+    ),
+    "a channel a line": lambda _, v: "".join(f"{n}:{each}\n" for n, each in enumerate(v)),
+    "a channel a line from 1": lambda _, v: "".join(f"S{n} = {each}\n" for n, each in enumerate(v, 1)),
+    "brackets": lambda _, v: f"[{comma(v)}]\n",
+    "round brackets": lambda _, v: f"({' '.join(map(str, v))})\n",
+    "JSON list of rows": lambda _, v: json.dumps(np.reshape(v, (-1, ROWS)).tolist()) + "\n",
+    "JSON object": lambda k, v: json.dumps({"ms": 20 * k, "skin": v, "temperature": 25.5}) + "\n",
+    "JSON object of channels": lambda _, v: json.dumps({f"t{n}": each for n, each in enumerate(v)}) + "\n",
+    "title": lambda _, v: f"#SKIN={comma(v)}\n",
+    "title and colon": lambda _, v: f"Skin: [{comma(v)}]\n",
+    "checksum": lambda _, v: checked(f"SKIN,{comma(v)}"),
+    "log": lambda k, v: f"I ({20 * k}) skin: {comma(v)}\n",
+    "monitor": lambda k, v: f"12:{k // 3000 % 60:02d}:{k // 50 % 60:02d}.{k % 50 * 20:03d} -> {comma(v)}\r\n",
+    "monitor and labels": lambda _, v: "12:33:01.123 -> " + ",".join(f"T{n}:{each}" for n, each in enumerate(v)) + "\n",
+    "leading comma": lambda _, v: f",{comma(v)}\n",
+    "carriage return": lambda _, v: f"{comma(v)}\r",
+    "0x": lambda _, v: ",".join(f"0x{each:04X}" for each in v) + "\n",
+    "hexadecimal": lambda _, v: " ".join(f"{each:04X}" for each in v) + "\n",
+    "rows, dashes": lambda _, v: f"----------\n{rows_of(v)}",
+    "rows, title": lambda k, v: f"Frame {k}\n{rows_of(v)}",
+    "rows, number": lambda k, v: f"{k}\n{rows_of(v)}",
+    "millis first": lambda k, v: f"{5000 + 20 * k},{comma(v)}\n",
+    "counter of 8 bits first": lambda k, v: f"{k % 256},{comma(v)}\n",
+    "clock with a header": lambda k, v: (
+        ("" if k else "millis," + comma(f"t{n}" for n in range(WIDTH)) + "\n") + f"{20 * k},{comma(v)}\n"
+    ),
+}
+"""Form of one frame by its number and values."""
+FIRST_LOST_MAX = {"hexadecimal": 4, "millis first": 32, "counter of 8 bits first": 32}
+"""Frames that are lost until a form is believed; 3 for the others."""
+LAST_LOST = ("rows, dashes", "rows, title", "rows, number")
+"""Forms whose last frame has no end yet."""
+# 170 to 255 have a letter in hexadecimal.
+FRAMES = [[170 + (37 * k + 7 * n) % 86 for n in range(WIDTH)] for k in range(40)]
+
+
+def values(batches):
+    return [row for batch in batches for row in batch.values.tolist()]
+
+
+def assert_same(found, expected, name):
+    """Frames are the sent ones, whole and in order, but for the first ones (and one without an end)."""
+    last = len(expected) - (name in LAST_LOST)
+    first = last - len(found)
+    assert 0 <= first <= FIRST_LOST_MAX.get(name, 3)
+    assert found == expected[first:last]
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_frames_of_a_form_are_read_however_its_bytes_are_cut(name):
+    raw = "".join(FORMS[name](k, frame) for k, frame in enumerate(FRAMES)).encode()
+    raw += b"\r" * (name == "carriage return")
+    decoder = TextDecoder(WIDTH, SKIN)
+    found = values(decoder.feed(raw))
+    assert_same(found, FRAMES, name)
+    bytewise = TextDecoder(WIDTH, SKIN)
+    assert values(batch for at in range(len(raw)) for batch in bytewise.feed(raw[at : at + 1])) == found
+    assert bytewise.counts == decoder.counts
+    size = len(FORMS[name](1, FRAMES[1]))
+    for begin in range(1, size):
+        late = values(TextDecoder(WIDTH, SKIN).feed(raw[begin : begin + 8 * size]))
+        assert all(row in FRAMES for row in late), "opened in the middle of a frame"
+
+
+@pytest.mark.parametrize("form", LINE_FORMS, ids=lambda form: form.name)
+def test_the_example_of_each_form_is_read_by_its_row_alone(form):
+    lines = form.example.decode().splitlines()
+    assert read_line(lines[0]) == form.read(lines[0]) is not None
+    assert nearest_form(lines[0]) == lines[0]
+    for channels in (4, None):
+        decoder = TextDecoder(channels, SKIN)
+        found = values(decoder.feed(b"\n" + form.example * 2))
+        expected = [0x1A, 6, 7 + 4 * (form.name.endswith("without 0x")), 8] if "hexa" in form.name else [5, 6, 7, 8]
+        assert found[0] == expected
+        assert len(found) == 3
+        assert not decoder.counts
+
+
+# ------------------------------------------------------------------ positions
+
+
+@cache
+def readings():
+    """Wrenches (n, 6) and whole raw values (n, 16) of four pokes, each tilted another way, at each of 16 pads."""
+    rng = np.random.default_rng(5)
+    tilts = np.array([[0.45, 0], [0, 0.45], [-0.45, 0], [0, -0.45]])
+    pokes = [(pad, tilt) for tilt in tilts for pad in PADS_M]
+    t = np.arange(round(RATE_HZ * (2 + POKE_S * len(pokes)))) / RATE_HZ
+    wrench, skin = rng.normal(0, [0.02] * 3 + [0.001] * 3, (len(t), 6)), 200 + rng.normal(0, 1, (len(t), WIDTH))
+    for number, (pad, tilt) in enumerate(pokes):
+        place, push = np.r_[pad + rng.normal(0, 4e-4, 2), 0.045], np.r_[tilt, -1.0]
+        force = 8.0 * push / np.linalg.norm(push)
+        begin = 2 + POKE_S * number
+        ramp = np.clip(np.minimum((t - begin) / 0.1, (begin + 0.8 - t) / 0.1), 0, 1)[:, None]
+        wrench += ramp * np.r_[force, np.cross(place, force)]
+        skin += ramp * 400 * np.exp(-np.linalg.norm(PADS_M - place[:2], axis=1) / 1.2e-3)
+    return wrench, np.round(skin).astype(int).tolist()
+
+
+def place_taxels(scene, wrench_lines, skin_lines):
+    """Positions by the free method of a recording whose links send these lines, m, by channel."""
+    links = tuple(
+        LinkSpec(name, "socket://127.0.0.1:1", (stream,), "auto")
+        for name, stream in (("wrench", Stream.WRENCH), ("skin", Stream.SKIN))
+    )
+    pipeline = Pipeline(scene, links, None)
+    for link in links:
+        pipeline.feed(LinkEvent(link.name, 1, LinkState.OPEN))
+    for k, (wrench, skin) in enumerate(zip(wrench_lines, skin_lines, strict=True)):
+        now_ns = 10**9 + k * 10**9 // RATE_HZ
+        pipeline.feed(Chunk("wrench", now_ns, wrench.encode()))
+        pipeline.feed(Chunk("skin", now_ns + 2_000_000, skin.encode()))
+    found = {method.value: of for method, of in pipeline.snapshot().estimates.items()}["free"]
+    return {each.channel: each.position for each in found}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return load_scene(write_scene(tmp_path_factory.mktemp("bench")))
+
+
+def errors(found):
+    return {
+        channel: float(np.linalg.norm(place[:2] - PADS_M[channel])) for channel, place in found.items() if place is not None
+    }
+
+
+def wrench_line(row):
+    return ",".join(f"{value:.6f}" for value in row) + "\n"
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_skin_of_each_form_is_placed(scene, name):
+    wrench, skin = readings()
+    placed = place_taxels(scene, map(wrench_line, wrench), (FORMS[name](k, row) for k, row in enumerate(skin)))
+    found = errors(placed)
+    assert len(found) == WIDTH
+    assert max(found.values()) < MAX_ERROR_M
+
+
+def test_a_labelled_wrench_with_units_places_the_same(scene):
+    wrench, skin = readings()
+    units = ("N", "N", "kN", "Nm", "N m", "Nmm")
+    sizes = (1, 1, 1e-3, 1, 1, 1e3)
+    lines = (
+        ", ".join(f"{axis}: {value * size:.9f} {unit}" for axis, value, size, unit in zip(AXES, row, sizes, units, strict=True))
+        + "\n"
+        for row in wrench
+    )
+    found = errors(place_taxels(scene, lines, (FORMS["plain"](k, row) for k, row in enumerate(skin))))
+    assert len(found) == WIDTH
+    assert max(found.values()) < MAX_ERROR_M
+
+
+# ------------------------------------------------------------------ what must not be read
+
+
+def decoded(raw, channels=4, carries=SKIN):
+    decoder = TextDecoder(channels, carries)
+    return values(decoder.feed(b"\n" + raw.encode())), decoder
+
+
+def test_a_missing_channel_is_not_a_number_and_never_its_neighbour():
+    line = "T0:{},T1:2,T3:4\n"
+    found, decoder = decoded("".join(line.format(k) for k in range(4)))
+    assert [row[0] for row in found] == [1, 2, 3]
+    assert all(math.isnan(row[2]) and row[3] == 4 for row in found)
+    assert decoder.counts == Counter({Loss.NOT_A_NUMBER: 3})
+    found, _ = decoded("".join(f"0:{k}\n1:2\n" + "2:3\n" * (k != 2) + "3:4\n" for k in range(5)))
+    assert [row[0] for row in found] == [1, 2, 3, 4]
+    assert [math.isnan(row[2]) for row in found] == [False, True, False, False]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "T1:2,T2:3,T3:4",  # of T0 and T4 either may be missing
+        "T0:1,T1:2,T1:3,T2:4",
+        "T0:1,T1:2,S2:3,S3:4",
+        "T0:1,5;T1:2,5;T2:3,5;T3:4,5",
+        "T0:1 mV,T1:2 mV,T2:3 mV,T3:4 V",
+        "T0:1,T1:2,T2:3,T3:4,T4:5",
+        '{"raw":[1,2,3,4],"filtered":[1,2,3,4]}',
+        '{"skin":[1,2,3,true]}',
+        "[1,2,3,4",
+        "[[1,2],[3]]",
+        ",1,2,3",
+        "1F,0x02,03,04",
+        "dead beef cafe face",
+        "12:33:01.123 1,2,3,4",
+        "Temperature: 25.5",
+    ],
+)
+def test_a_line_that_may_mean_something_else_is_not_read(line):
+    assert decoded(f"{line}\n" * 6)[0] == []
+
+
+def test_forces_in_an_unknown_unit_or_without_moments_are_not_read():
+    for line in ("Fx: 1 mV, Fy: 2, Fz: 3, Mx: 4, My: 5, Mz: 6", "Fx: 1, Fy: 2, Fz: 3", "Fx:1,Fx:2,Fy:2,Fz:3,Mx:4,My:5,Mz:6"):
+        assert decoded(f"{line}\n" * 4, carries=WRENCH)[0] == []
+
+
+def test_offsets_printed_once_are_no_reading_and_a_second_title_is_left_out():
+    found, decoder = decoded("Offsets: 9,9,9,9\n" + "Skin: 1,2,3,4\n" * 3 + "Raw: 8,8,8,8\n" + "Skin: 1,2,3,4\n")
+    assert found == [[1, 2, 3, 4]] * 3
+    assert decoder.counts == Counter({Loss.UNREADABLE: 1})
+    assert decoded("RAW: 1,2,3,4\nCAL: 5,6,7,8\n" * 5)[0] == []
+
+
+def test_plain_lines_stay_what_they_were_whatever_is_printed_between_them():
+    raw = "1,2,3,40\n[9,9,9,9]\n[9,9,9,9]\nT0:9,T1:9,T2:9,T3:9\n" * 3 + "1,2,3,50\n"
+    found, decoder = decoded(raw)
+    assert found == [[1, 2, 3, 40]] * 3 + [[1, 2, 3, 50]]
+    assert decoder.counts[Loss.BAD_WIDTH] == 0
+
+
+def test_one_line_may_hold_wrench_and_skin():
+    line = '{"ms": %d, "fx":1,"fy":2,"fz":3,"mx":4,"my":5,"mz":6,"skin":[7,8,9,10]}\n'
+    wrench, skin = TextDecoder(4, (Stream.WRENCH, Stream.SKIN)).feed(("\n" + line % 20 + line % 40 + line % 60).encode())
+    assert wrench.values.tolist() == [[1, 2, 3, 4, 5, 6]] * 2
+    assert skin.values.tolist() == [[7, 8, 9, 10]] * 2
+    np.testing.assert_allclose(skin.device_s, [0.04, 0.06])
+
+
+def test_a_wrong_checksum_is_counted_and_the_right_one_is_said():
+    found, decoder = decoded(checked("SKIN,1,2,3,4") * 3 + "$SKIN,1,2,3,4*00\n")
+    assert found == [[1, 2, 3, 4]] * 2
+    assert decoder.counts == Counter({Loss.BAD_CHECKSUM: 1})
+    assert decoder.device_message == "Checksum *00 of a line is wrong; expected *1B"
+    # The advice followed.
+    assert decoded("$SKIN,1,2,3,4*1B\n" * 2)[0] == [[1, 2, 3, 4]]
+
+
+def test_a_frame_that_lost_a_row_is_counted_and_no_frame_is_made_of_two():
+    for between in ("----\n", "Frame {k}\n", "{k}\n"):
+        frames = [[100 * k + n for n in range(WIDTH)] for k in range(6)]
+        parts = [between.format(k=k) + rows_of(frame) for k, frame in enumerate(frames)]
+        parts[3] = "".join(part for n, part in enumerate(parts[3].splitlines(keepends=True)) if n != 2)
+        found, decoder = decoded("".join(parts) + between.format(k=6), WIDTH)
+        assert found == [frames[k] for k in (1, 2, 4, 5)] or found == [frames[k] for k in (0, 1, 2, 4, 5)]
+        assert decoder.counts[Loss.BAD_WIDTH] >= 1
+
+
+# ------------------------------------------------------------------ hexadecimal
+
+
+def test_hexadecimal_that_was_read_as_decimals_stops_the_readings_and_says_so():
+    found, decoder = decoded("10 20 30 40\n" * 50 + "1F 20 3A 40\n" * 3 + "10 20 30 40\n" * 5)
+    assert found == [[10, 20, 30, 40]] * 50
+    assert decoder.device_message == HEX_AFTER_DECIMALS
+    assert decoder.counts[Loss.UNREADABLE] == 8
+    # The advice followed.
+    assert decoded("0x1F 0x20 0x3A 0x40\n" * 2)[0] == [[31, 32, 58, 64]]
+
+
+def test_letters_of_a_damaged_line_do_not_stop_decimals():
+    found, decoder = decoded(("10 20 30 40\n" * 40 + "1F 20 30 40\n") * 4)
+    assert len(found) == 160
+    assert decoder.device_message != HEX_AFTER_DECIMALS
+
+
+def test_exponents_may_be_hexadecimal_but_points_and_signs_are_decimals():
+    assert decoded("1e2 201 202 203\n" * 6)[1].device_message == HEX_AFTER_DECIMALS
+    found, decoder = decoded("1.0e2,-2.0e+1,3,4\n" * 6)
+    assert found == [[100, -20, 3, 4]] * 6
+    assert decoder.device_message == ""
+
+
+def test_lines_at_rest_are_the_same_in_both_bases_and_hexadecimal_is_read_after_them():
+    found, _ = decoded("0000 0001 0000 0002\n" * 3 + "00C8 00C9 00CA 00CB\n" * 2 + "0010 0011 0012 0013\n")
+    assert found == [[0, 1, 0, 2]] * 3 + [[200, 201, 202, 203], [16, 17, 18, 19]]
+
+
+def test_numbers_with_leading_zeros_are_read_with_a_word():
+    found, decoder = decoded("0010,0011,0012,0013\n" * 3)
+    assert found == [[10, 11, 12, 13]] * 3
+    assert decoder.device_message == MAY_BE_HEX
+
+
+# ------------------------------------------------------------------ a clock first
+
+
+def clock_lines(count, channels=4, step=20):
+    rng = np.random.default_rng(3)
+    return "".join(f"{1000 + step * k}," + comma(rng.integers(190, 210, channels)) + "\n" for k in range(count))
+
+
+def test_a_first_value_that_only_rises_is_left_out_and_said():
+    found, decoder = decoded(clock_lines(100))
+    assert len(found) == 70
+    assert all(190 <= value < 210 for row in found for value in row)
+    assert "without the first of 5 values a line, which only rises" in decoder.units[Stream.SKIN]
+    assert decoder.device_message == ""
+
+
+@pytest.mark.parametrize("name", ["millis", "micros", "ms", "us", "timestamp", "Time [ms]", "millis()", "sample"])
+def test_a_header_names_a_clock_or_number_as_the_importer_knows_it(name):
+    decoder = TextDecoder(2, SKIN)
+    (batch,) = decoder.feed(f"{name},a,b\n2000,7,8\n2020,7,9\n".encode())
+    assert batch.values.tolist() == [[7, 8], [7, 9]]
+    unit = {"micros": 1e-6, "us": 1e-6, "timestamp": math.nan, "sample": math.nan}.get(name, 1e-3)
+    np.testing.assert_allclose(batch.device_s, np.array([2000, 2020]) * unit)
+
+
+def test_a_scene_with_a_channel_too_many_hears_that_the_first_is_a_clock():
+    """The number of channels was set to the number of values: the advice leads back to the right one."""
+    found, decoder = decoded(clock_lines(100), 5)
+    assert len(found) == 100
+    assert decoder.device_message.endswith("if it is a clock or a number, set [skin] channels to 4")
+    assert len(decoded(clock_lines(100), 4)[0]) == 70
+
+
+def test_values_that_rise_for_a_while_are_no_clock():
+    rng = np.random.default_rng(4)
+    # A press on the first of five channels, where the scene has four.
+    ramp = [200 + min(k % 80, 25) * 10 + int(rng.integers(0, 9)) for k in range(400)]
+    found, decoder = decoded("".join(f"{first}," + comma(rng.integers(190, 210, 4)) + "\n" for first in ramp))
+    assert found == []
+    assert decoder.counts[Loss.BAD_WIDTH] == 400
+    # Two rising columns: none is known to be the one too many.
+    assert decoded("".join(f"{k},{20 * k},1,{k % 3},5\n" for k in range(100)))[0] == []
+
+
+# ------------------------------------------------------------------ the sentence
+
+
+def verdict_of(raw, channels=WIDTH, carries=SKIN):
+    link = LinkIntake(channels, LinkSpec("skin", "/dev/ttyUSB0", carries, "auto"))
+    link.feed(LinkEvent("skin", 1, LinkState.OPEN))
+    for k in range(100):
+        link.feed(Chunk("skin", 10**9 + k * 20_000_000, raw))
+    return link.health(3 * 10**9).verdict
+
+
+@pytest.mark.parametrize(
+    ("line", "nearest"),
+    [
+        ("r0c0=12 r0c1=13 r0c2=14", "T0:1,T1:2,T2:3,T3:4"),
+        ("$SKIN,1,2,3,4*00", "$SKIN,1,2,3,4*1B"),
+        ('{"skin": "1 2 3 4"}', '{"skin":[1,2,3,4]}'),
+        ("waiting for the sensor", "1,2,3,4"),
+        ("[1, 2, 3, 4", "[1, 2, 3, 4]"),
+    ],
+)
+def test_clean_text_is_shown_with_the_nearest_form_and_is_no_wrong_baud_rate(line, nearest):
+    verdict = verdict_of(f"{line}\r\n".encode())
+    assert (verdict.answer, verdict.line, verdict.nearest) == (LinkAnswer.NO_READING, line, nearest)
+    words = link_verdict_words(verdict)
+    assert words == approved("links.no_reading_line", line=line, nearest=nearest)
+    assert "baud" not in words
+    # The advice followed: the named form is read.
+    assert verdict_of(f"{nearest}\n".encode(), 4).answer is LinkAnswer.GOOD
+
+
+def test_a_shown_line_is_cut_and_bytes_of_a_wrong_baud_rate_are_not_shown():
+    assert last_clean_line(b"x" * 200 + b"\n") == "x" * 57 + "..."
+    assert last_clean_line(b"T0;1\tT1;2\r\nhalf") == "T0;1 T1;2"
+    rng = np.random.default_rng(1)
+    for raw in (
+        b"text\x07line\n",
+        b"\x1b[31mred\n",
+        rng.integers(0, 256, 300, np.uint8).tobytes() + b"\n",
+        b"",
+        b"\n\n",
+        b"no end",
+    ):
+        assert last_clean_line(raw) == ""
+    assert "baud" in link_verdict_words(verdict_of(rng.integers(128, 256, 60, np.uint8).tobytes()))
