@@ -15,7 +15,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.taxels.contact_table import ContactTable, Evidence
-from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason
+from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason, placed_state
 from skincal.taxels.shared_errors import SharedRows, add_shared_errors
 from skincal.taxels.solve import Solution, estimate_free, estimate_surface, solve
 
@@ -244,7 +244,7 @@ def _average(of_poses: list[Estimate]) -> Estimate:
     normals = np.sum([estimate.normal for estimate in good if estimate.normal is not None] or [np.zeros(3)], axis=0)
     length = float(np.linalg.norm(normals))
     return Estimate(
-        channel, method, State.ESTIMATED, contacts, position=position, normal=normals / length if length > 0 else None,
+        channel, method, placed_state(contacts), contacts, position=position, normal=normals / length if length > 0 else None,
         covariance=covariance, worst_direction=_unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
         rms=float(np.sqrt(np.trace(covariance))), moved=moved,
         reason=StateReason(Cause.MEAN_OF_POSES, len(good), blind=len(seen) - len(good)),

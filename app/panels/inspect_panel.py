@@ -26,7 +26,7 @@ from app.theme import WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import MarkDead, Revive
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Estimate, Method
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words
 from skincal.words.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
 
@@ -292,7 +292,7 @@ class InspectPanel(Panel):
 
     def _worst_words(self, estimate: Estimate, part_size: float) -> str:
         name = self._names.short(estimate.channel)
-        if estimate.state is State.ESTIMATED:
+        if estimate.position is not None:
             error = taxel_error_words(estimate, part_size)
             words = f"expected error {error}" if error == NOT_KNOWN_YET else f"{error} expected error"
             return f"{name}   {words}, {count(estimate.contacts, 'contact')}"

@@ -2,7 +2,8 @@
 
 A cylinder in 3D always hides half of itself; the map never does. Taxels have the positions of the flat layout, turned by
 quarters so that up on the map is up in the first 3D view. Without a layout the channels are in rows. A mark is hollow, a
-quarter, half or wholly filled, a full square when the taxel is finished, a cross if it is not used.
+quarter, half or wholly filled, a square when the taxel is finished, a cross if it is not used. A dot in a hollow mark is an
+inferred taxel, one without a contact of its own.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
-from skincal.taxels.result import Method
+from skincal.taxels.result import Method, State
 from skincal.words.units import ChannelNames, number
 
 MIN_HEIGHT_OVER_WIDTH_TO_TURN_MAP = 1.25
@@ -64,7 +65,8 @@ ZOOM_FACTOR_PER_STEP = 1.25  # Factor of one notch of the wheel, or key
 MAX_TAXEL_MARK_RADIUS_PX = 16.0  # Largest radius of a mark when the map is enlarged
 SMALL_TAXEL_MARK_RADIUS_PX = 3.0
 """Below this radius a quarter looks like a half; strength tells the state in addition to the shape."""
-MARK_OPACITY = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75}  # Of a small mark
+MARK_OPACITY = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.INFERRED: 0.55, Mark.ROUGH: 0.75, Mark.DONE_INFERRED: 0.75}
+"""Of a small mark."""
 MARK_RADIUS_OVER_TAXEL_SPACING = 0.30
 """Radius of a mark over the distance of neighbours: marks do not touch, and an answer shows around them."""
 NUMBER_HEIGHT_OVER_MODULE_HEIGHT = 0.42  # Height of a module's number over that of the module
@@ -89,12 +91,14 @@ ZOOM_KEYS: dict[int, float] = {
 }
 GOOD_MM = f"{GOOD_RMS * 1e3:.0f} mm"
 LEGEND_WORDS: dict[Mark, tuple[str, str]] = {
-    Mark.UNSEEN: ("\N{WHITE CIRCLE}", "not pressed"),
-    Mark.BLIND: ("\N{CIRCLE WITH UPPER RIGHT QUADRANT BLACK}", "undetermined"),
-    Mark.ROUGH: ("\N{CIRCLE WITH RIGHT HALF BLACK}", f"error > {GOOD_MM}"),
-    Mark.GOOD: ("\N{BLACK CIRCLE}", f"\N{LESS-THAN OR EQUAL TO} {GOOD_MM}"),
-    Mark.DONE: ("\N{BLACK SQUARE}", "finished"),
-    Mark.DEAD: ("\N{BALLOT X}", "disabled"),
+    Mark.UNSEEN: ("\N{WHITE CIRCLE}", State.UNSEEN.value),
+    Mark.BLIND: ("\N{CIRCLE WITH UPPER RIGHT QUADRANT BLACK}", State.BLIND.value),
+    Mark.INFERRED: ("\N{BULLSEYE}", State.INFERRED.value),
+    Mark.ROUGH: ("\N{CIRCLE WITH RIGHT HALF BLACK}", f"{State.TOUCHED.value}, error > {GOOD_MM}"),
+    Mark.GOOD: ("\N{BLACK CIRCLE}", f"{State.TOUCHED.value}, error \N{LESS-THAN OR EQUAL TO} {GOOD_MM}"),
+    Mark.DONE_INFERRED: ("\N{WHITE SQUARE CONTAINING BLACK SMALL SQUARE}", f"{State.INFERRED.value}, finished"),
+    Mark.DONE: ("\N{BLACK SQUARE}", f"{State.TOUCHED.value}, finished"),
+    Mark.DEAD: ("\N{BALLOT X}", State.DEAD.value),
 }
 
 
@@ -167,15 +171,20 @@ def mark_path(mark: Mark) -> QPainterPath:
         bar = QPainterPath()
         bar.addRect(QRectF(-0.5, -0.08, 1.0, 0.16))
         return QTransform().rotate(45).map(bar).united(QTransform().rotate(-45).map(bar))
-    if mark is Mark.DONE:
+    # Odd and even: the hole of a ring or a frame is empty, and full where the pie or the dot is.
+    if mark in (Mark.DONE, Mark.DONE_INFERRED):
         path.addRect(QRectF(-0.5, -0.5, 1.0, 1.0))
+        if mark is Mark.DONE_INFERRED:
+            path.addRect(QRectF(-0.37, -0.37, 0.74, 0.74))
+            path.addRect(QRectF(-0.17, -0.17, 0.34, 0.34))
         return path
     path.addEllipse(QRectF(-0.56, -0.56, 1.12, 1.12))
     if mark is not Mark.GOOD:
-        # Odd and even: the hole of the ring is empty, and full where the pie is.
         inner = QRectF(-0.43, -0.43, 0.86, 0.86)
         path.addEllipse(inner)
-        if mark is not Mark.UNSEEN:
+        if mark is Mark.INFERRED:
+            path.addEllipse(QRectF(-0.23, -0.23, 0.46, 0.46))
+        elif mark is not Mark.UNSEEN:
             path.moveTo(0.0, 0.0)
             path.arcTo(inner, 90.0, -90.0 if mark is Mark.BLIND else -180.0)
             path.closeSubpath()
@@ -492,7 +501,7 @@ def legend_words(marks_of_taxels: IntArray, rivals: int) -> list[tuple[str, str]
     """Return symbol and words of each mark with its count."""
     counted = np.bincount(marks_of_taxels, minlength=len(Mark))
     words = [(LEGEND_WORDS[mark][0], f"{LEGEND_WORDS[mark][1]} {counted[mark.value]}") for mark in Mark]
-    shown = [entry for mark, entry in zip(Mark, words, strict=True) if mark is Mark.UNSEEN or counted[mark.value]]
+    shown = [entry for mark, entry in zip(Mark, words, strict=True) if counted[mark.value]]
     return shown + ([("\N{BLACK UP-POINTING TRIANGLE}", f"ambiguous {rivals}")] if rivals else [])
 
 

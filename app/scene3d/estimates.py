@@ -85,7 +85,7 @@ class EstimatesLayer(Layer):
             return False
         self._key = key
         estimates = state.estimates()
-        rows = [row for row, e in enumerate(estimates) if e.state is State.ESTIMATED and e.position is not None]
+        rows = [row for row, e in enumerate(estimates) if e.position is not None]
         self.shown, self._hues = self.static.channels[rows], self.static.hues[rows]
         self.places = _positions([estimates[row] for row in rows])
         self._sides = self._outward(rows, estimates)

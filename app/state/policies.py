@@ -149,7 +149,7 @@ def allowed(
         exclude_text="" if not exclude else "Restore selected pokes" if is_restored else "Exclude selected pokes",
         taxel=None if taxel is None else Revive(taxel) if is_dead else MarkDead(taxel),
         taxel_text="" if taxel is None else "Use selected taxel again" if is_dead else "Do not use selected taxel",
-        export=any(e.state is State.ESTIMATED for es in snapshot.estimates.values() for e in es),
+        export=any(e.position is not None for es in snapshot.estimates.values() for e in es),
         switch_method=len(snapshot.estimates) > 1,
         space="Verdict" if ends else pause,
         pause=pause,
@@ -184,15 +184,19 @@ class Mark(Enum):
 
     UNSEEN = 0
     BLIND = 1
-    ROUGH = 2
-    GOOD = 3
-    DONE = 4
-    DEAD = 5
+    INFERRED = 2
+    ROUGH = 3
+    GOOD = 4
+    DONE_INFERRED = 5
+    DONE = 6
+    DEAD = 7
 
 
 def mark_of(estimate: Estimate) -> Mark:
     """Return the mark of a taxel for which the guide still needs pokes."""
-    if estimate.state is State.ESTIMATED:
+    if estimate.state is State.INFERRED:
+        return Mark.INFERRED
+    if estimate.position is not None:
         return Mark.GOOD if estimate.rms is not None and estimate.rms <= GOOD_RMS else Mark.ROUGH
     return {State.UNSEEN: Mark.UNSEEN, State.BLIND: Mark.BLIND}.get(estimate.state, Mark.DEAD)
 
@@ -203,13 +207,14 @@ def marks(estimates: Sequence[Estimate], width: int, done: Collection[int] = ())
     for estimate in estimates:
         if estimate.state is not State.UNSEEN:
             is_done = estimate.channel in done and estimate.state is not State.DEAD
-            result[estimate.channel] = (Mark.DONE if is_done else mark_of(estimate)).value
+            finished = Mark.DONE_INFERRED if estimate.state is State.INFERRED else Mark.DONE
+            result[estimate.channel] = (finished if is_done else mark_of(estimate)).value
     return result
 
 
 def worst(estimates: Sequence[Estimate], shown: int = MAX_LISTED_WORST_TAXELS) -> tuple[Estimate, ...]:
-    """Return the taxels that need pokes most: not pressed, then undetermined, then by falling expected error."""
-    order = {State.UNSEEN: 0, State.BLIND: 1, State.ESTIMATED: 2}
+    """Return the taxels that need pokes most: untouched, then undetermined, then by falling expected error."""
+    order = {State.UNSEEN: 0, State.BLIND: 1, State.INFERRED: 2, State.TOUCHED: 2}
     living = [e for e in estimates if e.state is not State.DEAD]
     return tuple(sorted(living, key=lambda e: (order[e.state], -(e.rms or 0.0), e.channel))[:shown])
 

@@ -177,7 +177,7 @@ def diversity_words(axes: AxisDiversity, method: Method) -> str:
     """Compare a taxel's pokes with what the method needs: `"directions spread 9°, needs 15°"`."""
     settings = GuideSettings()
     if not len(axes.own):
-        return "not pressed yet"
+        return "no contact of its own"
     if method is Method.FREE:
         return f"poke directions spread {degrees(axes.diversity)}, {degrees(settings.diversity)} needed"
     middle = f"mean contact point {millimetres(float(np.sqrt(axes.beside @ axes.beside)))} from the taxel"

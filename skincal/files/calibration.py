@@ -17,7 +17,7 @@ from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
 from skincal.taxels.gains import TaxelGain, taxel_gains
-from skincal.taxels.result import Estimate, Method
+from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.words.taxel_words import error_words
 
@@ -117,6 +117,8 @@ class PlacedTaxels:
     """(n, 3) float, unit, outward; zeros where unknown."""
     sd: FloatArray
     """(n,) float, metres, along the weakest direction; NaN where it is not determined."""
+    states: tuple[State, ...]
+    """(n,) touched or inferred."""
 
 
 def placed_taxels(estimates: Sequence[Estimate]) -> PlacedTaxels:
@@ -128,4 +130,5 @@ def placed_taxels(estimates: Sequence[Estimate]) -> PlacedTaxels:
         positions=np.array([estimate.position for estimate in known], dtype=float).reshape(-1, 3),
         normals=np.array([zero if e.normal is None else e.normal for e in known], dtype=float).reshape(-1, 3),
         sd=np.array([np.nan if e.sd is None else e.sd for e in known], dtype=float),
+        states=tuple(estimate.state for estimate in known),
     )

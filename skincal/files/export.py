@@ -15,11 +15,11 @@ import csv
 import io
 import json
 import math
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
+from itertools import compress
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
@@ -46,7 +46,7 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.rig_words import correction_words
-from skincal.words.taxel_words import state_sentence
+from skincal.words.taxel_words import STATE_WORDS, state_count_words, state_lines, state_sentence
 
 PART_BOX_MARGIN_M = 0.020
 """m. Taxels are on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
@@ -83,7 +83,8 @@ def lint(calibration: Calibration, method: Method, reference: ExpectedSurface | 
     if not len(taxels.channels):
         return (f"{name}: no taxel has a position; poke some more before you load such a file.",)
     finite = np.asarray(np.isfinite(np.hstack([taxels.positions, taxels.normals])).all(axis=1))
-    good = PlacedTaxels(taxels.channels[finite], taxels.positions[finite], taxels.normals[finite], taxels.sd[finite])
+    states = tuple(compress(taxels.states, finite.tolist()))
+    good = PlacedTaxels(taxels.channels[finite], taxels.positions[finite], taxels.normals[finite], taxels.sd[finite], states)
     faults = [(taxels.channels[~finite], "NaN or infinite position or normal: channels {}."), *_own_faults(good)]
     if reference is not None:
         outward = None if reference.normals is None else reference.normals[finite]
@@ -229,7 +230,8 @@ def ply_text(calibration: Calibration, method: Method) -> str:
     """Return ASCII PLY: one vertex a taxel with a position, metres, link frame.
 
     Properties: `x y z`, unit normal `nx ny nz` (0 0 0 where unknown), `channel`, `method` (0 free, 1 surface, 2 modules),
-    `sd_mm` (-1 where it is not determined), and `quality`, the same number under the only name that MeshLab keeps.
+    `sd_mm` (-1 where it is not determined), `quality`, the same number under the only name that MeshLab keeps, and `inferred`
+    (1 without a contact of its own, else 0).
     """
     taxels, frame = placed_taxels(calibration.estimates_by(method)), " ".join(calibration.scene.link.split())
     header = [
@@ -237,6 +239,8 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "format ascii 1.0",
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {frame}",
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm, quality -1 is not determined; normal 0 0 0 is not known",
+        f"comment inferred 0 is touched ({STATE_WORDS[State.TOUCHED]}), 1 is inferred ({STATE_WORDS[State.INFERRED]})",
+        *(f"comment {words}" for words in state_lines(calibration.estimates_by(method))),
         *(f"comment {correction_words(used)}" for used in calibration.corrections),
         *(f"comment {words}" for words in calibration.verdict_comments(method)),
         f"element vertex {len(taxels.channels)}",
@@ -245,13 +249,19 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "property uchar method",
         "property float sd_mm",
         "property float quality",
+        "property uchar inferred",
         "end_header",
     ]
     rows = [
         # Nine digits give every 32-bit float back as it was.
-        f"{' '.join(f'{length:.9g}' for length in place)} {channel} {METHOD_CODE[method]} {_ply_sd(sd)} {_ply_sd(sd)}"
-        for place, channel, sd in zip(
-            np.hstack([taxels.positions, taxels.normals]).tolist(), taxels.channels.tolist(), taxels.sd.tolist(), strict=True
+        f"{' '.join(f'{length:.9g}' for length in place)} {channel} {METHOD_CODE[method]} {_ply_sd(sd)} {_ply_sd(sd)} "
+        f"{int(state is State.INFERRED)}"
+        for place, channel, sd, state in zip(
+            np.hstack([taxels.positions, taxels.normals]).tolist(),
+            taxels.channels.tolist(),
+            taxels.sd.tolist(),
+            taxels.states,
+            strict=True,
         )
     ]
     return "\n".join([*header, *rows]) + "\n"
@@ -552,13 +562,15 @@ def _expected_surface(calibration: Calibration, method: Method, shape: _Shape) -
 
 
 def _left_out(estimates: tuple[Estimate, ...], method: Method) -> list[str]:
-    without = [estimate.state for estimate in estimates if estimate.position is None]
-    if not without:
-        return []
-    counts = Counter(without)
-    states = ", ".join(f"{counts[state]} {state.value}" for state in State if counts[state])
+    without = [estimate for estimate in estimates if estimate.position is None]
     # The same for every format, so that who writes several of them reads it once.
-    return [f"{method.value}: {len(without)} of {len(estimates)} taxels have no position ({states})."]
+    left_out = f"{method.value}: {len(without)} of {len(estimates)} taxels have no position ({state_count_words(without)})."
+    inferred = [estimate.channel for estimate in estimates if estimate.state is State.INFERRED]
+    untouched = (
+        f"{method.value}: {plural(len(inferred), 'taxel')} of {len(estimates)} {'is' if len(inferred) == 1 else 'are'} "
+        f"inferred ({STATE_WORDS[State.INFERRED]}): channels {list_channels(inferred)}."
+    )
+    return [*([left_out] if without else []), *([untouched] if inferred else [])]
 
 
 def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> list[str]:

@@ -28,6 +28,7 @@ from skincal.files.robot_file import insert_into_robot
 from skincal.geometry import FloatArray
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_words
+from skincal.words.taxel_words import state_lines
 
 DEFAULT_TOUCH_SITE_RADIUS_M = 0.0025
 """m. Of a touch site where no layout says how far taxels lie apart: half of the iCub's 5 mm."""
@@ -134,8 +135,8 @@ def npz_bytes(calibration: Calibration, method: Method) -> bytes:
     """Return a NumPy archive of n taxels in the order of their channels; `numpy.load` reads it without pickles.
 
     `channel` (n,) int; `position` (n, 3) float, metres; `normal` (n, 3) float, unit, outward, NaN where not known;
-    `quaternion_wxyz` (n, 4) float, of the taxel's frame; `covariance` (n, 3, 3) float, m^2; `frame`, `method`, `units` and
-    `version` (text).
+    `quaternion_wxyz` (n, 4) float, of the taxel's frame; `covariance` (n, 3, 3) float, m^2; `state` (n,) text, touched or
+    inferred; `frame`, `method`, `units` and `version` (text).
     """
     estimates = [estimate for estimate in calibration.estimates_by(method) if estimate.position is not None]
     taxels, unknown = placed_taxels(estimates), np.full((3, 3), np.nan)
@@ -149,6 +150,7 @@ def npz_bytes(calibration: Calibration, method: Method) -> bytes:
         normal=np.where(taxels.normals.any(axis=1, keepdims=True), taxels.normals, np.nan),
         quaternion_wxyz=quaternions_of(taxels.normals),
         covariance=np.array(covariances, dtype=float).reshape(-1, 3, 3),
+        state=np.array([state.value for state in taxels.states], dtype=str),
         frame=np.array(calibration.scene.link),
         method=np.array(method.value),
         units=np.array("m"),
@@ -212,6 +214,7 @@ def document_comments(calibration: Calibration, method: Method) -> list[ET.Eleme
         "z axis of a taxel: its outward normal; the link's own where that is not known",
         *(correction_words(used) for used in calibration.corrections),
         *calibration.verdict_comments(method),
+        *state_lines(calibration.estimates_by(method)),
     )
     return [_comment(line) for line in lines]
 

@@ -33,11 +33,12 @@ import numpy as np
 
 from skincal.files.calibration import Calibration, placed_taxels
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.errors import InputError, list_channels
+from skincal.model.errors import InputError
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
 from skincal.model.skin import Layout
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Estimate, Method
 from skincal.words.rig_words import correction_words
+from skincal.words.taxel_words import state_lines
 
 POSITION_DECIMAL_PLACES = 6
 NO_TAXEL = -1
@@ -141,11 +142,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
         *(correction_words(used) for used in calibration.corrections),
         *calibration.verdict_comments(method),
     ]
-    for state in State:
-        channels = [estimate.channel for estimate in estimates if estimate.state is state and estimate.position is None]
-        if channels:
-            lines.append(f"{state.value}: {list_channels(channels, max_ranges=len(channels))}")
-    return lines
+    return [*lines, *state_lines(estimates)]
 
 
 def read_icub(path: Path) -> FloatArray:

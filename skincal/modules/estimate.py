@@ -29,7 +29,16 @@ from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO, Fitted, Touches, fit_modules_from_pokes, whitened_rows
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, Method, State, StateReason
+from skincal.taxels.result import (
+    FORCE_AXIS_MAX_MISS_M,
+    POSITION_MAX_SD_M,
+    Cause,
+    Estimate,
+    Method,
+    State,
+    StateReason,
+    placed_state,
+)
 from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances, variance_factors
 
 POSE_SEARCH_CONVERGENCE_STEP_M = 2e-4
@@ -137,7 +146,7 @@ def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead
         else:
             triangle = int(fitted.pads.triangles[pad])
             yield Estimate(
-                channel, Method.MODULES, State.ESTIMATED, contacts, position=fitted.pads.points[pad],
+                channel, Method.MODULES, placed_state(contacts), contacts, position=fitted.pads.points[pad],
                 normal=fitted.pads.normals[pad], covariance=covariances[pad], worst_direction=axes[pad, :, 2],
                 sd=float(sds[pad]), rms=float(rms[pad]), triangle=None if triangle < 0 else triangle,
                 reason=None if contacts else StateReason(Cause.BY_MODULE), doubted=doubted[module].get(channel, none),

@@ -39,7 +39,7 @@ from skincal.robot.target_server import (
 from skincal.ros.dds import DdsError, Message, Participant, TopicWriter, default_domain, read_domain
 from skincal.ros.types import MessageError
 from skincal.streams.transports.target_tips import report_tip
-from skincal.taxels.result import Estimate, State
+from skincal.taxels.result import Estimate
 
 ROS_TARGETS = "ros2:"
 """Begin of `--targets` for this way."""
@@ -198,7 +198,7 @@ class RosTargets:
         if estimates is self._shown:
             return
         self._shown = estimates
-        places = [each.position for each in estimates if each.state is State.ESTIMATED and each.position is not None]
+        places = [each.position for each in estimates if each.position is not None]
         self._write(self._taxels, self._types.make(MARKERS, markers=[self._marker(frame, places)]))
 
     def close(self) -> None:

@@ -579,7 +579,7 @@ def shipped_distances(joined: DistanceInputs) -> Outputs:
     """Compute the pads' positions and covariances by the program."""
     model = model_of(joined.cases, None, joined.distances)
     before = {
-        channel: Estimate(channel, Method.MODULES, State.ESTIMATED, 1, position=np.zeros(3), covariance=np.eye(3))
+        channel: Estimate(channel, Method.MODULES, State.TOUCHED, 1, position=np.zeros(3), covariance=np.eye(3))
         for channel in range(len(joined.cases) * PADS_PER_MODULE)
     }
     found, tried = apply_distances(model, dict(enumerate(joined.fitted)), before, joined.noise)

@@ -30,15 +30,27 @@ PER_TAXEL = (Method.FREE, Method.SURFACE)
 
 
 class State(Enum):
-    """State of a taxel."""
+    """State of a taxel; the value is its word on the screen, in the report and in every file."""
 
-    UNSEEN = "unseen"
-    """No accepted contact touched it."""
-    BLIND = "blind"
+    TOUCHED = "touched"
+    """It has a position and accepted contacts of its own."""
+    INFERRED = "inferred"
+    """It has a position and no contact: its module, or its neighbours, place it."""
+    BLIND = "undetermined"
     """Contacts do not determine its position: see `Estimate.reason`."""
-    ESTIMATED = "estimated"
-    DEAD = "dead"
+    UNSEEN = "untouched"
+    """It has no contact and no position."""
+    DEAD = "disabled"
     """Stuck or always on: its answers are not used."""
+
+
+STATES_WITH_POSITION = (State.TOUCHED, State.INFERRED)
+"""States of taxels with a position."""
+
+
+def placed_state(contacts: int) -> State:
+    """State of a taxel with a position, by the number of its own accepted contacts."""
+    return State.TOUCHED if contacts else State.INFERRED
 
 
 class Cause(Enum):
@@ -111,11 +123,11 @@ class Estimate:
     contacts: int
     """Contacts that the taxel answered and that count; 0 is possible by the modules method."""
     position: FloatArray | None = None
-    """(3,) float; `None` unless `ESTIMATED`."""
+    """(3,) float; `None` unless the state is one of `STATES_WITH_POSITION`."""
     normal: FloatArray | None = None
     """(3,) float, unit, outward: of the surface, or against the mean push for the free method."""
     covariance: FloatArray | None = None
-    """(3, 3) float, m^2; `None` unless `ESTIMATED`."""
+    """(3, 3) float, m^2; `None` without a position."""
     worst_direction: FloatArray | None = None
     """(3,) float, unit: direction of the largest uncertainty; also for `BLIND` with at least one axis."""
     sd: float | None = None

@@ -27,7 +27,17 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.solver.machine import INTEGER, Call, shared
 from skincal.taxels.contact_table import Evidence
-from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, Method, Rival, State, StateReason
+from skincal.taxels.result import (
+    FORCE_AXIS_MAX_MISS_M,
+    POSITION_MAX_SD_M,
+    Cause,
+    Estimate,
+    Method,
+    Rival,
+    State,
+    StateReason,
+    placed_state,
+)
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
@@ -153,7 +163,7 @@ def estimate_free(solution: Solution) -> list[Estimate]:
             estimate = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted)
         else:
             estimate = Estimate(
-                channel, Method.FREE, State.ESTIMATED, contacts, position=points[i], normal=normal,
+                channel, Method.FREE, placed_state(contacts), contacts, position=points[i], normal=normal,
                 covariance=covariances[i], worst_direction=worst[i], sd=sd, rms=rms, doubted=doubted,
             )  # fmt: skip
         estimates.append(estimate)
@@ -194,7 +204,7 @@ def estimate_surface(solution: Solution, surface: Surface | None) -> list[Estima
             )  # fmt: skip
         else:
             estimate = Estimate(
-                channel, Method.SURFACE, State.ESTIMATED, contacts, position=points[i], normal=normals[i],
+                channel, Method.SURFACE, placed_state(contacts), contacts, position=points[i], normal=normals[i],
                 covariance=covariances[i], worst_direction=worst[i], sd=sd, rms=rms, triangle=triangle,
                 rival=rivals.get(i), doubted=doubted,
             )  # fmt: skip

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
+
 import numpy as np
 
-from skincal.model.errors import plural
-from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, StateReason
+from skincal.model.errors import list_channels, plural
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, State, StateReason
 from skincal.taxels.shared_errors import PredictedError, known_error
-from skincal.words.units import millimetres
+from skincal.words.units import grouped, millimetres
 
 STATE_SENTENCES = {
     Cause.UNPOKED: "No accepted poke touched this taxel.",
@@ -40,7 +43,7 @@ STATE_SENTENCES = {
     Cause.MODULE_BEHIND: "The pokes press its module from behind. Check the sign of the force and the normals of the mesh.",
     Cause.MODULE_ONE_POKE: "One poke on its module does not show how the module is turned. Press another of its taxels.",
     Cause.MODULE_LOOSE: "The {count} pokes on its module {tell}. Press taxels farther apart, leaning other ways.",
-    Cause.BY_MODULE: "Not pressed itself; its position follows from its module.",
+    Cause.BY_MODULE: "Inferred: no accepted poke touched it, its module places it.",
     Cause.SHARED_ERRORS: (
         "With sensor and arm errors included, its position {depth} (limit {sd_max}). Press again, leaning other ways, and "
         "press more landmarks."
@@ -70,6 +73,34 @@ def state_sentence(reason: StateReason | None) -> str:
         miss_max=f"{FORCE_AXIS_MAX_MISS_M * 1e3:.0f} mm",
         sd_max=f"{POSITION_MAX_SD_M * 1e3:.0f} mm",
     )
+
+
+STATE_WORDS = {
+    State.TOUCHED: "accepted contacts of their own",
+    State.INFERRED: "no contact of their own, placed by their module or neighbours",
+    State.BLIND: "no position: contacts do not determine it",
+    State.UNSEEN: "no position: no contact",
+    State.DEAD: "no position: not used",
+}
+"""Meanings of the states, for files."""
+
+
+def state_count_words(estimates: Iterable[Estimate]) -> str:
+    """Count taxels by state: `"28 touched, 20 inferred, 3 untouched"`; states of no taxel are left out."""
+    counts = Counter(estimate.state for estimate in estimates)
+    return ", ".join(f"{grouped(counts[state])} {state.value}" for state in State if counts[state])
+
+
+def state_lines(estimates: Iterable[Estimate]) -> list[str]:
+    """List the channels of each state, for a file's comments: `"inferred (...): channels 3-5, 9"`."""
+    channels: dict[State, list[int]] = {state: [] for state in State}
+    for estimate in estimates:
+        channels[estimate.state].append(estimate.channel)
+    return [
+        f"{state.value} ({STATE_WORDS[state]}): channels {list_channels(some, max_ranges=len(some))}"
+        for state, some in channels.items()
+        if some
+    ]
 
 
 NOT_KNOWN_YET = "not known yet"

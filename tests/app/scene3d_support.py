@@ -67,7 +67,7 @@ def scene(plan: Layout | None) -> Scene:
 
 def estimate(channel: int, at: Sequence[float], method: Method = Method.FREE, sd: float = 1e-3) -> Estimate:
     return Estimate(
-        channel, method, State.ESTIMATED, 4, np.array(at, dtype=float), np.array([0.0, 0.0, 1.0]), sd**2 * np.eye(3),
+        channel, method, State.TOUCHED, 4, np.array(at, dtype=float), np.array([0.0, 0.0, 1.0]), sd**2 * np.eye(3),
         np.array([1.0, 0.0, 0.0]), sd, sd * 3**0.5,
     )  # fmt: skip
 

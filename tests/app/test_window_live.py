@@ -41,7 +41,7 @@ def known(snapshot) -> dict[tuple[Method, int], bytes]:
         (method, e.channel): e.position.tobytes() + e.covariance.tobytes()
         for method, estimates in snapshot.estimates.items()
         for e in estimates
-        if e.state is State.ESTIMATED
+        if e.state is State.TOUCHED
     }
 
 
@@ -233,7 +233,7 @@ def test_a_recorded_session_is_looked_through_at_1280_by_720(bench, recorded, qt
         dialog.close()
         bench.until(lambda: not open_dialogs(), 5000)
     window.session_view.show_method(Method.SURFACE)
-    estimated = next(e for e in bench.snapshot.estimates[Method.SURFACE] if e.state is State.ESTIMATED)
+    estimated = next(e for e in bench.snapshot.estimates[Method.SURFACE] if e.state is State.TOUCHED)
     place = workspace.map.place_of(estimated.channel).toPoint()
     QTest.mouseClick(workspace.map.viewport(), Qt.MouseButton.LeftButton, pos=place)
     bench.key(Qt.Key.Key_3)

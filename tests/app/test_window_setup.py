@@ -289,7 +289,7 @@ def test_a_session_over_makers_devices_goes_from_the_page_to_estimates(bench, qt
     with qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
         QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
     bench.until(lambda: len(bench.accepted()) >= 3)
-    bench.until(lambda: any(e.state is State.ESTIMATED for e in bench.window.session_view.state.estimates))
+    bench.until(lambda: any(e.state is State.TOUCHED for e in bench.window.session_view.state.estimates))
     assert set(looks(bench).values()) == {LinkStatus.STREAMING}
     assert bench.window.session_view.state.guidance is not None
     losses = [link.losses for link in bench.window.session_view.state.live.links]

@@ -87,7 +87,7 @@ def test_the_file_of_the_session_is_the_session(forearm, tmp_path, capsys):
     summary = error_summary(live.estimates[Method.SURFACE], read_reference(folder / "truth.json"))
     assert summary is not None
     states = [e.state for e in live.estimates[Method.SURFACE]]
-    assert said["methods"]["surface"]["states"]["estimated"] == states.count(State.ESTIMATED)
+    assert said["methods"]["surface"]["states"]["touched"] == states.count(State.TOUCHED)
     text = json.dumps(document)
     for estimate in live.estimates[Method.SURFACE][:20]:
         if estimate.position is not None:
@@ -164,9 +164,9 @@ def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
         "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes"
     )
     poked = next(row for row in rows if row[0] == "3")
-    assert poked[2:5] == ["free", "estimated", "3"]
+    assert poked[2:5] == ["free", "touched", "3"]
     assert 1 <= int(poked[-1]) <= 3
-    unseen = next(row for row in rows[1:] if row[3] == "unseen")
+    unseen = next(row for row in rows[1:] if row[3] == "untouched")
     assert unseen[5:] == [*[""] * 9, "0"]
 
 

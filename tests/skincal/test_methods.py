@@ -28,7 +28,7 @@ SAMPLE = str(resource("sessions/sample"))
 
 
 def estimates(method: Method, known: int, rms: float, count: int = 100) -> tuple[Estimate, ...]:
-    at = [Estimate(channel, method, State.ESTIMATED, 3, np.zeros(3), rms=rms) for channel in range(known)]
+    at = [Estimate(channel, method, State.TOUCHED, 3, np.zeros(3), rms=rms) for channel in range(known)]
     return (
         *at,
         *(Estimate(channel, method, State.UNSEEN, 0, reason=StateReason(Cause.UNPOKED)) for channel in range(known, count)),

@@ -52,5 +52,5 @@ def test_a_session_by_ros_2_is_the_one_by_tcp(tmp_path, capsys):
     _, by_tcp = record(tmp_path / "tcp", "--tcp")
     for channel in CHANNELS:
         ros, tcp = by_ros[channel], by_tcp[channel]
-        assert (ros.state, tcp.state) == (State.ESTIMATED, State.ESTIMATED)
+        assert (ros.state, tcp.state) == (State.TOUCHED, State.TOUCHED)
         assert np.linalg.norm(ros.position - tcp.position) < POSITION_MAX_DIFFERENCE_M

@@ -273,7 +273,7 @@ def test_the_tab_shows_the_methods_the_reason_the_pokes_and_the_worst_taxels(qtb
     assert panel.cells[Method.FREE][3].text() == "1.0 mm"
     assert "methods differ" in panel.reason.text()
     assert not panel.pokes.isVisible()
-    assert panel.worst.item(0).text().endswith("not pressed yet")
+    assert panel.worst.item(0).text().endswith("   untouched")
     for channel, action in ((3, MarkDead(3)), (4, Revive(4))):
         panel.show_state(frame(at, selected=channel))
         with qtbot.waitSignal(panel.action_wanted) as asked:

@@ -36,14 +36,16 @@ def test_the_legend_counts_the_marks_and_changes_with_them_alone(qtbot):
     card = shown(qtbot, MapCard(None, TaxelMap(SCENE, PLAN.channels, NAMES), METHODS))
     at = frame()
     card.show_state(at, is_changed=True)
-    assert card.legend.accessibleDescription() == f"not pressed {len(PLAN.channels)}"
+    assert card.legend.accessibleDescription() == f"untouched {len(PLAN.channels)}"
     qtbot.wait(30)
     paints = Paints(card.legend)
     card.show_state(replace(at, selected=3), is_changed=False)
     qtbot.wait(30)
     assert paints.count == 0
     card.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))})), is_changed=True)
-    assert card.legend.accessibleDescription() == f"not pressed {len(PLAN.channels) - 1}, \N{LESS-THAN OR EQUAL TO} 3 mm 1"
+    assert card.legend.accessibleDescription() == (
+        f"untouched {len(PLAN.channels) - 1}, touched, error \N{LESS-THAN OR EQUAL TO} 3 mm 1"
+    )
     assert card.legend.text().count(" ") == len("   "), "a line breaks between entries alone"
 
 
@@ -117,7 +119,7 @@ def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
     with qtbot.waitSignal(taxels.taxel_clicked) as clicked:
         QTest.mouseClick(taxels.viewport(), Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
     assert clicked.args == [5]
-    assert taxels.tell(5).startswith("10-05  (taxel 5 of module 10, channel 5)\nnot pressed yet")
+    assert taxels.tell(5).startswith("10-05  (taxel 5 of module 10, channel 5)\nuntouched")
     taxels.show_state(frame(selected=3))
     with qtbot.waitSignal(taxels.taxel_clicked) as moved:
         QTest.keyClick(taxels, Qt.Key.Key_Left)

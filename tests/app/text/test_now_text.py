@@ -125,11 +125,10 @@ def test_tilt_is_the_angle_to_the_inward_normal():
 
 def test_the_state_of_a_session_in_words():
     known = session(known={3: estimate(3, (0, 0, 0), sd=1e-3), 4: estimate(4, (0, 0, 0), sd=3e-3)})
-    assert summary_words(known.estimates[Method.FREE]) == "2 of 24 taxels estimated"
-    assert (
-        summary_words(known.estimates[Method.FREE] * 600)
-        == "1\N{NARROW NO-BREAK SPACE}200 of 14\N{NARROW NO-BREAK SPACE}400 taxels estimated"
-    )
+    assert summary_words(known.estimates[Method.FREE]) == "24 taxels: 2 touched, 22 untouched"
+    gap = "\N{NARROW NO-BREAK SPACE}"
+    many = summary_words(known.estimates[Method.FREE] * 600)
+    assert many == f"14{gap}400 taxels: 1{gap}200 touched, 13{gap}200 untouched"
     assert error_words(known.estimates[Method.FREE], known.part_size) == approved("now.predicted", mean_mm=3.5, worst_mm=5.2)
     assert error_words(session().estimates[Method.FREE], math.inf) == ""
 

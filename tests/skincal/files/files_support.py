@@ -95,7 +95,7 @@ def estimate(channel: int, method: Method, position: FloatArray, normal: FloatAr
     return Estimate(
         channel,
         method,
-        State.ESTIMATED,
+        State.TOUCHED,
         7,
         position,
         normal,

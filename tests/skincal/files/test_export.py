@@ -74,7 +74,7 @@ def test_what_is_read_back_solves_to_the_same_bits(part, tmp_path):
     boards = ModuleModel(scene.skin.layout, scene.skin.anchor, surface)
     solved = estimate_taxels(used, channels, list(Method), scene.noise, surface, dead, model=boards)
     estimates = {method: tuple(found.values()) for method, found in solved.items()}
-    assert any(e.state is State.ESTIMATED for e in estimates[Method.FREE])
+    assert any(e.state is State.TOUCHED for e in estimates[Method.FREE])
     calibration = replace(
         make_calibration(part), channels=channels, estimates=estimates, contacts=contacts, excluded=(4, 11), dead=dead
     )
@@ -151,11 +151,11 @@ def test_csv_has_a_row_a_channel_and_method(part, tmp_path):
         vectors = [row[name] for name in ("x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm")]
         if channel in (5, 13):
             assert vectors == [""] * 7
-            assert row["state"] == ("unseen" if channel == 5 else "blind")
+            assert row["state"] == ("untouched" if channel == 5 else "undetermined")
         else:
             assert [float(word) for word in vectors] == [*part.places[channel], *part.normals[channel], 1.0]
-            assert (row["state"], row["contacts"]) == ("estimated", "7")
-    counted = approved("export.no_position", count=2, all=34, states="1 unseen, 1 blind")
+            assert (row["state"], row["contacts"]) == ("touched", "7")
+    counted = approved("export.no_position", count=2, all=34, states="1 undetermined, 1 untouched")
     assert said == (f"free: {counted}", f"surface: {counted}", f"modules: {counted}")
 
 
@@ -164,7 +164,7 @@ def test_ply_holds_the_known_taxels(part, tmp_path):
 
     calibration = make_calibration(part, unseen=(5,))
     said = write_calibration(calibration, "ply", tmp_path / "c.ply", Method.SURFACE)
-    assert said == ("surface: " + approved("export.no_position", count=1, all=34, states="1 unseen"),)
+    assert said == ("surface: " + approved("export.no_position", count=1, all=34, states="1 untouched"),)
     cloud = trimesh.load(tmp_path / "c.ply")
     layout = part.scene.skin.layout
     assert layout is not None
@@ -173,19 +173,19 @@ def test_ply_holds_the_known_taxels(part, tmp_path):
     rows = np.loadtxt((tmp_path / "c.ply").read_text().partition("end_header\n")[2].splitlines())
     np.testing.assert_allclose(rows[:, 3:6], part.normals[known], atol=1e-7)
     np.testing.assert_array_equal(rows[:, 6], known)
-    np.testing.assert_array_equal(rows[:, 7:], [[1, 1.0, 1.0]] * len(known))
+    np.testing.assert_array_equal(rows[:, 7:], [[1, 1.0, 1.0, 0]] * len(known))
 
 
 def test_ply_of_a_taxel_without_normal_and_sd(part, tmp_path):
-    bare = Estimate(0, Method.FREE, State.ESTIMATED, 2, position=np.array([0.1, 0.2, 0.3]))
+    bare = Estimate(0, Method.FREE, State.TOUCHED, 2, position=np.array([0.1, 0.2, 0.3]))
     calibration = replace(make_calibration(part), estimates={Method.FREE: (bare,)})
     write_calibration(calibration, "ply", tmp_path / "c.ply", Method.FREE)
-    assert (tmp_path / "c.ply").read_text().splitlines()[-1] == "0.1 0.2 0.3 0 0 0 0 0 -1 -1"
+    assert (tmp_path / "c.ply").read_text().splitlines()[-1] == "0.1 0.2 0.3 0 0 0 0 0 -1 -1 0"
 
 
 def test_icub_says_what_is_left_out_and_the_last_row(part, tmp_path):
     said = write_calibration(make_calibration(part, unseen=(5,), blind=(2,)), "icub", tmp_path / "p.txt", Method.FREE)
-    assert said[0] == "free: " + approved("export.no_position", count=2, all=34, states="1 unseen, 1 blind")
+    assert said[0] == "free: " + approved("export.no_position", count=2, all=34, states="1 undetermined, 1 untouched")
     assert said[1].startswith(approved("export.last_row_dropped", channel=47))
     assert len(said) == 2
     assert write_calibration(make_calibration(part, unseen=(47,)), "icub", tmp_path / "q.txt", Method.FREE)[1:] == ()

@@ -102,7 +102,7 @@ def test_the_written_positions_are_the_true_ones(played, tmp_path, method):
     for channel in TAXELS:
         assert np.linalg.norm(rows[channel, :3] - part.places[channel]) < 0.3e-3
         assert rows[channel, 3:] @ part.normals[channel] > np.cos(np.radians(12))
-    left_out = approved("export.no_position", count=30, all=34, states="30 unseen")
+    left_out = approved("export.no_position", count=30, all=34, states="30 untouched")
     assert said == (f"{method.value}: {left_out}",)
 
 

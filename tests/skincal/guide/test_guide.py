@@ -159,7 +159,7 @@ def test_doubted_contacts_count_less_at_their_taxel_alone():
 def test_enough_is_said_if_nothing_is_needed():
     bench = after(60)
     estimates = dict(bench.session.snapshot().estimates)
-    known = (replace(each, state=State.ESTIMATED, rms=1e-3, rival=None) for each in estimates[Method.SURFACE])
+    known = (replace(each, state=State.TOUCHED, rms=1e-3, rival=None) for each in estimates[Method.SURFACE])
     estimates[Method.SURFACE] = tuple(known)
     content = GuideSettings(own_pokes=0, balance=float("inf"), settled=float("inf"))
     guidance = bench.update(make_guide(Method.SURFACE, settings=content), estimates)

@@ -56,7 +56,7 @@ SKIN = 0.0015
 )
 def test_a_taxel_is_finished_when_nothing_is_missing(changes, rms, need):
     facts = replace(ContactFacts(own=3, diversity=np.radians(20), last_shift=0.0), **changes)
-    one = Estimate(0, Method.FREE, State.ESTIMATED, 3, rms=rms)
+    one = Estimate(0, Method.FREE, State.TOUCHED, 3, rms=rms)
     assert find_needs(one, facts, Method.FREE, SETTINGS, SKIN) == (() if need is None else (need,))
     on_surface = find_needs(one, facts, Method.SURFACE, SETTINGS, SKIN)
     assert on_surface == (() if need in (None, Need.SIDES, Need.DEPTH) else (need,))
@@ -84,7 +84,7 @@ def test_shared_errors_and_those_of_the_mesh_or_the_thickness_are_not_improvable
     shared = np.zeros((3, 3)) if moved is None else moved @ moved.T
     covariance = np.diag(np.square(own)) + shared
     estimate = Estimate(
-        3, Method.MODULES, State.ESTIMATED, 9, normal=np.array([0.0, 0.0, 1.0]), covariance=covariance,
+        3, Method.MODULES, State.TOUCHED, 9, normal=np.array([0.0, 0.0, 1.0]), covariance=covariance,
         rms=float(np.sqrt(np.trace(covariance))), triangle=triangle, moved=moved,
     )  # fmt: skip
     assert improvable_error(estimate, skin) == pytest.approx(np.linalg.norm(expected))

@@ -120,7 +120,7 @@ def estimates(**known):
     found = [Estimate(i, Method.SURFACE, State.UNSEEN, 0) for i in range(25)]
     for name, (place, sd) in known.items():
         i = int(name[1:])
-        found[i] = replace(found[i], state=State.ESTIMATED, position=np.array(place), covariance=sd**2 * np.eye(3))
+        found[i] = replace(found[i], state=State.TOUCHED, position=np.array(place), covariance=sd**2 * np.eye(3))
     return found
 
 

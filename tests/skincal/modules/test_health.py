@@ -166,7 +166,7 @@ def test_a_few_estimates_close_together_show_no_turn():
             near = 0.5 * (places[some] + places[some].mean(axis=0)) + 0.002 * rng.normal(size=(6, 3))
             for row, place in zip(some.tolist(), near, strict=True):
                 normal = rig.normals[rig.row_of(every[row])]
-                estimates[every[row]] = Estimate(every[row], Method.SURFACE, State.ESTIMATED, 3, position=place, normal=normal)
+                estimates[every[row]] = Estimate(every[row], Method.SURFACE, State.TOUCHED, 3, position=place, normal=normal)
         assert all(said.after < 0.8 * said.before for said in find_misplaced_modules(model, estimates))
 
 

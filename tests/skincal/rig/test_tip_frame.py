@@ -153,8 +153,8 @@ def test_tips_lower_the_error_of_the_free_method_and_of_no_other_raise_it(sd, sh
 def test_one_poke_a_taxel_is_enough_with_a_tip():
     contacts = contacts_with_tips(0.001, rounds=1)
     plain, both = session_of(contacts, tips=False).snapshot(), session_of(contacts).snapshot()
-    found = [e.state is State.ESTIMATED for e in both.estimates[Method.FREE]]
-    before = [e.state is State.ESTIMATED for e in plain.estimates[Method.FREE]]
+    found = [e.state is State.TOUCHED for e in both.estimates[Method.FREE]]
+    before = [e.state is State.TOUCHED for e in plain.estimates[Method.FREE]]
     assert sum(before) < sum(found)
     assert sum(found) >= len(found) - 2
     inside = [off @ np.linalg.solve(e.covariance, off) < 7.815 for e, off in offs(both.estimates[Method.FREE])]

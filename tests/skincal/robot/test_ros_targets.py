@@ -102,9 +102,9 @@ def test_a_flood_and_refused_writes_are_one_sentence_each(monkeypatch):
 
 def test_positions_of_taxels_are_latched_markers():
     estimates = [
-        SimpleNamespace(state=State.ESTIMATED, position=PLACE),
+        SimpleNamespace(state=State.TOUCHED, position=PLACE),
         SimpleNamespace(state=State.UNSEEN, position=None),
-        SimpleNamespace(state=State.ESTIMATED, position=-PLACE),
+        SimpleNamespace(state=State.TOUCHED, position=-PLACE),
     ]
     with closing(RosTargets(DOMAIN)) as targets, closing(Participant(DOMAIN)) as viewer:
         targets.show_taxels("forearm", estimates[:2])

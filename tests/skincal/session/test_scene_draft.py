@@ -326,5 +326,5 @@ def test_a_simulated_session_of_a_robot_is_calibrated(tmp_path, urdf, capsys):
     capsys.readouterr()
     assert main(["solve", str(tmp_path / "s"), "--replay", "--reference", str(tmp_path / "s/truth.json"), "--json"]) == 0
     modules = json.loads(capsys.readouterr().out)["methods"]["modules"]
-    assert modules["states"]["estimated"] == 16
+    assert modules["states"]["touched"] + modules["states"]["inferred"] == 16
     assert modules["predicted_error_mm"]["mean"] < 3.0

@@ -121,7 +121,7 @@ def test_two_taxels_have_a_shift_and_no_shape_and_channels_without_a_module_do_n
 
 
 def test_positions_are_in_the_order_of_the_estimates():
-    known = [Estimate(i, Method.FREE, State.ESTIMATED, 3, np.array([i, 2.0, 3.0])) for i in (2, 9)]
+    known = [Estimate(i, Method.FREE, State.TOUCHED, 3, np.array([i, 2.0, 3.0])) for i in (2, 9)]
     places = places_of([Estimate(4, Method.FREE, State.UNSEEN, 0), *known])
     np.testing.assert_array_equal(places, [[np.nan] * 3, [2, 2, 3], [9, 2, 3]])
     assert places_of([]).shape == (0, 3)

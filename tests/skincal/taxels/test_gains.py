@@ -17,7 +17,7 @@ NORMAL = np.array([0.6, 0.0, 0.8])
 
 
 def taxel(channel: int, normal: np.ndarray | None = NORMAL, **more: object) -> Estimate:
-    return Estimate(channel, Method.SURFACE, State.ESTIMATED, 5, position=np.zeros(3), normal=normal, **more)
+    return Estimate(channel, Method.SURFACE, State.TOUCHED, 5, position=np.zeros(3), normal=normal, **more)
 
 
 def pokes(gain: float, count: int, seed: int = 1, channel: int = 7) -> list[Contact]:

@@ -174,7 +174,7 @@ def test_the_pull_of_the_forces_noise_is_in_the_spread():
     assert np.mean(added) == pytest.approx(pulled, rel=0.25)
 
 
-@pytest.mark.parametrize(("size", "state"), [(0.025, State.ESTIMATED), (0.035, State.BLIND)])
+@pytest.mark.parametrize(("size", "state"), [(0.025, State.TOUCHED), (0.035, State.BLIND)])
 def test_a_taxel_that_shared_errors_leave_worse_known_than_a_module_is_blind(rng, size, state):
     """A shift of the whole skin by `size` in each direction, which no poke of the taxel shows."""
 
@@ -219,7 +219,7 @@ def test_offsets_larger_than_the_scenes_bend_the_depth_by_their_square():
 
 def estimate(channel, covariance, moved=None):
     return Estimate(
-        channel, Method.FREE, State.ESTIMATED, 9, position=np.zeros(3), covariance=covariance,
+        channel, Method.FREE, State.TOUCHED, 9, position=np.zeros(3), covariance=covariance,
         rms=float(np.sqrt(np.trace(covariance))), moved=moved,
     )  # fmt: skip
 

@@ -86,7 +86,7 @@ def test_taxels_are_recovered_without_noise_over_several_poses(method):
     found = solve(contacts, range(12), method, NOISE, surface)
     for channel, (point, normal) in enumerate(zip(points, normals, strict=True)):
         estimate = found[channel]
-        assert estimate.state is State.ESTIMATED
+        assert estimate.state is State.TOUCHED
         assert estimate.contacts == 5
         np.testing.assert_allclose(estimate.position, point, atol=1e-12)
         assert estimate.normal @ normal > (0.85 if method is Method.FREE else 1 - 1e-12)
@@ -213,7 +213,7 @@ def test_one_axis():
     assert free.reason.cause is Cause.ONE_AXIS
     np.testing.assert_allclose(free.normal, -push / np.linalg.norm(push))
     on_surface = solve(contacts, [0], Method.SURFACE, NOISE, surface)[0]
-    assert on_surface.state is State.ESTIMATED
+    assert on_surface.state is State.TOUCHED
     assert np.linalg.norm(np.cross(on_surface.position - point, push)) < 1e-12, "it lies on the axis"
     assert on_surface.position[0] > 0, "where the poke enters and not where its axis leaves"
     assert on_surface.contacts == 1
@@ -230,7 +230,7 @@ def test_parallel_axes_are_blind_along_them(angle_deg):
     assert (free.reason.cause, free.reason.count) == (Cause.ALIKE_AXES, 3)
     assert np.degrees(free.reason.angle) == pytest.approx(angle_deg, abs=0.05)
     on_surface = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
-    assert on_surface.state is State.ESTIMATED
+    assert on_surface.state is State.TOUCHED
     np.testing.assert_allclose(on_surface.position[1:], point[1:], atol=1e-9)
 
 
@@ -238,7 +238,7 @@ def test_axes_far_enough_apart_are_estimated():
     point = np.array([RADIUS, 0.0, 0.1])
     contacts = [poke(i, point, 8 * np.array([-1.0, 0.3 * s, 0.0])) for i, s in enumerate((-1, 0, 1), start=1)]
     free = solve(contacts, [0], Method.FREE, NOISE, None)[0]
-    assert free.state is State.ESTIMATED
+    assert free.state is State.TOUCHED
     np.testing.assert_allclose(free.position, point, atol=1e-14)
     assert free.sd < 0.03
     assert abs(free.worst_direction[0]) > 0.99, "depth is the worst"
@@ -294,8 +294,8 @@ def test_pokes_that_fit_no_position_are_blind_with_the_cause(case):
 
 def test_axes_and_meshes_that_miss_by_the_errors_of_a_rig_are_estimated():
     pushes = [poke(1, EDGE, np.array([-8.0, 0, 0])), poke(2, EDGE + 0.08 * UP, np.array([-6.0, 4.0, 0]))]
-    assert solve(pushes, [0], Method.FREE, NOISE, None)[0].state is State.ESTIMATED
-    assert solve(pushes[:1], [0], Method.SURFACE, NOISE, lifted(0.14))[0].state is State.ESTIMATED
+    assert solve(pushes, [0], Method.FREE, NOISE, None)[0].state is State.TOUCHED
+    assert solve(pushes[:1], [0], Method.SURFACE, NOISE, lifted(0.14))[0].state is State.TOUCHED
 
 
 @pytest.mark.parametrize("what", ["force", "moment", "link_from_sensor", "responses", "no force", "negative response"])
@@ -335,8 +335,8 @@ def test_nothing_is_ever_nan_however_extreme_the_numbers():
             for name in ("position", "normal", "covariance", "worst_direction", "sd", "rms"):
                 value = getattr(estimate, name)
                 assert value is None or np.isfinite(value).all()
-            assert (estimate.position is None) == (estimate.state is not State.ESTIMATED)
-            assert estimate.reason or estimate.state is State.ESTIMATED
+            assert (estimate.position is None) == (estimate.state is not State.TOUCHED)
+            assert estimate.reason or estimate.state is State.TOUCHED
 
 
 def test_poses_averaged_as_in_the_paper():

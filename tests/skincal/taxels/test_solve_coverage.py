@@ -42,7 +42,7 @@ class Outcome:
 def outcome(found, places):
     distances, errors, predicted = [], [], []
     for estimate, place in zip(found, places, strict=True):
-        if estimate.state is not State.ESTIMATED:
+        if estimate.state is not State.TOUCHED:
             continue
         off = estimate.position - place
         # On the surface the covariance is flat: what is left of `off` across it is the facet's, not the estimate's.

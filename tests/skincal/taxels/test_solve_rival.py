@@ -35,7 +35,7 @@ def press(number, point, push, moment_noise=None):
 def test_one_axis_through_two_plates_may_mean_either():
     push = np.array([0.1, 0.0, -1.0])
     estimate = solve([press(1, np.zeros(3), push)], [0], Method.SURFACE, NOISE, plates(0.0, -0.03))[0]
-    assert estimate.state is State.ESTIMATED
+    assert estimate.state is State.TOUCHED
     np.testing.assert_allclose(estimate.position, 0.0, atol=1e-12)
     assert estimate.rival is not None
     np.testing.assert_allclose(estimate.rival.position, [0.003, 0.0, -0.03], atol=1e-12)
@@ -55,7 +55,7 @@ def test_a_single_place_has_no_rival(depths, tilt):
     for _ in range(5):
         contacts = [press(i, [0.01, 0.02, 0.0], [*rng.normal(0, tilt, 2), -1.0]) for i in range(1, 6)]
         estimate = solve(contacts, [0], Method.SURFACE, NOISE, surface)[0]
-        assert estimate.state is State.ESTIMATED
+        assert estimate.state is State.TOUCHED
         assert estimate.rival is None
 
 
