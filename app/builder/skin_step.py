@@ -23,14 +23,16 @@ from skincal.files.layout_sources import (
     parse_layout,
     read_layout_file,
     repeated_modules,
+    text_with_kind,
 )
 from skincal.model.errors import plural
 from skincal.model.readings import Stream
-from skincal.model.skin import KINDS
+from skincal.model.skin import KINDS, SkinKind
 from skincal.session.draft_preview import PartPreview
 from skincal.session.layout_placing import middle_of
 from skincal.session.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
 from skincal.session.touch_watch import TouchWatch
+from skincal.words.layout_words import unsaid_kind_finding
 
 POLARITY_CHOICES = {"up": "rise under pressure", "down": "fall under pressure"}
 LAYOUT_CHOICES = {
@@ -39,8 +41,13 @@ LAYOUT_CHOICES = {
     "grid": "a grid of taxels",
     "modules": "modules of one kind, edge to edge",
 }
+SKIN_CHOICES = {
+    SkinKind.BOARD.value: "rigid boards: circuit boards, triangles",
+    SkinKind.SHEET.value: "a soft sheet: foam, fabric, rubber",
+}
 LAYOUT_FILES = f"Layout ({' '.join(LAYOUT_ENDINGS)});;All files (*)"
 KIND_NAMES = {"triangle_12": "triangle, 12 taxels (iCub, first skin)", "triangle_10pad": "triangle, 10 taxels (iCub, V2)"}
+UNSAID_KIND = " The file does not say what the skin is: it is taken for rigid boards."
 TOUCH_HINT = "Optional: connect the skin, keep hands off for a second, then press it. The channels that answer are marked."
 
 
@@ -62,6 +69,9 @@ class SkinStep(Step):
         self.layout_kind = choice("layout", LAYOUT_CHOICES)
         self.layout_kind.activated.connect(lambda _: self._choose_kind())
         self._kind = "none"
+        self.material = choice("what the skin is", SKIN_CHOICES)
+        self.material.activated.connect(lambda _: self._choose_material())
+        self._material: SkinKind | None = None
         self.pages = QStackedWidget()
         pages = QWidget(), self._make_file_page(), self._make_grid_page(), self._make_modules_page()
         self.pages_by_kind = dict(zip(LAYOUT_CHOICES, pages, strict=True))
@@ -69,6 +79,7 @@ class SkinStep(Step):
             self.pages.addWidget(page)
         self.found = QLabel(wordWrap=True)
         choices = ("&Values a frame", self.channels), ("They", self.polarity), ("&Layout", self.layout_kind)
+        self.form = make_form(*choices, self.pages, ("The skin &is", self.material), self.found)
         self.live = LiveRow(Stream.SKIN)
         self.live.read.connect(self._take_frames)
         self.again = button("&Forget the touch", run=self._forget_touch)
@@ -77,7 +88,7 @@ class SkinStep(Step):
         self.use_polarity = button("Use this: they fall", run=self._use_polarity)
         self.use_polarity.setVisible(False)
         touch = self.live, self.touched, row_of(self.again, self.use_polarity)
-        self.fill(make_form(*choices, self.pages, self.found), *touch)
+        self.fill(self.form, *touch)
         self._watch: TouchWatch | None = None
         self._falls = False
 
@@ -130,15 +141,18 @@ class SkinStep(Step):
         self.pages.setCurrentWidget(self.pages_by_kind[self._kind])
         layout = preview.layout
         self.found.setText("")
+        self.form.setRowVisible(self.material, layout is not None)
         if layout is not None:
+            show_choice(self.material, layout.kind.value)
             many = f"{plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}"
-            self.found.setText(f"{many}, channels up to {layout.width - 1}.")
+            unsaid = UNSAID_KIND if unsaid_kind_finding(layout) else ""
+            self.found.setText(f"{many}, channels up to {layout.width - 1}.{unsaid}")
         width = draft.channels or (0 if layout is None else layout.width)
         self.live.setEnabled(width > 0)
         self.live.set_widths(max(1, width), 0)
 
     def _choose_kind(self) -> None:
-        self._kind = str(self.layout_kind.currentData())
+        self._kind, self._material = str(self.layout_kind.currentData()), None
         self.pages.setCurrentWidget(self.pages_by_kind[self._kind])
         # Its button asks for a file: the arrow keys pass through this entry.
         if self._kind == "none":
@@ -147,6 +161,12 @@ class SkinStep(Step):
             self._use_grid()
         elif self._kind == "modules":
             self._use_modules()
+
+    def _choose_material(self) -> None:
+        """Take the operator's word on what the skin is; it holds until another layout is chosen."""
+        self._material = SkinKind(self.material.currentData())
+        if self.draft.layout_text:
+            self.change(replace(self.draft, layout_text=text_with_kind(self.draft.layout_text, self._material)))
 
     def choose_file(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Layout", "", LAYOUT_FILES)
@@ -162,7 +182,7 @@ class SkinStep(Step):
     def take_file(self, path: Path) -> None:
         with self.report_failure():
             text = read_layout_file(path)
-            self._kind = "file"
+            self._kind, self._material = "file", None
             self.file.setText(str(path))
             self._use(text)
 
@@ -176,6 +196,7 @@ class SkinStep(Step):
 
     def _use(self, text: str, merge: str = "") -> None:
         """Take another layout; its middle stays where the old one's point was."""
+        text = text if self._material is None else text_with_kind(text, self._material)
         self.change(replace(self.draft, layout_text=text, anchor=self._kept_anchor(text)), merge)
 
     def _kept_anchor(self, text: str) -> AnchorDraft | None:

@@ -63,12 +63,20 @@ def new_scene(
         Path | None, typer.Option(help="Layout: a file of skincal (*.toml), an iCub .ini, or a table of positions.")
     ] = None,
     grid: Annotated[str, typer.Option(help="Taxels in a grid: ROWSxCOLUMNS@PITCHmm, such as 6x8@9mm.")] = "",
+    kind: Annotated[
+        Literal["board", "sheet"] | None,
+        typer.Option(
+            help="What the skin is: rigid boards, or a soft sheet that stretches. Default: as the layout file says; "
+            "a grid or a table of positions is a sheet, modules of an .ini are boards."
+        ),
+    ] = None,
     anchor_mm: Annotated[str, typer.Option(help="X,Y,Z of the layout's middle in the link frame, mm.")] = "",
     as_json: Json = False,
 ) -> None:
     """Write the scene file of a new part."""
     from skincal.cli import output
-    from skincal.files.layout_sources import parse_grid, read_layout_file
+    from skincal.files.layout_sources import parse_grid, read_layout_file, text_with_kind
+    from skincal.model.skin import SkinKind
     from skincal.session.mesh_units import unit_without_option
     from skincal.session.part import load_part
     from skincal.session.part_draft import PartDraft
@@ -80,6 +88,12 @@ def new_scene(
     columns = [name.strip() for name in joints.split(",") if name.strip()]
     _refuse_twice(columns, "--joints")
     layout_text = parse_grid(grid).layout_text() if grid else "" if layout is None else read_layout_file(layout)
+    if kind is not None:
+        if not layout_text:
+            raise InputError(
+                "--kind says what the skin of a layout is; name the layout by --layout or --grid, or leave it out."
+            )
+        layout_text = text_with_kind(layout_text, SkinKind(kind))
     draft = PartDraft(
         urdf=_saved_description(str(urdf), out) if str(urdf).startswith("ros2:") else urdf,
         link=link,
@@ -138,6 +152,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
 
     from skincal.geometry import Arm
     from skincal.session.robot_mesh import describe_shapes
+    from skincal.words.layout_words import unsaid_kind_finding
 
     scene, findings = part.scene, list(part.findings)
     arm = scene.arm
@@ -165,6 +180,8 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
             findings.append(f"no mesh: {seen}. Name the part's mesh by --mesh of scene new, or in [surface]")
     if scene.skin.layout is None:
         findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
+    elif finding := unsaid_kind_finding(scene.skin.layout):
+        findings.append(finding)
     if not scene.landmarks:
         findings.append("no landmarks: a shift that all taxels share would go unnoticed")
     return {
@@ -184,6 +201,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         "mesh": None if scene.surface is None else str(scene.surface.path),
         "channels": scene.skin.channels,
         "taxels": None if scene.skin.layout is None else len(scene.skin.layout.channels),
+        "kind": None if scene.skin.layout is None else scene.skin.layout.kind.value,
         "findings": findings,
     }  # fmt: skip
 
@@ -212,7 +230,11 @@ def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:
 
 
 def _lines(result: dict[str, Any]) -> list[str]:
-    lines = [f"link {result['link']}, {result['channels']} channels, {result['taxels'] or 'unknown'} taxels"]
+    from skincal.model.skin import SkinKind
+    from skincal.words.layout_words import SKIN_KIND_WORDS
+
+    of = "" if result["kind"] is None else f" on {SKIN_KIND_WORDS[SkinKind(result['kind'])]}"
+    lines = [f"link {result['link']}, {result['channels']} channels, {result['taxels'] or 'unknown'} taxels{of}"]
     if result["sensor"] is not None:
         lines.append(f"sensor {result['sensor']}, sign {result['wrench_sign']:+d}")
     for joint in result["chain"]:

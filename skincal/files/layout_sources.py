@@ -15,8 +15,8 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.skin import KINDS, Layout, read_layout
-from skincal.model.tables import read_text
+from skincal.model.skin import KINDS, Layout, SkinKind, read_layout
+from skincal.model.tables import parse_toml, read_text
 
 CHANNELS_PER_TRIANGLE = 12
 GRID_ROWS_OR_COLUMNS_MAX = 300
@@ -26,6 +26,8 @@ MAX_LAYOUT_CHANNELS = 100_000
 LAYOUT_ENDINGS = ("*.toml", "*.ini", "*.csv", "*.tsv", "*.txt")
 _INI_KINDS = {"triangle": "triangle_12", **{name: name for name in KINDS}}
 """Kinds of modules in skinGui files, by their name there."""
+_KIND_LINE = re.compile(r"\s*[\"']?kind[\"']?\s*=")
+"""First such line of a layout: keys of the file come before its tables, which have kinds of their own."""
 _FIELD_SEPARATORS = re.compile(r"[,;\t ]+")
 _INI_COMMENT_RE = re.compile(r"//.*|(?<!\S)#.*")
 """Comment of a YARP file: `//` anywhere, `#` at the begin of a word."""
@@ -35,11 +37,12 @@ INI_FIELDS_MIN, INI_FIELDS = 5, 7
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Taxels in rows and columns, as one module."""
+    """Taxels in rows and columns, as one module: a soft sheet, unless it is known to be a board."""
 
     rows: int
     columns: int
     pitch_mm: float
+    kind: SkinKind = SkinKind.SHEET
 
     def layout_text(self) -> str:
         """Write the grid as a layout file; its origin is the middle, channels run along x."""
@@ -50,6 +53,7 @@ class Grid:
         middle = (self.rows // 2) * self.columns + self.columns // 2
         return (
             f"# {self.rows} x {self.columns} taxels, {self.pitch_mm:g} mm apart; channel = {self.columns} x row + column\n"
+            f"{kind_line(self.kind)}"
             f"[kinds.grid]\npads_mm = {pads}\noutline_mm = {outline}\ncentre_pad = {middle}\n\n"
             '[[modules]]\nid = 1\nkind = "grid"\nfirst_channel = 0\nplace_mm = [0.0, 0.0]\n'
         )
@@ -92,7 +96,35 @@ def read_layout_file(path: Path) -> str:
 def parse_layout(text: str, path: Path) -> Layout:
     """Read a layout's text; its width is that of its highest channel."""
     layout = read_layout(text, path, MAX_LAYOUT_CHANNELS)
-    return Layout(layout.modules, int(layout.channels.max()) + 1, path, text)
+    return Layout(layout.modules, int(layout.channels.max()) + 1, path, text, layout.given_kind)
+
+
+def kind_line(kind: SkinKind) -> str:
+    """Write the line of a layout file that says what the skin is."""
+    comments = {
+        SkinKind.SHEET: 'a soft sheet, which may stretch and fold; "board": rigid boards',
+        SkinKind.BOARD: 'rigid boards; "sheet": a soft sheet, which may stretch and fold',
+    }
+    return f'kind = "{kind.value}"  # {comments[kind]}\n'
+
+
+def text_with_kind(text: str, kind: SkinKind) -> str:
+    """Write another kind of skin into a layout's text; all else stays.
+
+    Raises InputError: the text is no TOML.
+    """
+    before = parse_toml(text, Path("layout")).get("kind")
+    if before == kind.value:
+        return text
+    lines = text.splitlines(keepends=True)
+    if before is not None:
+        at = next(number for number, line in enumerate(lines) if _KIND_LINE.match(line))
+        lines[at] = kind_line(kind)
+    else:
+        # Above the first table, and below the comment at the top.
+        at = next((number for number, line in enumerate(lines) if not line.startswith("#")), len(lines))
+        lines.insert(at, kind_line(kind))
+    return "".join(lines)
 
 
 def text_of_ini(text: str, path: Path) -> str:
@@ -124,9 +156,8 @@ def text_of_ini(text: str, path: Path) -> str:
         modules.append(_module(int(module), _INI_KINDS[words[0]], (x, y), angle, mirror=bool(mirror)))
     if not modules:
         raise InputError(f"{path}: lists no module; expected lines such as `triangle_10pad 3 192.38 -20.00 -150.00 5 1`.")
-    return f"# From {path.name}, a layout of skinGui; the channels of module k begin at {CHANNELS_PER_TRIANGLE} k.\n" + "".join(
-        modules
-    )
+    title = f"# From {path.name}, a layout of skinGui; the channels of module k begin at {CHANNELS_PER_TRIANGLE} k.\n"
+    return title + kind_line(SkinKind.BOARD) + "".join(modules)
 
 
 def text_of_table(text: str, path: Path) -> str:
@@ -155,7 +186,8 @@ def text_of_table(text: str, path: Path) -> str:
     _require_channels(channels, path)
     pads = np.full((int(channels.max()) + 1, 2), np.nan)
     pads[channels.astype(int)] = table[:, -2:] * scale
-    return f"# From {path.name}: {len(rows)} positions as one module.\n" + one_module(pads, _box(pads), int(channels[0]))
+    title = f"# From {path.name}: {len(rows)} positions as one module.\n"
+    return title + kind_line(SkinKind.SHEET) + one_module(pads, _box(pads), int(channels[0]))
 
 
 def _require_channels(channels: FloatArray, path: Path) -> None:
@@ -203,7 +235,7 @@ def repeated_modules(kind: str, rows: int, columns: int) -> str:
             is_up = (row + column) % 2 == 0
             x, y = column * side / 2.0, row * height + (height / 3.0 if is_up else 2.0 * height / 3.0)
             modules.append(_module(len(modules), kind, (round(x, 3), round(y, 3)), 0.0 if is_up else 180.0))
-    return f"# {rows} x {columns} modules {kind}, edge to edge.\n" + "".join(modules)
+    return f"# {rows} x {columns} modules {kind}, edge to edge.\n{kind_line(SkinKind.BOARD)}" + "".join(modules)
 
 
 def _module(number: int, kind: str, place: Sequence[float], angle: float, *, mirror: bool = False) -> str:

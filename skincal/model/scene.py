@@ -17,7 +17,7 @@ import numpy as np
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.robot import RobotSpec, read_poses, read_robot
-from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
+from skincal.model.skin import Anchor, Layout, SkinKind, load_layout, read_anchor
 from skincal.model.tables import MAX_LENGTH_M, UNITS, Table, check_degrees, check_metres, parse_toml, read_text
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import WrenchFrame, WrenchPlace, find_wrench_frame, read_wrench_place
@@ -348,6 +348,10 @@ def check_distance(known: KnownDistance, layout: Layout | None, where: str) -> N
     """Refuse a distance whose ends are not in two modules of a layout; `where` begins the sentence."""
     if layout is None:
         raise InputError(f"{where}: a distance is between modules, and the scene has no layout; name one in [skin].")
+    if layout.kind is SkinKind.SHEET:
+        raise InputError(
+            f'{where}: a distance is between rigid boards, and the layout is a soft sheet (kind = "sheet"); remove it.'
+        )
     owners: dict[int, int] = {module.id: index for index, module in enumerate(layout.modules)}
     if known.of_taxels:
         owners = {channel: int(layout.module_of[channel]) for channel in layout.channels.tolist()}

@@ -1,13 +1,14 @@
 """Channels, modules and their flat layout, from the maker of the skin.
 
-A module is a rigid or flexible carrier with taxels at known positions in its own plane. The layout puts the modules in one
-unrolled plane: p = c + R(theta) (mirror ? (-x, y) : (x, y)), the rule of the iCub's `skinGui` files
-(`SkinMeshThreadPort.cpp`). Lengths are metres, angles radians.
+A module is a carrier with taxels at known positions in its own plane: a rigid board, or a soft sheet that may stretch, shear
+and fold (`SkinKind`). The layout puts the modules in one unrolled plane: p = c + R(theta) (mirror ? (-x, y) : (x, y)), the rule
+of the iCub's `skinGui` files (`SkinMeshThreadPort.cpp`). Lengths are metres, angles radians.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +17,18 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.tables import Table, parse_toml, read_text
+
+
+class SkinKind(Enum):
+    """Material of the modules; the value is its name in files."""
+
+    BOARD = "board"
+    """Rigid boards: circuit boards, triangles. They bend with the part, and do not stretch."""
+    SHEET = "sheet"
+    """Soft sheets: foam, fabric, rubber. They may also stretch, shear and fold when they are glued to the part."""
+
+
+SKIN_KINDS = {kind.value: kind for kind in SkinKind}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,11 +119,27 @@ class Module:
 class Layout:
     """The modules of a skin, at least one, with their positions; a skin frame has `width` channels.
 
-    `path` and `text` are those of its file; `None` and empty without one.
+    `path` and `text` are those of its file; `None` and empty without one. `given_kind` is the one that the file names.
     """
 
-    def __init__(self, modules: tuple[Module, ...], width: int, path: Path | None = None, text: str = "") -> None:
-        self.modules, self.width, self.path, self.text = modules, width, path, text
+    def __init__(
+        self,
+        modules: tuple[Module, ...],
+        width: int,
+        path: Path | None = None,
+        text: str = "",
+        given_kind: SkinKind | None = None,
+    ) -> None:
+        self.modules, self.width, self.path, self.text, self.given_kind = modules, width, path, text, given_kind
+
+    def with_modules(self, modules: tuple[Module, ...]) -> Layout:
+        """Copy with other modules."""
+        return Layout(modules, self.width, self.path, self.text, self.given_kind)
+
+    @property
+    def kind(self) -> SkinKind:
+        """Kind of all modules. Files written before kinds existed name none: their modules are boards, as they were then."""
+        return self.given_kind or SkinKind.BOARD
 
     @cached_property
     def channels(self) -> IntArray:
@@ -155,8 +184,9 @@ class Layout:
 def load_layout(path: Path, width: int) -> Layout:
     """Read a `*.modules.toml` file for skin frames of `width` channels.
 
-    It holds an array of tables `[[modules]]`: `id`, `kind`, `first_channel`, `place_mm`, `angle_deg`, `mirror`, optionally
-    `anchor`; and optionally `[kinds.NAME]` with `pads_mm`, `outline_mm`, `centre_pad`.
+    It holds `kind` ("board" or "sheet"; default: board), and an array of tables `[[modules]]`: `id`, `kind`, `first_channel`,
+    `place_mm`, `angle_deg`, `mirror`, optionally `anchor`; and optionally `[kinds.NAME]` with `pads_mm`, `outline_mm`,
+    `centre_pad`.
     """
     return read_layout(read_text(path), path, width)
 
@@ -164,6 +194,7 @@ def load_layout(path: Path, width: int) -> Layout:
 def read_layout(text: str, path: Path, width: int) -> Layout:
     """Read the text of a `*.modules.toml` file; sentences name `path`."""
     document = Table(parse_toml(text, path), str(path))
+    given_kind = document.choice("kind", SKIN_KINDS, None)
     kinds, own = dict(KINDS), document.table("kinds")
     for name, table in own.subtables() if own is not None else ():
         kinds[name] = _read_kind(name, table)
@@ -173,7 +204,7 @@ def read_layout(text: str, path: Path, width: int) -> Layout:
     document.refuse_unknown_keys()
     modules = tuple(_read_module(table, kinds, width) for table in tables)
     _check_channels_once(modules, path)
-    return Layout(modules, width, path, text)
+    return Layout(modules, width, path, text, given_kind)
 
 
 def _check_channels_once(modules: tuple[Module, ...], path: Path) -> None:

@@ -375,7 +375,7 @@ def correct_layout(layout: Layout, misfits: Sequence[MisplacedModule]) -> tuple[
         else:
             modules[misfit.module] = _turned(modules[misfit.module], misfit)
     changed = (replace(module, first_channel=channels.get(module.id, module.first_channel)) for module in modules.values())
-    mended = Layout(tuple(changed), layout.width, layout.path, layout.text)
+    mended = layout.with_modules(tuple(changed))
     return (mended if changes_of(layout, mended) else layout), tuple(left)
 
 

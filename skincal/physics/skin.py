@@ -17,7 +17,7 @@ from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
-from skincal.model.skin import Anchor, Layout
+from skincal.model.skin import Anchor
 from skincal.physics.engine import Touch
 from skincal.physics.mjcf import FOAM_THICKNESS_M, TIP_RADIUS_M
 
@@ -115,7 +115,7 @@ def mount_skin(
     if layout is None or (anchor is None and all(module.anchor is None for module in layout.modules)):
         raise InputError(f"{scene.path}: a simulated skin needs [skin] modules and an anchor, to know where its taxels are.")
     modules = tuple(m if m.anchor is None else replace(m, anchor=displaced(m.anchor)) for m in layout.modules)
-    laid = place_layout(Layout(modules, layout.width), None if anchor is None else displaced(anchor), surface)
+    laid = place_layout(layout.with_modules(modules), None if anchor is None else displaced(anchor), surface)
     if laid is None:
         raise InputError(f"{scene.path}: the layout could not be laid; check its anchor.")
     channels = layout.channels

@@ -491,4 +491,4 @@ def mirrored_layout(layout: Layout, at: FloatArray) -> Layout:
     modules = tuple(
         replace(each, place=at + flip * (each.place - at), angle=-each.angle, mirror=not each.mirror) for each in layout.modules
     )
-    return Layout(modules, layout.width)
+    return layout.with_modules(modules)

@@ -7,6 +7,7 @@ from enum import Enum
 
 from skincal.model.errors import plural
 from skincal.session.draft_preview import PartPreview
+from skincal.words.layout_words import SKIN_KIND_WORDS, unsaid_kind_finding
 
 
 class State(Enum):
@@ -90,7 +91,10 @@ def _skin(preview: PartPreview) -> tuple[SummaryLine, ...]:
     if layout is None:
         cost = "no layout: no modules method, the guide searches for the taxels, and the skin cannot be simulated"
         return frame, SummaryLine("skin", State.OPTIONAL, cost)
-    parts = f"layout of {plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}"
+    parts = f"layout of {plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}: "
+    parts += SKIN_KIND_WORDS[layout.kind]
+    if unsaid_kind_finding(layout):
+        return frame, SummaryLine("skin", State.OPTIONAL, f"{parts}, since the layout does not say what the skin is")
     return frame, SummaryLine("skin", State.COMPLETE, parts)
 
 

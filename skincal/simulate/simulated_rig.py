@@ -18,7 +18,7 @@ from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
-from skincal.model.skin import Anchor, Layout
+from skincal.model.skin import Anchor
 from skincal.simulate.rig_errors import RigErrors
 
 
@@ -257,7 +257,7 @@ def _mounted(
     if layout is None or (anchor is None and all(m.anchor is None for m in layout.modules)):
         raise InputError(f"{scene.path}: a simulated skin needs [skin] modules and an anchor, to know where its taxels are.")
     modules = tuple(m if m.anchor is None else replace(m, anchor=_displaced(m.anchor, errors, rng)) for m in layout.modules)
-    laid = place_layout(Layout(modules, layout.width), None if anchor is None else _displaced(anchor, errors, rng), surface)
+    laid = place_layout(layout.with_modules(modules), None if anchor is None else _displaced(anchor, errors, rng), surface)
     if laid is None:
         raise InputError(f"{scene.path}: the layout could not be laid; check its anchor.")
     channels = layout.channels

@@ -8,10 +8,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.model.errors import plural
+from skincal.model.skin import KINDS, Layout, SkinKind
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
+
+
+SKIN_KIND_WORDS = {SkinKind.BOARD: "rigid boards", SkinKind.SHEET: "a soft sheet"}
+"""The skin, in a sentence."""
+
+
+def unsaid_kind_finding(layout: Layout) -> str:
+    """Report a layout that does not say what the skin is; empty if it does, or if its modules are the shipped triangles."""
+    if layout.given_kind is not None or all(module.kind is KINDS.get(module.kind.name) for module in layout.modules):
+        return ""
+    return (
+        "the layout does not say what the skin is, so its modules are taken for rigid boards: for a soft sheet write "
+        'kind = "sheet" at the top of the layout, else kind = "board"'
+    )
 
 
 MAX_NAMED_MODULES = 4

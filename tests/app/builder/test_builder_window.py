@@ -14,6 +14,7 @@ from app.builder.part_step import PartStep
 from app.builder.skin_step import SkinStep
 from app.dialogs.new_session import NewSessionDialog
 from skincal.model.scene import load_scene
+from skincal.model.skin import SkinKind
 from skincal.session.part_draft import open_draft
 from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS
@@ -110,9 +111,19 @@ def test_a_mesh_becomes_a_part_that_is_saved_and_poked(bench, tube):
     )
     skin = build.open_step("skin")
     choose(skin.layout_kind, "grid")
+    build.settle()
+    assert skin.material.currentData() == "sheet", "a grid is a sheet until it is said to be a board"
+    choose(skin.material, "board")
     skin.rows.setValue(3)
     choose(skin.polarity, "down")
     build.settle()
+    assert build.page.preview.layout.kind is SkinKind.BOARD, "the answer outlasts a change of the grid"
+    choose(skin.layout_kind, "modules")
+    build.settle()
+    assert skin.material.currentData() == "board"
+    choose(skin.layout_kind, "grid")
+    build.settle()
+    assert skin.material.currentData() == "sheet", "another layout is another skin"
     place = build.open_step("place")
     at = build.click()
     clicked = build.draft.anchor
