@@ -154,7 +154,7 @@ class SensorsLayer(Layer):
 
 
 class MarksLayer(Layer):
-    """Landmarks with their names, picked points, taxels off the mesh, the module that moves alone, and answering taxels."""
+    """Landmarks with their names, picked points, wrong or answering taxels, and the module that moves alone."""
 
     name = "marks"
 
@@ -174,8 +174,9 @@ class MarksLayer(Layer):
         if preview.surface is not None and len(places):
             self._normals = preview.surface.normals[nearest_points(preview.surface, places)[1]]
         colours = self.colours.window
-        off = None if preview.laid_findings is None else preview.laid_findings.off_channels
-        self._show_channels(self.wrong, laid, off, colours.bad)
+        found = preview.laid_findings
+        wrong = None if found is None else np.union1d(found.off_channels, found.folded_channels)
+        self._show_channels(self.wrong, laid, wrong, colours.bad)
         self._show_channels(self.answered, laid, picture.answered, colours.accent)
         lines = NO_PLACES
         if picture.module is not None and preview.layout is not None and laid is not None:
@@ -223,16 +224,18 @@ class DraftModulesLayer(ModulesLayer):
         super()._set_modules(layout, laid)
         if len(layout.modules) != 1:
             return
-        channels = layout.channels[np.isfinite(laid.places[layout.channels]).all(axis=1)]
-        if len(channels) > 2:
-            places = laid.places[channels]
-            along = places[-1] - places[0]
-            offsets = np.linalg.norm(np.cross(places - places[0], along), axis=1)
-            corners = dict.fromkeys((0, int(offsets.argmax()), len(channels) - 1))
-            self._numbers = [
-                (Label(f"channel {channels[row]}", places[row], MODULE_TO_LABEL_GAP_PX, 3.0), laid.normals[channels[row]])
-                for row in corners
-            ]
+        self._numbers = [
+            (Label(f"channel {channel}", laid.places[channel], MODULE_TO_LABEL_GAP_PX, 3.0), laid.normals[channel])
+            for channel in corner_channels(layout)
+            if np.isfinite(laid.places[channel]).all()
+        ]
+
+
+def corner_channels(layout: Layout) -> list[int]:
+    """List the taxels at the corners of a layout's plane: the same ones at each place on the part."""
+    x, y = layout.places[layout.channels].T
+    rows = (np.argmin(x + y), np.argmax(x - y), np.argmin(x - y), np.argmax(x + y))
+    return sorted({int(layout.channels[row]) for row in rows})
 
 
 class DraftRenderer(SceneRenderer):

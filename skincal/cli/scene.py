@@ -70,7 +70,10 @@ def new_scene(
             "a grid or a table of positions is a sheet, modules of an .ini are boards."
         ),
     ] = None,
-    anchor_mm: Annotated[str, typer.Option(help="X,Y,Z of the layout's middle in the link frame, mm.")] = "",
+    anchor_mm: Annotated[
+        str,
+        typer.Option(help="X,Y,Z of the layout's middle in the link frame, mm. Default: the middle of the largest free face."),
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Write the scene file of a new part."""
@@ -178,6 +181,9 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         if scene.surface is None:
             seen = describe_shapes(robot.urdf, scene.link, robot.urdf.sensor_named(robot.sensor, str(scene.path)).joint)
             findings.append(f"no mesh: {seen}. Name the part's mesh by --mesh of scene new, or in [surface]")
+    # Without [sensor] its place is not known.
+    is_placed = robot is not None or arm is not None or not np.array_equal(pose, np.eye(4))
+    findings += _placement_findings(part, pose[:3, 3] if is_placed else None)
     if scene.skin.layout is None:
         findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
     elif finding := unsaid_kind_finding(scene.skin.layout):
@@ -204,6 +210,13 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         "kind": None if scene.skin.layout is None else scene.skin.layout.kind.value,
         "findings": findings,
     }  # fmt: skip
+
+
+def _placement_findings(part: Part, sensor: FloatArray | None) -> tuple[str, ...]:
+    from skincal.mesh.laid_check import examine_layout
+
+    layout = part.scene.skin.layout
+    return () if layout is None else examine_layout(layout, part.scene.skin.anchor, part.laid, part.surface, sensor).sentences
 
 
 def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:

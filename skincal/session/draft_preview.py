@@ -15,6 +15,7 @@ import numpy as np
 from skincal.files.layout_sources import parse_layout
 from skincal.geometry import Arm, FloatArray
 from skincal.mesh.findings import FindingKind
+from skincal.mesh.laid_check import LaidFindings, examine_layout
 from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface, entry_points
@@ -23,7 +24,7 @@ from skincal.model.scene import UNITS, SurfaceSpec, load_scene
 from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import Robot, read_urdf
 from skincal.model.urdf_chain import MOVING, UrdfChain
-from skincal.session.layout_placing import LaidFindings, anchor_at, find_laid_problems
+from skincal.session.layout_placing import anchor_at
 from skincal.session.part_draft import PartDraft, layout_file_of
 from skincal.session.robot_copy import RobotFiles, list_robot_files
 from skincal.session.robot_mesh import describe_shapes, find_part_mesh, offer_collision_mesh, with_offer
@@ -36,6 +37,10 @@ UNREPORTED_FINDINGS = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS
 NOT_PLACED = "The layout is shown on the part, but not placed yet: click where its middle lies, or drag it."
 FIRST_SIDE = (0.83, 0.42, 0.36)
 """Unit, link frame: the side of a part that is seen first."""
+FIRST_SIDE_BONUS = 0.05
+"""Added to a side's share of the largest area, per cosine to `FIRST_SIDE`: it decides between faces of about equal size."""
+FREE_FACE_MIN_COSINE = 0.7
+"""A triangle belongs to a side towards which it faces within 45 degrees."""
 WARN_OF_SENSOR_TILT_FROM_DEG = 0.5
 """Of a sensor against the axes of the part: most flanges are parallel to one."""
 CACHED_RESULTS_PER_KIND = 8
@@ -297,16 +302,18 @@ class _Work:
                 f"expected at least {layout.width}."
             )
         anchor = None if draft.anchor is None else draft.anchor.anchor()
+        pose = self.values.get("sensor_pose")
+        sensor = None if pose is None else pose[:3, 3]
         if anchor is None and all(module.anchor is None for module in layout.modules):
             self.problems["place"] = NOT_PLACED
-            anchor = self.values["proposed_anchor"] = _propose_anchor(layout, surface)
+            anchor = self.values["proposed_anchor"] = propose_anchor(layout, surface, sensor)
         try:
             laid = place_layout(layout, anchor, surface)
             remarks = anchor_remarks(layout, anchor, surface)
+            found = examine_layout(layout, anchor, laid, surface, sensor)
         except InputError as error:
             self.problems.setdefault("place", str(error))
             return
-        found = find_laid_problems(layout, laid, surface)
         self.values |= {"laid": laid, "laid_findings": found}
         self.findings["place"] = (*found.sentences, *remarks)
 
@@ -319,14 +326,40 @@ def _sensor_advice(robot: Robot | None) -> str:
     return "The URDF describes no force/torque sensor: choose the joint at which it is mounted."
 
 
-def _propose_anchor(layout: Layout, surface: Surface | None) -> Anchor:
-    """Choose a place for a layout: on the side of the part that is seen first; in the origin without a mesh."""
+def propose_anchor(layout: Layout, surface: Surface | None, sensor: FloatArray | None) -> Anchor:
+    """Choose a place for a layout: in the middle of the part's largest free face; in the origin without a mesh."""
     if surface is None:
         return anchor_at(None, layout, np.zeros(3), None)
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    middle, side = (low + high) / 2.0, np.array(FIRST_SIDE) / np.linalg.norm(FIRST_SIDE)
+    middle, side = (low + high) / 2.0, free_side(surface, sensor)
     entries = entry_points(surface, middle, -side)
     return anchor_at(surface, layout, entries[0] if len(entries) else middle + side * np.linalg.norm(high - low), None)
+
+
+def free_side(surface: Surface, sensor: FloatArray | None) -> FloatArray:
+    """Choose the side of a part on which a skin most likely lies: (3,) float, unit, an axis of the link.
+
+    The face with the largest area towards that side wins; of equal ones that which is seen first. A face towards the sensor
+    near the part is chosen last: the part stands on it.
+
+    Parameters
+    ----------
+    sensor : (3,) metres, link frame: the sensor's origin; `None` if it is unknown
+    """
+    sides = np.concatenate([np.eye(3), -np.eye(3)])
+    corners = surface.corners
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
+    facing = surface.normals @ sides.T
+    size = areas @ np.where(facing > FREE_FACE_MIN_COSINE, facing, 0.0)
+    share = np.array([round(float(each), 1) for each in size / size.max()])
+    scores = share + FIRST_SIDE_BONUS * (sides @ np.array(FIRST_SIDE))
+    if sensor is not None:
+        low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        offset = sensor - (low + high) / 2.0
+        distance = float(np.linalg.norm(offset))
+        if 0.0 < distance <= np.linalg.norm(high - low):
+            scores -= (sides @ offset / distance > FREE_FACE_MIN_COSINE).astype(float)
+    return sides[int(np.argmax(scores))]
 
 
 def _read_robot(path: Path) -> Robot:

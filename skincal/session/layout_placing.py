@@ -1,4 +1,4 @@
-"""Placing a layout on a part by hand: an anchor at a clicked point, slid, turned, or of one module alone; and what is wrong.
+"""Placing a layout on a part by hand: an anchor at a clicked point, slid, turned, or of one module alone.
 
 An anchor that moves keeps its x axis as parallel as the surface allows.
 """
@@ -7,25 +7,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import MutableMapping
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
 from skincal.files.layout_file import set_key
-from skincal.geometry import FloatArray, IntArray, tangent_axes
+from skincal.geometry import FloatArray, tangent_axes
 from skincal.mesh.geodesics import geodesics_of
-from skincal.mesh.lay import PlacedLayout, place_anchor
+from skincal.mesh.lay import place_anchor
 from skincal.mesh.search import nearest_points
-from skincal.mesh.surface import Surface, pairs_within
-from skincal.model.errors import InputError, plural
+from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module
 from skincal.session.part_draft import AnchorDraft
 
-TAXEL_OFF_MESH_MIN_DISTANCE_M = 0.0005
-"""m. A taxel further from the mesh is off it: covers are no thinner."""
-MODULES_OVERLAP_BELOW_SPACINGS = 0.4
-"""Of the spacing: two modules with nearer taxels overlap."""
 _MODULE_START = re.compile(r"(?m)^(?=\[\[modules\]\])")
 MIN_SURFACE_TILT_SIN_FOR_LEVEL_AXIS = 0.3  # On a surface that is tilted less, no direction is level: the link's x axis is taken
 FLAT_NORMAL = np.array([0.0, 0.0, 1.0])
@@ -116,53 +111,3 @@ def with_module_anchor(text: str, module: int, anchor: AnchorDraft | None) -> st
     except (TOMLKitError, KeyError) as error:
         raise InputError(f"The layout's file cannot be changed here ({error}); change it by hand.") from None
     raise InputError(f"The layout has no module {module}; choose one of its modules.")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LaidFindings:
-    """What is wrong with a layout on a mesh."""
-
-    off_channels: IntArray
-    """(n,) channels whose position is off the mesh."""
-    sentences: tuple[str, ...]
-
-
-def find_laid_problems(layout: Layout, laid: PlacedLayout | None, surface: Surface | None) -> LaidFindings:
-    """Find taxels beside the mesh, and modules without a position."""
-    if laid is None:
-        return LaidFindings(np.empty(0, np.int64), ())
-    sentences: list[str] = []
-    unplaced = [module.id for module in layout.modules if np.isnan(laid.places[module.channels, 0]).all()]
-    if unplaced:
-        sentences.append(f"Not on the part: {_modules(unplaced)}. Click where the layout lies.")
-    off = np.empty(0, np.int64)
-    known = layout.channels[np.isfinite(laid.places[layout.channels, 0])]
-    if surface is not None and len(known):
-        near, _ = nearest_points(surface, laid.places[known])
-        off = known[np.linalg.norm(near - laid.places[known], axis=1) > TAXEL_OFF_MESH_MIN_DISTANCE_M]
-    if len(off):
-        modules = sorted({layout.modules[int(index)].id for index in layout.module_of[off]})
-        verb = "is" if len(off) == 1 else "are"
-        sentences.append(f"{plural(len(off), 'taxel')} of {_modules(modules)} {verb} off the mesh: slide or turn the layout.")
-    sentences += _overlaps(layout, laid)
-    return LaidFindings(off, tuple(sentences))
-
-
-def _overlaps(layout: Layout, laid: PlacedLayout) -> list[str]:
-    """Find modules that overlap."""
-    known = layout.channels[np.isfinite(laid.places[layout.channels, 0])]
-    if len(layout.modules) < 2 or not len(known):
-        return []
-    pairs = pairs_within(laid.places[known], MODULES_OVERLAP_BELOW_SPACINGS * layout.spacing)
-    owners = layout.module_of[known[pairs]]
-    both = sorted({(int(min(pair)), int(max(pair))) for pair in owners if pair[0] != pair[1]})
-    if not both:
-        return []
-    first, second = (layout.modules[index].id for index in both[0])
-    more = f", and {len(both) - 1} more pairs" if len(both) > 1 else ""
-    return [f"Modules {first} and {second}{more} overlap: turn the layout, or move modules alone."]
-
-
-def _modules(ids: list[int]) -> str:
-    shown = ", ".join(map(str, ids[:5])) + (" ..." if len(ids) > 5 else "")
-    return f"module {shown}" if len(ids) == 1 else f"modules {shown}"

@@ -12,16 +12,15 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import ANCHOR_TO_SURFACE_MAX_M
-from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, load_scene
 from skincal.model.urdf import Robot, read_urdf
-from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft
+from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft, propose_anchor
 from skincal.session.layout_placing import anchor_at
 from skincal.session.part_draft import AnchorDraft, PartDraft, save_draft
 from skincal.session.robot_mesh import with_own_mesh
 
-FARTHEST_POINT = "position of the layout: the mesh point farthest out along the link's z axis; move it"
+PROPOSED_POINT = "position of the layout: the middle of the largest face away from the sensor; move it"
 UNKNOWN_SIGN = "the URDF does not say; -1 if the sensor reports the reaction force"
 
 
@@ -31,7 +30,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     Parameters
     ----------
     draft : without an anchor; with a URDF `unit` is what the user typed, or empty
-    anchor_mm : (3,) mm, link frame: position of the layout's middle; `None` for the farthest point along the link's z axis
+    anchor_mm : (3,) mm, link frame: position of the layout's middle; `None` for that of `propose_anchor`
 
     Raises
     ------
@@ -62,7 +61,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     if preview.layout is not None and (preview.surface is not None or anchor_mm is not None):
         part = replace(part, anchor=_anchor(preview, anchor_mm))
         if anchor_mm is None:
-            comments["skin", "anchor"] = FARTHEST_POINT
+            comments["skin", "anchor"] = PROPOSED_POINT
     if draft.urdf is not None and part.sign is None and preview.sign is None:
         part = replace(part, sign=1)
         comments["wrench", "sign"] = UNKNOWN_SIGN
@@ -71,14 +70,12 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
 
 
 def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:
-    """Place the layout's middle at a point, (3,) mm; without one at the part's farthest point along the link's z axis."""
-    surface, layout = preview.surface, preview.layout
+    """Place the layout's middle at a point, (3,) mm; without one as the window proposes it."""
+    surface, layout, pose = preview.surface, preview.layout, preview.sensor_pose
     assert layout is not None
     if point_mm is None:
-        assert surface is not None
-        point = _farthest_point(surface)
-    else:
-        point = point_mm * 1e-3
+        return AnchorDraft.from_anchor(propose_anchor(layout, surface, None if pose is None else pose[:3, 3]))
+    point = point_mm * 1e-3
     anchor = anchor_at(surface, layout, point, None)
     gap = float(np.linalg.norm(anchor.point - point))
     if gap > ANCHOR_TO_SURFACE_MAX_M:
@@ -88,14 +85,6 @@ def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:
             "the mesh's unit."
         )
     return AnchorDraft.from_anchor(anchor)
-
-
-def _farthest_point(surface: Surface) -> FloatArray:
-    """Find the middle of the triangle at the highest vertex that faces up most, (3,) metres."""
-    highest = int(surface.vertices[:, 2].argmax())
-    around = np.flatnonzero((surface.triangles == highest).any(axis=1))
-    triangle = int(around[surface.normals[around, 2].argmax()])
-    return surface.vertices[surface.triangles[triangle]].mean(axis=0)
 
 
 def _require_joints(robot: Robot, fixed: list[str]) -> None:

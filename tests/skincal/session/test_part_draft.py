@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from skincal.files.layout_sources import parse_layout, read_layout_file, repeated_modules
+from skincal.files.layout_sources import parse_grid, parse_layout, read_layout_file, repeated_modules
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
 from skincal.session.draft_preview import PartPreviewer, completed_draft
@@ -399,3 +399,34 @@ def test_a_scene_that_was_written_by_hand_is_not_rewritten(tmp_path, cylinder, t
     changed = save_draft(replace(draft, polarity="down"), scene)
     assert scene.read_bytes().count(line_end.encode()) == scene.read_bytes().count(b"\n")
     assert replace(changed, text=draft.text, polarity="up") == draft
+
+
+def test_a_layout_that_is_not_placed_lies_in_the_middle_of_the_free_face(tmp_path):
+    """Of a plate the larger face, away from a sensor below it; of a column the side that is seen first."""
+    for name, mesh in (
+        ("plate", trimesh.creation.box((107.0, 120.0, 20.0))),
+        ("column", trimesh.creation.cylinder(40.0, 300.0)),
+    ):
+        mesh.export(tmp_path / f"{name}.stl")
+    previewer, text = PartPreviewer(), repeated_modules("triangle_12", 1, 2)
+    pose = np.eye(4)
+    for name, z_mm, middle in (("plate", -60.0, (0, 0, 10)), ("plate", 60.0, (0, 0, -10)), ("column", -200.0, (40, 0, 0))):
+        pose[2, 3] = z_mm * 1e-3
+        draft = PartDraft(mesh=tmp_path / f"{name}.stl", sensor_pose=pose_rows(pose), layout_text=text)
+        seen = previewer.preview(draft, {})
+        assert seen.proposed_anchor.point * 1e3 == pytest.approx(middle, abs=0.2)
+
+
+def test_the_summary_has_no_tick_for_a_layout_that_does_not_fit(tmp_path):
+    """The same sentence is under step 5, and in the summary."""
+    trimesh.creation.box((100.0, 80.0, 3.0)).export(tmp_path / "plate.stl")
+    previewer = PartPreviewer()
+    draft = PartDraft(mesh=tmp_path / "plate.stl", sensor_pose=IDENTITY_POSE, layout_text=parse_grid("6x6@9mm").layout_text())
+    seen = previewer.preview(draft, {})
+    for point, is_fine in (((0.0, 0.0, 0.0015), True), ((0.04, 0.0, 0.0015), False)):
+        anchor = anchor_at(seen.surface, seen.layout, np.array(point), None)
+        placed = previewer.preview(replace(draft, anchor=AnchorDraft.from_anchor(anchor)), {})
+        line = next(line for line in summarize(placed) if line.step == "place")
+        assert (line.state is State.COMPLETE) is is_fine
+        assert (line.text == "every taxel is on the part") is is_fine
+        assert is_fine or line.text == placed.findings["place"][0]

@@ -13,8 +13,9 @@ from skincal.journal.writer import copy_scene, scene_digest
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
 from skincal.session.arm_poses import ArmPoses
+from skincal.session.draft_preview import PartPreviewer
 from skincal.session.part import load_part
-from skincal.session.part_draft import PartDraft
+from skincal.session.part_draft import PartDraft, open_draft
 from skincal.session.robot_places import robot_places
 from skincal.session.scene_draft import write_scene
 
@@ -60,7 +61,9 @@ def test_a_robots_scene_has_its_chain_sign_mesh_and_grid(tmp_path, urdf):
     part = load_part(scene.path)
     assert part.surface.vertices[:, 2].max() == pytest.approx(0.1)  # 50 mm of the box above 50 mm of its origin
     assert part.laid.places.shape == (12, 3)
-    assert np.allclose(part.laid.places[:, 2], 0.1)
+    # The middle of the larger faces, 60 x 100 mm; of the two equal ones that along y.
+    assert np.allclose(part.laid.places[:, 1], 0.02)
+    assert np.allclose(part.laid.places.mean(axis=0), [0.0, 0.02, 0.05])
     straight = scene.arm.arm.link_from_sensor(np.zeros(2))
     assert straight[:3, 3].tolist() == pytest.approx([0.0, 0.0, -0.3])
 
@@ -328,3 +331,23 @@ def test_a_simulated_session_of_a_robot_is_calibrated(tmp_path, urdf, capsys):
     modules = json.loads(capsys.readouterr().out)["methods"]["modules"]
     assert modules["states"]["touched"] + modules["states"]["inferred"] == 16
     assert modules["predicted_error_mm"]["mean"] < 3.0
+
+
+def test_what_is_wrong_with_the_place_of_a_layout_is_said_by_both_commands(tmp_path, capsys):
+    """A layout folded round the rim, one larger than the part, and one that fits; the window shows the same sentences."""
+    trimesh.creation.box((100.0, 80.0, 3.0)).export(tmp_path / "plate.stl")
+    mesh = ["--mesh", str(tmp_path / "plate.stl"), "--unit"]
+    for name, options, words in (
+        ("folded", ["mm", "--grid", "6x6@9mm", "--anchor-mm", "40,0,1.5"], "12 taxels of module 1 lie beyond a rim"),
+        ("large", ["mm", "--grid", "16x16@9mm"], "The layout is larger than the part: 191 mm from corner to corner"),
+        ("fits", ["mm", "--grid", "6x6@9mm"], ""),
+    ):
+        scene = tmp_path / name / "scene.toml"
+        for command in (["new", *mesh, *options, "--out", str(scene)], ["show", str(scene)]):
+            assert main(["scene", *command]) == 0
+            said = capsys.readouterr().out
+            assert words in said
+            assert words or not any(word in said for word in ("taxels of module", "The layout"))
+        seen = PartPreviewer().preview(open_draft(scene), {})
+        assert "".join(seen.findings["place"]) in said
+        assert bool(seen.findings["place"]) is bool(words)
