@@ -176,10 +176,31 @@ COMMANDS = (
     Command("what", "Help", "What is this?", "F1", "Then click something to see its explanation",
             lambda _: QWhatsThis.enterWhatsThisMode()),
     Command("keys", "Help", "Keys", "F2", "Every key in one list", lambda w: w.show_keys()),
+    Command("messages", "Help", "Messages…", "F4", "All messages of this window with their times", lambda w: w.show_messages()),
     Command("documents", "Help", "Documents", "Shift+F1", "Open the manual and the other pages", lambda w: w.open_documents()),
     Command("about", "Help", "About skincal", "Shift+F2", "Version and licence", lambda w: w.show_about()),
 )
 # fmt: on
+GROUP_STARTS = frozenset(
+    (
+        "new",
+        "addresses",
+        "export",
+        "pace",
+        "quit",
+        "no landmarks",
+        "undo",
+        "exclude",
+        "thresholds",
+        "sounds",
+        "turn",
+        "larger",
+        "none",
+        "system",
+        "documents",
+    )
+)  # fmt: skip
+"""Names of commands with a line above them in the menu."""
 LAYERS = tuple(command.name for command in COMMANDS if command.menu == "Layers")
 """Layers of the 3D view that can be hidden."""
 
@@ -200,6 +221,8 @@ class Commands(QObject):
             # A key that is held down would undo one poke after another.
             action.setAutoRepeat(False)
             action.triggered.connect(lambda _checked=False, run=command.run: run(window))
+            if command.name in GROUP_STARTS:
+                self.menus[command.menu].addSeparator()
             self.menus[command.menu].addAction(action)
             self.actions[command.name] = action
 

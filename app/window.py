@@ -17,6 +17,7 @@ from PySide6.QtGui import QCloseEvent, QColor, QDesktopServices, QPalette
 from PySide6.QtWidgets import QApplication, QDialog, QFileDialog, QMainWindow, QMessageBox, QStackedWidget, QWidget
 
 from app.commands import Commands
+from app.dialogs.focus_return import FocusReturn
 from app.dialogs.pedals import Pedals
 from app.panels.drop_target import DropTarget
 from app.panels.first_minute import FirstMinute
@@ -38,6 +39,7 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from app.builder.page import BuilderPage
     from app.dialogs.import_dialog import ImportDialog
+    from app.dialogs.messages_dialog import MessagesDialog
     from app.session.opening import Addresses
     from app.session_view import SessionView
     from app.state.policies import Allowed
@@ -170,9 +172,12 @@ class Window(QMainWindow):
         self._targets = ""  # Address that asks a robot for pokes, in every session with devices; empty by default
         self._leaves = False
         self._import: ImportDialog | None = None
-        self.messages, self.stack, self.opening, self.where = MessageBar(), QStackedWidget(), StartPage(), ElidedLabel()
+        self._messages_dialog: MessagesDialog | None = None
+        self.stack, self.opening, self.where = QStackedWidget(), StartPage(), ElidedLabel()
+        self.messages = MessageBar(self._message_place)
         self.commands = Commands(self)
         self.recent = RecentMenu(settings, self)
+        self._focus_return = FocusReturn(self)
         self.pedals = Pedals(self.commands.actions, self.commands.taken, settings, self)
         self._arrange()
         self._connect()
@@ -188,8 +193,9 @@ class Window(QMainWindow):
         # Pages larger than the screen scroll: Wayland compositors end a program whose maximized window is larger.
         pages = scrolled(self.stack)
         pages.setObjectName("pages")
-        make_column(self.messages, (pages, 1), within=centre, margins=0, gap=0)
+        make_column((pages, 1), within=centre, margins=0, gap=0)
         self.setCentralWidget(centre)
+        self.messages.setParent(centre)
         bar = self.statusBar()
         bar.setSizeGripEnabled(False)
         bar.setContentsMargins(WIDGET_GAP_PX, 0, 0, 0)
@@ -212,6 +218,8 @@ class Window(QMainWindow):
         controller.part_loaded.connect(self._make_session_view)
         controller.session_opened.connect(lambda _: self.player.get_ready())
         controller.running_changed.connect(self._follow_running)
+        self.messages.list_wanted.connect(self.show_messages)
+        self.stack.currentChanged.connect(lambda _: self.messages.show_newest())
         controller.said.connect(self.tell)
         controller.stored.connect(self._show_storage)
         self._theme.changed.connect(self._recolour)
@@ -266,6 +274,9 @@ class Window(QMainWindow):
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
                 self._first_minute = FirstMinute(robot=not self.controller.pace)
                 view.workspace.show_card(self._first_minute)
+                # Esc closes the card first: one thing at a time says so.
+                self.messages.show_key(wanted=False)
+                self._first_minute.closed.connect(lambda: self.messages.show_key(wanted=True))
                 # Now: a window that is closed within the minute has shown it, too.
                 self._settings.setValue("window/told", True)
 
@@ -293,6 +304,13 @@ class Window(QMainWindow):
         if self.controller.folder is not None:
             self.recent.remember(self.controller.folder)
         self.commands.update_actions()
+
+    def _message_place(self) -> QWidget:
+        """Return the widget whose upper edge messages may cover: the 3D view, since no field or button is there."""
+        page = self.stack.currentWidget()
+        if self.session_view is not None and page is self.session_view.workspace:
+            return self.session_view.workspace.view
+        return self.builder.view if self.builder is not None and page is self.builder else self.stack
 
     def tell(self, message: Message) -> None:
         """Show a message to the operator; log errors, too."""
@@ -356,6 +374,19 @@ class Window(QMainWindow):
         from app.dialogs.keys_dialog import KeysDialog
 
         KeysDialog(self).open()
+
+    def show_messages(self) -> None:
+        """Show all messages in a window that stays open."""
+        from app.dialogs.messages_dialog import MessagesDialog
+
+        if self._messages_dialog is None:
+            self._messages_dialog = dialog = MessagesDialog(self.messages, self)
+            dialog.finished.connect(self._forget_messages)
+        self._messages_dialog.show()
+        self._messages_dialog.activateWindow()
+
+    def _forget_messages(self) -> None:
+        self._messages_dialog = None
 
     def show_about(self) -> None:
         self._offer("About skincal", about_words(qVersion()))
@@ -619,6 +650,7 @@ class Window(QMainWindow):
         self._drop_builder()
         view, self.session_view = self.session_view, None
         self._first_minute = None
+        self.messages.show_key(wanted=True)
         if view is not None:
             view.save()
             view.close()

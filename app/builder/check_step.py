@@ -57,7 +57,7 @@ class CheckStep(Step):
         self.place = VectorField("position of the landmark")
         self.place.edited.connect(self._move)
         self.add, self.remove = button("&Add at the position", run=self._add), button("&Remove", run=self._remove)
-        rows = self.list, ("&Name", self.mark_name), ("&Position", self.place), ("", row_of(self.add, self.remove))
+        rows = self.list, ("&Name", self.mark_name), ("Pos&ition", self.place), ("", row_of(self.add, self.remove))
         head, summary = QLabel("Summary"), QWidget()
         set_bold(head)
         summary.setAccessibleName("summary")

@@ -68,7 +68,7 @@ class JointsStep(Step):
         self.columns = QLineEdit()
         self.columns.setAccessibleName("columns of the joint stream")
         self.columns.editingFinished.connect(self._name_columns)
-        self.columns_label = QLabel("&Columns of the joint stream, by joint name, separated by commas", wordWrap=True)
+        self.columns_label = QLabel("Col&umns of the joint stream, by joint name, separated by commas", wordWrap=True)
         self.columns_label.setBuddy(self.columns)
         self.rows: dict[str, JointRow] = {}
         holder = QWidget()

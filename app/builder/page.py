@@ -86,7 +86,7 @@ class BuilderPage(QWidget):
         for each in (self.undo_button, self.redo_button):
             each.setFixedWidth(scaled(UNDO_BUTTON_WIDTH_PX))
             each.setEnabled(False)
-        self.leave_button, self.start = button("&Close", run=self.left.emit), button("&Save and start", run=self.save_and_start)
+        self.leave_button, self.start = button("&Close", run=self.left.emit), button("Save and s&tart", run=self.save_and_start)
         self.back = button("\N{LEFTWARDS ARROW} &Back", run=partial(self._go, -1))
         self.next = button("Ne&xt", run=partial(self._go, 1))
         buttons = self.undo_button, self.redo_button, self.leave_button, 1, self.back, self.next, self.start

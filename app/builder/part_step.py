@@ -66,7 +66,7 @@ class PartStep(Step):
         self.package.editingFinished.connect(self._take_package)
         self.package_label, self.package_row = path_row("Pac&kage", self.package, self._choose_package)
         self.form = make_form(
-            path_row("Mesh or &URDF", self.file, self.choose_file), ("Part's &name", self.part_name), ("&Unit", self.unit),
+            path_row("Mesh or &URDF", self.file, self.choose_file), ("Part's &name", self.part_name), ("Un&it", self.unit),
             ("Size", self.size_text), self.tree_note, self.tree, ("F&rame", self.frame), self.frame_note,
             (mesh_label, self.mesh_row), (self.package_label, self.package_row),
         )  # fmt: skip

@@ -68,7 +68,7 @@ class PlaceStep(Step):
             grid.addWidget(each, row, column)
         self.back = button("Let this module &follow the layout again", run=self._let_follow)
         turns = ("Turn", row_of(*self.turns))
-        moves = ("&Move", self.moved), ("&Position", self.point), turns, ("Slide", row_of(pad)), ("by", row_of(self.step))
+        moves = ("&Move", self.moved), ("Pos&ition", self.point), turns, ("Slide", row_of(pad)), ("by", row_of(self.step))
         self.fill(make_form(*moves, self.back))
         self._grip: FloatArray | None = None  # From the anchor's point to the point where a drag began, (3,) metres
         self._drag = 0

@@ -63,11 +63,11 @@ class SensorStep(Step):
 
     def _make_free_form(self) -> None:
         """Make the fields for a part without a URDF."""
-        self.under = button("The part &stands on the sensor", run=self._stand)
+        self.under = button("The part stan&ds on the sensor", run=self._stand)
         self.bottom_gap = number_field("distance from the part's bottom to the sensor's origin", " mm", SENSOR_DEPTH_MAX_MM)
         self.bottom_gap.setToolTip("From the bottom face down to the sensor's origin; see its drawing")
         self.same = button("Same &frame as the part", run=lambda: self._set_pose(np.eye(4)))
-        self.pick = button("&Pick three points of the flange")
+        self.pick = button("Pic&k three points of the flange")
         self.pick.setCheckable(True)
         self.add_point = button(ADD_POINT, run=lambda: self._add_flange_point(np.array(self.origin.value()) * 1e-3))
         self.pick_note = secondary_label(wrap=True)
@@ -80,7 +80,7 @@ class SensorStep(Step):
             each.setAccessibleName(f"turn the sensor by 90 degrees about its {name} axis")
         below = row_of(self.under, QLabel("origin"), self.bottom_gap, QLabel("below"))
         make_form(
-            below, row_of(self.same, self.pick), self.pick_note, ("&Position", self.origin), ("", self.add_point),
+            below, row_of(self.same, self.pick), self.pick_note, ("Pos&ition", self.origin), ("", self.add_point),
             ("&z points to", self.direction), ("Turn", row_of(*self.turns)), within=self.free_form, margins=0,
         )  # fmt: skip
         self.bottom_gap.valueChanged.connect(self._stand)

@@ -78,7 +78,7 @@ class SkinStep(Step):
         for page in pages:
             self.pages.addWidget(page)
         self.found = QLabel(wordWrap=True)
-        choices = ("&Values a frame", self.channels), ("They", self.polarity), ("&Layout", self.layout_kind)
+        choices = ("V&alues a frame", self.channels), ("They", self.polarity), ("Layo&ut", self.layout_kind)
         self.form = make_form(*choices, self.pages, ("The skin &is", self.material), self.found)
         self.live = LiveRow(Stream.SKIN)
         self.live.read.connect(self._take_frames)
@@ -125,7 +125,7 @@ class SkinStep(Step):
         for box in (self.strips, self.in_strip):
             box.valueChanged.connect(self._use_modules)
         strips = row_of(self.strips, QLabel("of"), self.in_strip, QLabel("modules"))
-        make_form(("&Kind", self.kind), ("Strips", strips), within=page, margins=0)
+        make_form(("Kin&d", self.kind), ("Strips", strips), within=page, margins=0)
         return page
 
     def update_fields(self, preview: PartPreview) -> None:

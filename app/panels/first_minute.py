@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import QTimer
+from PySide6.QtCore import QTimer, Signal
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QFrame, QLabel
 
@@ -19,6 +19,8 @@ TITLE_FONT_SIZE_PT = 10.5
 
 class FirstMinute(QFrame):
     """Explains the demonstration in a few points."""
+
+    closed = Signal()
 
     def __init__(self, *, robot: bool = False) -> None:
         super().__init__()
@@ -41,6 +43,7 @@ class FirstMinute(QFrame):
     def leave(self) -> None:
         self._timer.stop()
         self.hide()
+        self.closed.emit()
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         event.accept()

@@ -1,36 +1,62 @@
-"""The line at the top of the window for errors, results and findings; errors stay until they are dismissed."""
+"""Messages over the upper edge of the 3D view: the newest is shown, and nothing below it moves. All are kept for the list."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
 
-from PySide6.QtCore import Qt, QTimer
-from PySide6.QtGui import QPalette
-from PySide6.QtWidgets import QFrame, QLabel, QPushButton
+from PySide6.QtCore import QEvent, QObject, QPoint, Qt, QTimer, Signal
+from PySide6.QtGui import QCursor, QPalette
+from PySide6.QtWidgets import QFrame, QLabel, QPushButton, QWidget
 
 from app.panels.layouts import make_row
 from app.panels.widgets import theme_colours
-from app.text.message import Message
+from app.text.message import Message, message_sign
 from app.theme import WIDGET_GAP_PX
 
-SUCCESS_MESSAGE_SHOWN_MS = 8000  # A success or a finding disappears after this time
-MAX_QUEUED_MESSAGES = 20  # Messages that wait to be read; older ones are in the log
+MIN_MESSAGE_SHOWN_MS = 8000  # A success or a finding disappears after this time at the earliest
+READING_MS_PER_CHAR = 60  # A slow reader needs this for each letter: 200 words a minute
+READER_CHECK_PERIOD_MS = 1000  # A message whose time is over waits this long until it is tried again
+POINTER_ZONE_OVER_WINDOW = 1 / 3  # While the pointer is in this upper share of the window, messages stay
+MAX_QUEUED_MESSAGES = 20  # Messages that wait to be read
+MAX_KEPT_MESSAGES = 500  # Messages in the list; older ones are in the log
+PLACING_EVENTS = (QEvent.Type.Resize, QEvent.Type.Move, QEvent.Type.Show, QEvent.Type.Hide)
 
 
 class MessageBar(QFrame):
-    """The newest message; dismissing it shows the one before."""
+    """The newest message, over the upper edge of a widget; dismissing it shows the one before.
 
-    def __init__(self) -> None:
+    `covered` returns the widget whose upper edge it may cover.
+    """
+
+    kept_changed = Signal()  # `kept` has a new message
+    list_wanted = Signal()
+
+    def __init__(self, covered: Callable[[], QWidget]) -> None:
         super().__init__()
+        self._covered = covered
+        self._followed: list[QWidget] = []
         self._waiting: deque[Message] = deque(maxlen=MAX_QUEUED_MESSAGES)
+        self.kept: deque[tuple[datetime, Message]] = deque(maxlen=MAX_KEPT_MESSAGES)
+        self.is_list_open = False
         # Messages quote files and devices: Qt would interpret HTML in them.
         self.text = QLabel(wordWrap=True, textFormat=Qt.TextFormat.PlainText)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.close_button = QPushButton("Dismiss  (Esc)", flat=True)
+        self.list_button, self.close_button = QPushButton("All  (F4)", flat=True), QPushButton(flat=True)
+        self.show_key(wanted=True)
+        for button in (self.list_button, self.close_button):
+            # Tab passes by: the keys do both.
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.list_button.setAccessibleName("all messages")
         self._timer = QTimer(self, singleShot=True)
         margins = (2 * WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
-        make_row((self.text, 1), self.close_button, within=self, margins=margins)
+        make_row((self.text, 1), self.list_button, self.close_button, within=self, margins=margins)
+        self.setFrameShape(QFrame.Shape.Box)
         self.setAutoFillBackground(True)
+        self.setAccessibleName("message")
+        self.list_button.clicked.connect(self.list_wanted)
         self.close_button.clicked.connect(self.dismiss)
         self._timer.timeout.connect(self._expire)
         self.hide()
@@ -40,7 +66,13 @@ class MessageBar(QFrame):
         if self._waiting and self._waiting[-1] == message:
             return
         self._waiting.append(message)
+        self.kept.append((datetime.now().astimezone(), message))
+        self.kept_changed.emit()
         self.show_newest()
+
+    def show_key(self, *, wanted: bool) -> None:
+        """Name the key that dismisses a message, unless it does something else now."""
+        self.close_button.setText("Dismiss  (Esc)" if wanted else "Dismiss")
 
     def dismiss(self) -> None:
         if self._waiting:
@@ -55,16 +87,29 @@ class MessageBar(QFrame):
 
     def stop(self) -> None:
         self._timer.stop()
+        self._watch_places([])
 
     def _expire(self) -> None:
-        if self._waiting and not _is_permanent(self._waiting[-1]):
+        if not self._waiting or _is_permanent(self._waiting[-1]):
+            return
+        if self._is_being_read():
+            self._timer.start(READER_CHECK_PERIOD_MS)
+        else:
             self.dismiss()
+
+    def _is_being_read(self) -> bool:
+        """Return whether the pointer is on the message or on the window's upper part, text is marked, or the list is open."""
+        window = self.window()
+        at = window.mapFromGlobal(QCursor.pos())
+        is_near = window.rect().contains(at) and at.y() < POINTER_ZONE_OVER_WINDOW * window.height()
+        return is_near or self.geometry().contains(at) or self.text.hasSelectedText() or self.is_list_open
 
     def show_newest(self) -> None:
         """Show the newest message in the theme's colours, if there is one."""
         self._timer.stop()
-        self.setVisible(bool(self._waiting))
         if not self._waiting:
+            self.hide()
+            self._watch_places([])
             return
         newest = self._waiting[-1]
         colours = theme_colours()
@@ -73,20 +118,45 @@ class MessageBar(QFrame):
         text = colours.window if newest.error else colours.text
         for role in (QPalette.ColorRole.WindowText, QPalette.ColorRole.ButtonText):
             palette.setColor(role, text)
-        for widget in (self, self.text, self.close_button):
+        for widget in (self, self.text, self.list_button, self.close_button):
             widget.setPalette(palette)
-        self.text.setText(f"{_sign(newest)}  {newest.text}")
+        self.text.setText(f"{message_sign(newest)}  {newest.text}")
+        self.place()
+        self.show()
+        self.raise_()
         if not _is_permanent(newest):
-            self._timer.start(SUCCESS_MESSAGE_SHOWN_MS)
+            self._timer.start(max(MIN_MESSAGE_SHOWN_MS, READING_MS_PER_CHAR * len(newest.text)))
+
+    # Place
+
+    def place(self) -> None:
+        """Lie over the upper edge of the covered widget, as high as the text."""
+        parent, covered = self.parentWidget(), self._covered()
+        if parent is None:
+            return
+        self._watch_places([parent, covered])
+        corner = covered.mapTo(parent, QPoint(0, 0)) if parent.isAncestorOf(covered) else QPoint(0, 0)
+        left, top = corner.x() + WIDGET_GAP_PX, corner.y() + WIDGET_GAP_PX
+        # A view that is narrower than a sentence needs lets the message reach over its right edge.
+        width = max(covered.width() - 2 * WIDGET_GAP_PX, min(self.sizeHint().width(), parent.width() - left - WIDGET_GAP_PX))
+        self.setGeometry(left, top, width, min(self.heightForWidth(width), parent.height() - top))
+
+    def _watch_places(self, widgets: list[QWidget]) -> None:
+        """Follow the size and place of these widgets, and of no others."""
+        if widgets != self._followed:
+            for widget in self._followed:
+                # A page that was left is gone with its view.
+                with suppress(RuntimeError):
+                    widget.removeEventFilter(self)
+            for widget in widgets:
+                widget.installEventFilter(self)
+            self._followed = widgets
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: ARG002
+        if event.type() in PLACING_EVENTS and self.isVisible():
+            self.place()
+        return False
 
 
 def _is_permanent(message: Message) -> bool:
     return message.error or message.asks
-
-
-def _sign(message: Message) -> str:
-    if message.error:
-        return "\N{BALLOT X}"
-    if message.found:
-        return "\N{BULLET}"
-    return "\N{RIGHTWARDS ARROW}" if message.asks else "\N{CHECK MARK}"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from skincal.model.errors import plain_text
@@ -27,6 +28,21 @@ class Message:
     """Asks for an action, and stays until that is done."""
     found: bool = False
     """Reports a finding, neither a success nor an error."""
+
+
+def message_sign(message: Message) -> str:
+    """Return the sign before a message: a cross for an error, an arrow for a request, a dot for a finding, else a tick."""
+    if message.error:
+        return "\N{BALLOT X}"
+    if message.found:
+        return "\N{BULLET}"
+    return "\N{RIGHTWARDS ARROW}" if message.asks else "\N{CHECK MARK}"
+
+
+def kept_messages_text(kept: Iterable[tuple[datetime, Message]]) -> str:
+    """List messages with their times of day, the newest first."""
+    lines = [f"{at:%H:%M:%S}  {message_sign(message)}  {message.text}" for at, message in kept]
+    return "\n\n".join(reversed(lines)) or "There is no message yet."
 
 
 def refused_words(failure: str) -> str:

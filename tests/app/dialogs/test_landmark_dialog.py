@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QLocale, QPoint, Qt, QTimer
+from PySide6.QtCore import QLocale, QPoint, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialogButtonBox, QWidget
 
 from app.dialogs.landmark_dialog import CLICK_REQUEST, LandmarkDialog, LandmarkPicking, free_name, name_problem
-from app.panels.message_bar import MessageBar
 from app.session.opening import OpenRequest
 from app.text.message import Message
 from skincal.mesh.search import nearest_points
@@ -182,21 +181,3 @@ def test_the_names_that_are_proposed_and_refused():
     assert free_name({"landmark 1", "landmark 2", "x"}) == "landmark 3"
     assert name_problem("a", {"b"}) == ""
     assert name_problem("", ()) != ""
-
-
-def test_what_is_asked_stays_until_it_is_done(qtbot):
-    bar = MessageBar()
-    qtbot.addWidget(bar)
-    bar.tell(CLICK_REQUEST)
-    timer = bar.findChild(QTimer)
-    assert not timer.isActive()
-    bar.tell(Message("Written."))
-    timer.timeout.emit()
-    assert CLICK_REQUEST.text in bar.text.text()
-    assert "\N{CHECK MARK}" not in bar.text.text(), "nothing is done yet"
-    timer.timeout.emit()
-    assert CLICK_REQUEST.text in bar.text.text()
-    bar.withdraw(CLICK_REQUEST)
-    bar.withdraw(CLICK_REQUEST)
-    assert not bar.isVisible()
-    bar.stop()
