@@ -4,7 +4,8 @@ One frame a line, or one row a line and a blank line after each frame. Fields ar
 comma is a decimal point), tab or spaces. A line's number of values determines its stream: six of a wrench where the link
 carries wrenches, the width of the skin where it carries skin, anything constant for joints (degrees). Words, such as a
 banner at boot, are passed over. A header line that names leading columns (`seq`, `t`, `time`, `millis`, `t_us`, ...; `t` and
-`time` are seconds) makes them the number and the device's clock. Without a header a first value that only rises is found.
+`time` are seconds) makes them the number and the device's clock. Without a header, first or last values that only
+rise are found.
 
 Lines of other forms (`line_forms.py`) are read once two in a row have one form, unless lines of numbers alone came before.
 
@@ -15,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import ClassVar
 
 from skincal.devices.column_names import CLOCK_COLUMN_RE, TIME_COLUMN_RE, TIME_UNITS, WRENCH_AXES, short_unit
@@ -27,17 +28,27 @@ from skincal.streams.decoders.line_forms import (
     has_hex_letters,
     hex_numbers,
     is_clock_or_counter,
+    opens_brackets,
     read_line,
     split_fields,
     to_numbers,
+    without_colours,
 )
 from skincal.streams.decoders.line_streams import (
     PLAIN_KEY,
+    RISING_COLUMNS_MAX,
+    Cells,
     ChannelFrames,
+    ConstantChecksum,
+    ContinuedLines,
     FormAgreement,
     LineSplitter,
-    RisingColumn,
+    NumberedRows,
+    NumberedTitles,
+    OpenBrackets,
+    RisingColumns,
     SeparatedRows,
+    counts_lines,
 )
 
 LINE_MAX_BYTES = 65536
@@ -75,20 +86,22 @@ class TextDecoder(FrameDecoder):
         self._columns = LeadingColumns()
         # Of a skin frame whose rows are lines of their own, until the blank line that ends it.
         self._rows: list[list[float]] = []
-        self._has_blank_ends = False
-        self._separated = SeparatedRows()
+        self._has_too_many_rows = self._has_blank_ends = False
+        self._separated, self._numbered, self._continued = SeparatedRows(), NumberedRows(), ContinuedLines()
+        self._titled_rows: dict[tuple[str, str], NumberedRows] = {}
         self._agreed = {stream: FormAgreement() for stream in carries}
         self._channel_frames: dict[tuple[str, str], ChannelFrames] = {}
-        self._rising = RisingColumn()
-        self._rising_inside = RisingColumn()
-        self._lines_searched = 0
+        self._cells: dict[tuple[str, str], Cells] = {}
+        self._titles, self._checksum, self._brackets = NumberedTitles(), ConstantChecksum(), OpenBrackets()
+        self._rising, self._rising_inside = RisingColumns(), RisingColumns()
+        self._lines_searched = self._pair_lines = 0
         self._hex_lines = self._lines_since_hex = 0
 
     def _make_splitter(self) -> FrameSplitter:
         return LineSplitter(self.limit)
 
     def _decode(self, frame: bytes) -> Loss | None:
-        line = frame.strip()
+        line = (without_colours(frame) if b"\x1b" in frame else frame).strip()
         if not line:
             return None if self._first else self._end_frame()
         if not line.isascii() or not line.decode().replace("\t", " ").isprintable():
@@ -96,13 +109,23 @@ class TextDecoder(FrameDecoder):
         if self._hex_lines >= HEX_LINES_MIN:
             self._problem = HEX_AFTER_DECIMALS
             return Loss.UNREADABLE
-        fields = split_fields(line.decode())
-        # Python reads 1_0 as ten; no device writes that.
-        numbers = None if b"_" in line else to_numbers(fields)
+        text = line.decode()
+        fields, numbers = _parse(text)
+        if self._brackets.is_open or (opens_brackets(text) > 0 and not self._first and not self._is_all_plain):
+            is_frame = numbers is not None and self._stream_of(len(numbers)) is not None and not opens_brackets(text)
+            whole = self._brackets.close() if is_frame else self._brackets.add(text)
+            if self._brackets.is_open:
+                return None
+            if whole is not None:
+                text = whole
+                fields, numbers = _parse(text)
         if numbers is None:
-            return self._words(line.decode(), fields)
+            rest = to_numbers(split_fields(text[1:].strip())) if text[0] in ",;" and "_" not in text else None
+            if rest is None or self._first or self._stream_of(len(rest)) is not None:
+                return self._words(text, fields)
+            return self._other_width(text, rest)
         # Without a checksum nothing shows whether the first line after opening lost its front digits.
-        return None if self._first else self._numbers(numbers, fields)
+        return None if self._first else self._numbers(text, numbers, fields)
 
     def _words(self, line: str, fields: list[str]) -> Loss | None:
         """Read a header or a line of another form, or pass over a banner. A line that is mostly numbers is damaged."""
@@ -115,17 +138,17 @@ class TextDecoder(FrameDecoder):
         if width is not None and not self._has_blank_ends and not self._first:
             frame = self._separated.add_words(line, width)
             if frame is not None or self._separated.is_agreed:
-                return self._end_separated(frame)
+                return self._end_part(self._separated, frame)
         readable = sum(to_numbers([field]) is not None for field in fields)
         return Loss.UNREADABLE if 2 * readable >= len(fields) else None
 
     # Lines of numbers alone
 
-    def _numbers(self, numbers: list[float], fields: list[str]) -> Loss | None:
+    def _numbers(self, line: str, numbers: list[float], fields: list[str]) -> Loss | None:
         lead = self._columns.count
         stream = self._stream_of(len(numbers) - lead)
         if stream is None:
-            return self._other_width(numbers)
+            return self._other_width(line, numbers)
         if self._rows:
             self.counts[Loss.BAD_WIDTH] += len(self._rows)
             self._rows = []
@@ -139,9 +162,18 @@ class TextDecoder(FrameDecoder):
             return Loss.UNREADABLE
         if not lead:
             self._watch_plain(stream, numbers, fields)
+        if stream is Stream.SKIN and not lead and len(numbers) > 6 and counts_lines([numbers]):
+            half = len(numbers) // 2
+            self._problem = f"Every second value is the number of a channel (0, 1, 2, ...): set [skin] channels to {half}"
+            return Loss.UNREADABLE
         seq, device_s, missing = self._columns.read(numbers[:lead])
         self._count_missing(missing)
         return self._add(stream, seq, device_s, numbers[lead:])
+
+    @property
+    def _is_all_plain(self) -> bool:
+        """Whether lines of numbers alone are the readings of every stream that gave some."""
+        return {agreed.key for agreed in self._agreed.values()} - {None} == {PLAIN_KEY}
 
     def _is_plain(self, stream: Stream, *, is_sure: bool = True) -> bool:
         """Check whether plain lines are readings of the stream; a line that is surely plain decides that they are."""
@@ -153,7 +185,7 @@ class TextDecoder(FrameDecoder):
 
     def _watch_plain(self, stream: Stream, numbers: list[float], fields: list[str]) -> None:
         """Look for signs that plain numbers are something else: hexadecimal digits, or a clock as the first value."""
-        if has_hex_letters(fields):
+        if len(fields) > 1 and has_hex_letters(fields):
             self._count_hex_line()
         else:
             self._lines_since_hex += 1
@@ -164,9 +196,13 @@ class TextDecoder(FrameDecoder):
         self._lines_searched += 1
         if len({*map(len, fields)}) == 1 and len(fields[0]) > 1 and all(map(str.isdigit, fields)):
             self._status = MAY_BE_HEX if any(field[0] == "0" for field in fields) else self._status
-        if stream in (Stream.SKIN, Stream.WRENCH) and len(numbers) > 2 and self._rising_inside.add(numbers):
-            advice = f"set [skin] channels to {len(numbers) - 1}" if stream is Stream.SKIN else "name it in a header line"
-            self._status = f"The first of {len(numbers)} values a line only rises: if it is a clock or a number, {advice}"
+        if stream in (Stream.SKIN, Stream.WRENCH) and len(numbers) > 2:
+            values = self._rising_inside.add(numbers)
+            if values is not None:
+                advice = (
+                    f"set [skin] channels to {len(numbers[values])}" if stream is Stream.SKIN else "name it in a header line"
+                )
+                self._status = f"The {_rising_words(values, len(numbers))} only rises: if it is a clock or a number, {advice}"
 
     def _count_hex_line(self) -> None:
         self._hex_lines, self._lines_since_hex = self._hex_lines + 1, 0
@@ -175,23 +211,44 @@ class TextDecoder(FrameDecoder):
         values = hex_numbers(fields)
         return Loss.UNREADABLE if values is None else self._add(stream, NO_SEQ, math.nan, values)
 
-    def _other_width(self, numbers: list[float]) -> Loss | None:
-        """Read a row of a frame, or a line with a clock or a number before its values."""
+    def _other_width(self, line: str, numbers: list[float]) -> Loss | None:
+        """Read a part of a frame, or a line with a clock, a number or the numbers of the channels among its values."""
         lead, width = self._columns.count, self._width(Stream.SKIN)
-        if not lead and width is not None and not self._has_blank_ends and len(numbers) < width:
-            frame = self._separated.add_row(numbers, width)
-            if frame is not None or self._separated.is_agreed:
-                return self._end_separated(frame)
+        if not lead and width is not None and len(numbers) < width:
+            for parts, frame in self._parts_of(line, numbers, width):
+                if frame is not None or parts.is_agreed:
+                    return self._end_part(parts, frame)
         if not lead and self._is_row(numbers):
             self._rows.append(numbers)
             return None
-        inner = None if lead else self._stream_of(len(numbers) - 1)
-        if inner is not None and self._width(inner) is not None and self._rising.add(numbers) and self._is_plain(inner):
-            left_out = f"without the first of {len(numbers)} values a line, which only rises: a clock or a number"
-            self.units[inner], self._problem = f"{DEFAULT_UNITS[inner]}, {left_out}", ""
-            return self._add(inner, NO_SEQ, math.nan, numbers[1:])
+        self._has_too_many_rows |= bool(self._rows)
+        if not lead and width is not None and width > 1 and len(numbers) == 2 * width and counts_lines([numbers]):
+            self._pair_lines += 1
+            # Two lines in a row that count are no values.
+            return self._end_part(None, numbers[1::2]) if self._pair_lines > 1 else None
+        self._pair_lines = 0
+        for stream in () if lead else (each for each in self._carries if self._width(each) is not None):
+            excess = len(numbers) - (self._width(stream) or 0)
+            if not 0 < excess <= RISING_COLUMNS_MAX:
+                continue
+            values = self._rising.add(numbers, excess)
+            if values is not None and self._is_plain(stream):
+                left_out = f"without the {_rising_words(values, len(numbers))}, which only rises: a clock or a number"
+                self.units[stream], self._problem = f"{DEFAULT_UNITS[stream]}, {left_out}", ""
+                return self._add(stream, NO_SEQ, math.nan, numbers[values])
+            break
         self._problem = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
         return Loss.BAD_WIDTH
+
+    def _parts_of(
+        self, line: str, numbers: list[float], width: int
+    ) -> Iterator[tuple[SeparatedRows | NumberedRows | ContinuedLines, list[float] | None]]:
+        """Add a line to each kind of frames over several lines; give the frames that it completes."""
+        yield self._continued, self._continued.add(line, numbers, width)
+        if len(numbers) > 1:
+            yield self._numbered, self._numbered.add(numbers[0], numbers[1:], width)
+        if not self._has_blank_ends:
+            yield self._separated, self._separated.add_row(numbers, width)
 
     def _is_row(self, numbers: list[float]) -> bool:
         """Check whether a line may be a row of the unfinished frame."""
@@ -200,17 +257,24 @@ class TextDecoder(FrameDecoder):
 
     def _end_frame(self) -> Loss | None:
         rows, self._rows = self._rows, []
+        has_too_many, self._has_too_many_rows = self._has_too_many_rows, False
         if not rows:
             return None
         self._has_blank_ends = True
+        if has_too_many:
+            self._problem = f"Frames have more values than the {self._width(Stream.SKIN)} that are expected"
+            return Loss.BAD_WIDTH
+        if counts_lines(rows):
+            self._problem = "The first value of each row is its number, and is no reading"
+            return Loss.UNREADABLE
         if not self._is_plain(Stream.SKIN):
             return Loss.UNREADABLE
         return self._add(Stream.SKIN, NO_SEQ, math.nan, [each for row in rows for each in row])
 
-    def _end_separated(self, frame: list[float] | None) -> Loss | None:
-        """Add a frame of rows between two separators, if it is complete, and count those that are not."""
+    def _end_part(self, parts: SeparatedRows | NumberedRows | ContinuedLines | None, frame: list[float] | None) -> Loss | None:
+        """Add a frame of several lines, if it is complete, and count those that are not."""
         self._rows, self._problem = [], ""
-        if incomplete := self._separated.pop_incomplete():
+        if parts is not None and (incomplete := parts.pop_incomplete()):
             self.counts[Loss.BAD_WIDTH] += incomplete
         if frame is None:
             return None
@@ -220,19 +284,21 @@ class TextDecoder(FrameDecoder):
 
     def _is_read(self, line: str, fields: list[str]) -> bool:
         """Read a line of another form; return `False` if it is words or of no use."""
-        keys = {agreed.key for agreed in self._agreed.values()} - {None}
-        if keys == {PLAIN_KEY} or self._columns.count:
-            if has_hex_letters(fields) and self._stream_of(len(fields)) is not None:
+        if self._is_all_plain or self._columns.count:
+            if len(fields) > 1 and has_hex_letters(fields) and self._stream_of(len(fields)) is not None:
                 self._count_hex_line()
+            else:
+                # A letter beyond F: lines are damaged, and letters up to F may be, too.
+                self._hex_lines = 0
             return False
         found = read_line(line)
         if found is None:
             return False
-        if found.fault:
+        if not self._checksum.is_none(found.checksum) and found.fault:
             self.counts[Loss.BAD_CHECKSUM] += 1
             self._problem = found.fault
             return True
-        key = found.form, found.title
+        key = found.form, self._title_of(found)
         readings, is_pending = self._readings_of(found, key)
         if readings:
             self._add_agreed(found, key, readings)
@@ -240,37 +306,64 @@ class TextDecoder(FrameDecoder):
             self.counts[Loss.BAD_WIDTH] += 1
         return bool(readings) or is_pending or any(agreed.key == key for agreed in self._agreed.values())
 
+    def _title_of(self, found: LineReading) -> str:
+        """Return the title of a line: with its number if this names one of several sensors."""
+        if found.number is None or all(self._stream_of(len(values)) is None for values in found.lists.values()):
+            return found.title
+        return self._titles.resolve(found.title, found.number, MAX_TITLES)
+
     def _readings_of(self, found: LineReading, key: tuple[str, str]) -> tuple[list[tuple[Stream, list[float]]], bool]:
         """Return the readings of a line, and whether its channels are part of a frame that is not complete."""
         readings = list[tuple[Stream, list[float]]]()
-        is_pending = False
         if found.axes and Stream.WRENCH in self._widths:
             readings.append((Stream.WRENCH, [found.axes[axis] for axis in WRENCH_AXES]))
-        if (
-            found.channels
-            and Stream.SKIN in self._widths
-            and (key in self._channel_frames or len(self._channel_frames) < MAX_TITLES)
-        ):
-            frames = self._channel_frames.setdefault(key, ChannelFrames())
-            readings += [(Stream.SKIN, each) for each in frames.add(found.channels, self._width(Stream.SKIN))]
-            incomplete = frames.pop_incomplete()
-            if incomplete and self._agreed[Stream.SKIN].key == key:
-                self.counts[Loss.BAD_WIDTH] += incomplete
-            is_pending = True
+        frames = self._frames_of(found, key) if Stream.SKIN in self._widths else None
+        readings += [(Stream.SKIN, each) for each in frames or ()]
         fitting = defaultdict[Stream, list[list[float]]](list)
         for values in found.lists.values():
             stream = self._stream_of(len(values))
+            if stream is Stream.WRENCH and found.unit:
+                continue
             if stream is not None and not any(stream is known for known, _ in readings):
                 fitting[stream].append(values)
         # If two lists fit, either may be the stream's.
         readings += [(stream, lists[0]) for stream, lists in fitting.items() if len(lists) == 1]
-        return readings, is_pending
+        return readings, frames is not None
+
+    def _frames_of(self, found: LineReading, key: tuple[str, str]) -> list[list[float]] | None:
+        """Return the frames that the numbered channels, cells or rows of a line complete; `None` if it has none."""
+        width = self._width(Stream.SKIN)
+        if len(self._channel_frames) + len(self._titled_rows) >= MAX_TITLES and not (
+            key in self._channel_frames or key in self._titled_rows
+        ):
+            return None
+        incomplete, frames, is_beyond = 0, None, False
+        if found.channels or found.cells:
+            channels = self._cells.setdefault(key, Cells()).channels_of(found.cells, width) if found.cells else found.channels
+            collected = self._channel_frames.setdefault(key, ChannelFrames())
+            frames = collected.add(channels, width) if channels else []
+            incomplete = collected.pop_incomplete()
+            is_beyond = collected.is_beyond
+        elif found.number is not None and width is not None and key[1] == found.title:
+            (values,) = found.lists.values()
+            if self._stream_of(len(values)) is None:
+                rows = self._titled_rows.setdefault(key, NumberedRows())
+                frame = rows.add(found.number, values, width, is_title=True)
+                incomplete, frames = rows.pop_incomplete(), [] if frame is None else [frame]
+                is_beyond = rows.is_beyond
+        if is_beyond:
+            self._problem = f"The numbers in front of the values count further than the {width} channels that are expected"
+        if incomplete and self._agreed[Stream.SKIN].key == key:
+            self.counts[Loss.BAD_WIDTH] += incomplete
+        return frames
 
     def _add_agreed(self, found: LineReading, key: tuple[str, str], readings: list[tuple[Stream, list[float]]]) -> None:
         """Add the readings of the streams that are agreed to come in this form."""
         for stream, values in readings:
             agreed = self._agreed[stream]
-            if agreed.accept(key):
+            if agreed.accept(key, is_sure=found.is_sure):
+                words = [f"values in {found.unit}"] * bool(found.unit) + ["without a checksum"] * bool(found.checksum)
+                self.units[stream] = ", ".join(words) or self.units[stream]
                 seq, device_s, missing = self._columns.read_named(found.lead.items())
                 self._count_missing(missing)
                 loss = self._add(stream, seq, device_s, values)
@@ -314,6 +407,9 @@ class LeadingColumns:
             lead += 1
         if not lead or stream_of(len(names) - lead) is None:
             return False
+        # Numbers are no names, unless they count the channels: `Frame 12` begins a frame.
+        if not _may_be_names(names[lead:]):
+            return False
         # The first line may have lost its begin: `us` may be the rest of `t_us`.
         if not SURE_COLUMNS.issuperset(names[:lead]) and stream_of(len(names)) is not None:
             return False
@@ -345,6 +441,25 @@ class LeadingColumns:
             self._wraps_us += CLOCK_MODULUS_US
         self._last_us = number
         return number + self._wraps_us
+
+
+def _parse(text: str) -> tuple[list[str], list[float] | None]:
+    """Split a line into fields, and read them as numbers. Python reads 1_0 as ten; no device writes that."""
+    fields = split_fields(text)
+    return fields, None if "_" in text else to_numbers(fields)
+
+
+def _may_be_names(names: list[str]) -> bool:
+    if all(to_numbers([name]) is None for name in names):
+        return True
+    return len(names) > 1 and any(names == [str(k) for k in range(first, first + len(names))] for first in (0, 1))
+
+
+def _rising_words(values: slice, count: int) -> str:
+    """Name the columns of a line that are beside its values."""
+    left = count - len(range(*values.indices(count)))
+    side = "first" if values.start else "last"
+    return f"{side} of {count} values a line" if left == 1 else f"{side} {left} of {count} values a line"
 
 
 def _clock_unit(name: str) -> str | None:

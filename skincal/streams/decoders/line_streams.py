@@ -7,9 +7,11 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.devices.decoding import MarkSplitter
 from skincal.geometry import FloatArray
+from skincal.streams.decoders.line_forms import opens_brackets
 
 PLAIN_KEY = ("plain", "")
 """Form and title of a line of numbers alone."""
@@ -18,6 +20,17 @@ LONE_RETURNS_MIN = 3
 RISING_MIN_LINES = 30
 RISING_MIN_STEPS = 20
 """Of these lines, those whose value is larger than the one before: at 2 kHz two lines may have one millisecond."""
+RISING_COLUMNS_MAX = 3
+"""Clocks and numbers that a line has at most: a number, a time, and one of a second clock."""
+NUMBERED_CYCLES_MIN, NUMBERED_LINES_MIN = 3, 12
+"""Cycles and lines whose first values count the lines of a frame, until they are known to do so."""
+BEYOND_LINES_MIN = 3
+"""Lines whose numbers are beyond the scene's: one may be damaged."""
+COUNTED_TITLES_MIN = 30
+"""Titles in a row whose numbers rise, until these count frames and are not those of several sensors."""
+CONSTANT_CHECKSUMS_MIN = 10
+"""Wrong checksums in a row, all the same, that show that the board computes none."""
+OPEN_BRACKETS_MAX_LINES = 256
 NUMBER_SHAPE = "number"
 """Form of a separator that is one number."""
 _LONE_RETURN_RE = re.compile(rb"\r(?=[^\r\n])")
@@ -64,9 +77,9 @@ class FormAgreement:
         """Form and title in words."""
         return " ".join(self.key or ()).strip()
 
-    def accept(self, key: tuple[str, str]) -> bool:
-        """Check whether a line of this form and title is a reading."""
-        if self.key is None and key in (PLAIN_KEY, self._candidate):
+    def accept(self, key: tuple[str, str], *, is_sure: bool = True) -> bool:
+        """Check whether a line of this form and title is a reading. Lines that are not sure follow one that is."""
+        if self.key is None and is_sure and key in (PLAIN_KEY, self._candidate):
             self.key = key
         self._candidate = key
         return self.key == key
@@ -82,6 +95,12 @@ class ChannelFrames:
         self._found: dict[int, float] = {}
         self._first: int | None = None
         self._incomplete = 0
+        self._beyond_lines = 0
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether the labels count further than the scene: these channels are not those of the scene."""
+        return self._beyond_lines >= BEYOND_LINES_MIN
 
     def pop_incomplete(self) -> int:
         """Count new frames that lack more than half of their channels or a known first number."""
@@ -91,6 +110,7 @@ class ChannelFrames:
     def add(self, channels: dict[int, float], width: int | None) -> list[list[float]]:
         """Add the channels of a line; return the completed frames."""
         frames: list[list[float]] = []
+        self._beyond_lines += width is not None and max(channels) > width
         if self._found and min(channels) <= max(self._found):
             frames += self._end(width)
         self._found |= channels
@@ -111,7 +131,7 @@ class ChannelFrames:
         found, self._found = self._found, {}
         size = len(found) if width is None else width
         first = (min(found) if min(found) <= 1 else None) if width is None else self._first_of(found, size)
-        if first is None or max(found) >= first + size or min(found) < first or 2 * len(found) < size:
+        if self.is_beyond or first is None or max(found) >= first + size or min(found) < first or 2 * len(found) < size:
             self._incomplete += 1
             return []
         self._first = first
@@ -173,36 +193,237 @@ class SeparatedRows:
         return None
 
 
-class RisingColumn:
-    """Search for a first column that only rises: a clock or a number, and no value of a sensor."""
+class NumberedRows:
+    """Frames whose lines begin with their number: a row, or one channel.
+
+    Nothing but a number counts 0, 1, 2, ... through the lines of a frame, again and again. With the number in the values it
+    is known after `NUMBERED_CYCLES_MIN` frames, with it in the title at once.
+    """
 
     def __init__(self) -> None:
-        self.is_found = False
-        """Whether the first column, and it alone, rose all the time. A counter may begin again now and then."""
+        self.is_agreed = False
+        self._rows: list[list[float]] = []
+        self._first = 0
+        self._lines = self._cycles = self._beyond_lines = 0
+        self._incomplete = 0
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether titles count further than the scene's rows."""
+        return self._beyond_lines >= BEYOND_LINES_MIN
+
+    def pop_incomplete(self) -> int:
+        """Count new frames that lack lines, since the numbers were agreed."""
+        count, self._incomplete = self._incomplete, 0
+        return count
+
+    def add(self, number: float, values: list[float], width: int, *, is_title: bool = False) -> list[float] | None:
+        """Add the values of a line and its number; return the frame that they complete."""
+        rows, rest = divmod(width, len(values)) if values else (0, 1)
+        if rest or rows < 2 or (self._rows and len(values) != len(self._rows[0])):
+            self._restart()
+            return None
+        self._beyond_lines += is_title and number > rows
+        if self.is_beyond:
+            self.is_agreed = False
+            return None
+        if number != self._first + len(self._rows):
+            self._restart()
+            # Frames begin at 0, or at 1.
+            if number not in (0, 1):
+                return None
+            self._first = int(number)
+        self._rows.append(values)
+        self._lines += 1
+        if len(self._rows) < rows:
+            return None
+        frame, self._rows = [each for row in self._rows for each in row], []
+        self._cycles += 1
+        is_known = self._cycles >= NUMBERED_CYCLES_MIN and self._lines >= NUMBERED_LINES_MIN
+        self.is_agreed = self.is_agreed or is_title or is_known
+        return frame if self.is_agreed else None
+
+    def _restart(self) -> None:
+        self._incomplete += bool(self._rows) and self.is_agreed
+        self._rows, self._lines, self._cycles = [], 0, 0
+
+
+def counts_lines(rows: Sequence[Sequence[float]]) -> bool:
+    """Check whether the first values of several rows, or every second one of one row, only count."""
+    if not rows:
+        return False
+    numbers = [row[0] for row in rows] if len(rows) > 1 else list(rows[0][::2])
+    is_count = len(numbers) > 2 and numbers == [numbers[0] + k for k in range(len(numbers))]
+    # Rows of a number and a value may begin anywhere.
+    return is_count and ((len(numbers) > 3 and numbers[0] in (0, 1)) or (len(rows) > 1 and len(rows[0]) == 2))
+
+
+class ContinuedLines:
+    """Frames on two or more lines, where a separator at the end or at the begin of a line says that the frame goes on."""
+
+    def __init__(self) -> None:
+        self._parts: list[float] = []
+        self._ends_open = False
+        self._complete = self._incomplete = 0
+
+    @property
+    def is_agreed(self) -> bool:
+        return self._complete > 1
+
+    def pop_incomplete(self) -> int:
+        """Count new frames that lack values, since frames were agreed to go on."""
+        count, self._incomplete = self._incomplete, 0
+        return count
+
+    def add(self, line: str, numbers: list[float], width: int) -> list[float] | None:
+        """Add a line and its numbers; return the frame that it completes, but not the first one."""
+        goes_on = bool(self._parts) and self._ends_open != (line[0] in ",;")
+        self._incomplete += bool(self._parts) and not goes_on and self.is_agreed
+        self._parts = self._parts + numbers if goes_on else numbers
+        self._ends_open = line[-1] in ",;"
+        if len(self._parts) < width:
+            return None
+        parts, self._parts = self._parts, []
+        if len(parts) > width or not goes_on or self._ends_open:
+            self._incomplete += self.is_agreed
+            return None
+        self._complete += 1
+        return parts if self.is_agreed else None
+
+
+class Cells:
+    """Frames of values that are named by row and column; channels count row by row."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[int, int], float] = {}
+        self._shape: tuple[int, int, int, int] | None = None
+        """First row and column, and the number of rows and columns, once a whole frame came."""
+
+    def channels_of(self, cells: dict[tuple[int, int], float], width: int | None) -> dict[int, float]:
+        """Give the cells of a line the numbers of their channels; empty until the shape of a frame is known."""
+        if self._shape is None:
+            if self._found.keys() & cells.keys():
+                self._shape = self._shape_of(width)
+                self._found.clear()
+            self._found |= cells
+        if self._shape is None:
+            return {}
+        row, column, rows, columns = self._shape
+        is_inside = all(row <= each[0] < row + rows and column <= each[1] < column + columns for each in cells)
+        return {(each[0] - row) * columns + each[1] - column: value for each, value in cells.items()} if is_inside else {}
+
+    def _shape_of(self, width: int | None) -> tuple[int, int, int, int] | None:
+        rows, columns = (sorted({each[k] for each in self._found}) for k in (0, 1))
+        shape = rows[0], columns[0], rows[-1] - rows[0] + 1, columns[-1] - columns[0] + 1
+        count = shape[2] * shape[3]
+        is_whole = count == len(self._found) and count == (count if width is None else width) and max(shape[:2]) <= 1
+        return shape if is_whole else None
+
+
+class NumberedTitles:
+    """Titles with a number: a number that only rises counts frames, another one names a sensor."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[int, int]] = {}
+        """Last number, and the numbers in a row that rose, by title."""
+
+    def resolve(self, title: str, number: int, limit: int) -> str:
+        """Return the title without a number that counts frames, else with it."""
+        last, rises = self._last.get(title, (number, 0))
+        rises = min(rises + 1, COUNTED_TITLES_MIN) if number > last else 0
+        if title in self._last or len(self._last) < limit:
+            self._last[title] = number, rises
+        return title if rises >= COUNTED_TITLES_MIN else f"{title} {number}"
+
+
+class ConstantChecksum:
+    """Search for a checksum that is the same in all lines and wrong in all: the board computes none."""
+
+    def __init__(self) -> None:
+        self._sum, self._count = "", 0
+
+    def is_none(self, checksum: str) -> bool:
+        """Add the wrong checksum of a line, or an empty one for a right one; return whether it is no checksum."""
+        self._count = min(self._count + 1, CONSTANT_CHECKSUMS_MIN) if checksum and checksum == self._sum else bool(checksum)
+        self._sum = checksum
+        return self._count >= CONSTANT_CHECKSUMS_MIN
+
+
+class OpenBrackets:
+    """Lists and objects over several lines, as numpy and indented JSON are printed."""
+
+    def __init__(self) -> None:
+        self._lines: list[str] = []
+        self._open = 0
+
+    @property
+    def is_open(self) -> bool:
+        return bool(self._lines)
+
+    def close(self) -> None:
+        """Forget the lines: they were words."""
+        self._lines, self._open = [], 0
+
+    def add(self, line: str) -> str | None:
+        """Add a line; return the whole text once its brackets are closed."""
+        begins = line[0] in "[{"
+        if not self._lines and not begins:
+            return None
+        depth = self._open + opens_brackets(line)
+        if depth < 0 or len(self._lines) >= OPEN_BRACKETS_MAX_LINES:
+            return self.close()
+        self._lines.append(line)
+        self._open = depth
+        if depth:
+            return None
+        whole, self._lines = " ".join(self._lines), []
+        return whole
+
+
+class RisingColumns:
+    """Search for columns at the begin or the end of a line that only rise: a clock or a number, and no value of a sensor."""
+
+    def __init__(self) -> None:
+        self.values: slice | None = None
+        """Values of a line without these columns; `None` until some, and they alone, rose all the time."""
         self._restart(np.empty(0))
 
     def _restart(self, row: FloatArray) -> None:
         self._last, self._lines = row, 0
         self._steps, self._never_falls = np.zeros(len(row)), np.ones(len(row), bool)
 
-    def add(self, numbers: Sequence[float]) -> bool:
-        """Add the numbers of a line; return whether its first column is a clock or a number."""
+    def add(self, numbers: Sequence[float], excess: int | None = None) -> slice | None:
+        """Add the numbers of a line; return its values without the columns that rise.
+
+        Parameters
+        ----------
+        excess : number of columns more than expected; `None` if any number may be
+        """
         row = np.asarray(numbers)
         if len(row) != len(self._last):
-            self.is_found = False
+            self.values = None
             self._restart(row)
-            return False
+            return None
         self._lines += 1
-        fell = row[0] < self._last[0]
+        fell = row < self._last
         self._steps += row > self._last
         self._never_falls &= row >= self._last
         self._last = row
-        if self.is_found and fell:
-            # A second fall so soon is that of a value.
-            self.is_found = self._lines >= RISING_MIN_LINES
+        if self.values is not None:
+            is_lead = np.ones(len(row), bool)
+            is_lead[self.values] = False
+            # A counter may begin again now and then. A second fall so soon is that of a value.
+            if (fell & is_lead).any():
+                self.values = self.values if self._lines >= RISING_MIN_LINES else None
+                self._restart(row)
+        elif self._lines == RISING_MIN_LINES:
+            self.values = self._values_beside(self._never_falls & (self._steps >= RISING_MIN_STEPS), excess)
             self._restart(row)
-        elif not self.is_found and self._lines == RISING_MIN_LINES:
-            rises = self._never_falls & (self._steps >= RISING_MIN_STEPS)
-            self.is_found = bool(rises[0]) and int(rises.sum()) == 1
-            self._restart(row)
-        return self.is_found
+        return self.values
+
+    @staticmethod
+    def _values_beside(rises: NDArray[np.bool_], excess: int | None) -> slice | None:
+        count = int(rises.sum())
+        if not 0 < count <= RISING_COLUMNS_MAX or (excess is not None and count != excess):
+            return None
+        return slice(count, None) if rises[:count].all() else slice(0, -count) if rises[-count:].all() else None

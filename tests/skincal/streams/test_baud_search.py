@@ -73,7 +73,7 @@ def test_the_search_goes_round_and_skin_of_any_width_is_not_found_in_noise():
     assert line.trials[: len(BAUD_RATES) + 1] == [*BAUD_RATES, BAUD_RATES[0]]
 
 
-@pytest.mark.parametrize("record", [b"r0c0=12 r0c1=13 r0c2=14\r\n", b"waiting for the sensor\n"])
+@pytest.mark.parametrize("record", [b"x0y0=12 x0y1=13 x0y2=14\r\n", b"waiting for the sensor\n"])
 @pytest.mark.usefixtures("clock")
 def test_clean_text_is_no_wrong_rate(record):
     line = Line(record, 460800)
