@@ -46,7 +46,7 @@ def _options(
     pass
 
 
-COMMANDS = (
+COMMAND_MODULES = (
     "scene",
     "solve",
     "apply",
@@ -65,7 +65,7 @@ COMMANDS = (
 @cache
 def _register() -> None:
     """Add the commands, once; a function, so that each module is imported after `app` exists."""
-    for name in COMMANDS:
+    for name in COMMAND_MODULES:
         import_module(f"skincal.cli.{name}").add_to(app)
 
 

@@ -50,7 +50,7 @@ class Watched:
         from skincal.devices.family import AUTO
         from skincal.streams.decoders.auto_detect import LinkDecoder
         from skincal.streams.link_diagnosis import LinkMonitor
-        from skincal.streams.links import format_of
+        from skincal.streams.links import format_of, make_link_decoder
         from skincal.words.link_words import link_verdict_words
 
         # Now: imported at the first line, what comes meanwhile would count for the second.
@@ -60,7 +60,7 @@ class Watched:
         self._monitor = LinkMonitor(
             named, {Stream.WRENCH: WRENCH_VALUES}, lambda: LinkDecoder(format_of(address, AUTO), None, SENSOR_STREAMS)
         )
-        self._make = lambda: LinkDecoder(format_of(address, AUTO), None, carries)
+        self._make = lambda: make_link_decoder(address, format_of(address, AUTO), None, carries)
         self._decoder: LinkDecoder = self._make()
         self._began_s = time.monotonic()
         self.readings: Counter[Stream] = Counter()

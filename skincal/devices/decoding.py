@@ -355,6 +355,10 @@ class FrameDecoder(ABC):
         fault = self._splitter.fault
         return f"{fault[:1].upper()}{fault[1:]}" or self._status or self._problem
 
+    def report_problem(self, sentence: str) -> None:
+        """Keep a sentence on wrong readings for the operator."""
+        self._problem = sentence
+
     def feed(self, data: bytes) -> list[Batch]:
         """Decode the next bytes of the link; return the completed readings, one batch a stream."""
         self._decode_frames(self._splitter.split(data))

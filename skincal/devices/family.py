@@ -56,6 +56,7 @@ class Form(Enum):
 
     HOST = "//HOST:PORT"
     HOST_PATH = "//HOST:PORT/PATH"
+    LISTEN = "//:PORT"
     HOST_OR_PORT = "//HOST, or a serial port after the third slash"
     SERIAL = "serial port"
     PATH = "/PATH"

@@ -11,9 +11,12 @@ import shlex
 import sys
 from dataclasses import replace
 
-from skincal.devices.family import Command, DeviceAddress, Family, Form, Questions, Route
+from skincal.devices.family import Command, DeviceAddress, Family, Form, Handshake, Questions, Route
+from skincal.model.errors import InputError
 
 RUN, RECORDED_RUN = "run:", "ran:"
+REQUEST_AGAIN_AFTER_S = 1.0
+"""s of silence after which a request is sent again: it may be lost, or the server started again."""
 
 
 def split_command(command: str) -> list[str] | str:
@@ -34,10 +37,59 @@ def _with_command(address: DeviceAddress, questions: Questions) -> DeviceAddress
     return replace(address, command=Command(split_command(address.path), "the command"))
 
 
+class RequestHandshake(Handshake):
+    """Sends a request first, and again after silence; after each line, too, if the server answers a request by one line."""
+
+    silence_s = REQUEST_AGAIN_AFTER_S
+
+    def __init__(self, request: bytes, *, after_each_line: bool) -> None:
+        self._request, self._after_each_line = request, after_each_line
+
+    def opening(self) -> bytes:
+        return self._request
+
+    def on_data(self, data: bytes) -> bytes:
+        return self._request if self._after_each_line and b"\n" in data else b""
+
+    def on_silence(self) -> bytes:
+        return self._request
+
+
+def _check_request(address: DeviceAddress) -> bool:
+    """Check the options. Raises InputError."""
+    text, after = address.options.get("send"), address.options.get("after")
+    if after is not None and (after != "line" or text is None):
+        raise InputError(
+            f"{address.text}: expected send=TEXT, the request that the server waits for, and after=line if it answers each "
+            "request by one line."
+        )
+    return True
+
+
+def _with_request(address: DeviceAddress, questions: Questions) -> DeviceAddress:
+    del questions
+    text = address.options.get("send")
+    if text is None:
+        return address
+    request = text.encode() if text.endswith(("\r", "\n")) else f"{text}\n".encode()
+    return replace(address, handshake=RequestHandshake(request, after_each_line="after" in address.options))
+
+
+def _tcp_route(usage: str) -> Route:
+    return Route(
+        usage=usage,
+        form=Form.HOST,
+        transport="tcp",
+        options=("send", "after", "channels", "of"),
+        check=_check_request,
+        prepare=_with_request,
+    )
+
+
 FAMILY = Family(
     routes=(
-        Route(usage="socket://127.0.0.1:7000", form=Form.HOST, transport="tcp"),
-        Route(usage="lines://127.0.0.1:7000", form=Form.HOST, transport="tcp"),
+        _tcp_route("socket://127.0.0.1:7000"),
+        _tcp_route("lines://127.0.0.1:7000"),
         Route(usage="targets:/tip", form=Form.PATH, transport="targets", check=lambda address: address.path == "/tip"),
         Route(usage="run:./my_sensor --rate 100", form=Form.COMMAND, transport="command", prepare=_with_command),
     ),

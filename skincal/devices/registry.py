@@ -40,6 +40,7 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
         "ros2": Entry(("ros2",), ("ros2",)),
         "rosbridge": Entry(("rosbridge",), ("rosbridge",)),
         "papillarray": Entry(("papillarray",), ("papillarray",), ("papillarray",)),
+        "datagrams": Entry(("udp",), ("datagrams",)),
         "plain": Entry(("socket", "lines", "targets", "run")),
     }
 )
@@ -89,6 +90,9 @@ def parse_device(address: str) -> DeviceAddress | None:
         if unknown:
             allowed = ", ".join(route.options) or "none"
             raise InputError(f"{address}: unknown option {unknown[0]!r}. Allowed options: {allowed}.")
+        empty = [key for key, value in found.options.items() if not value]
+        if empty:
+            raise InputError(f"{address}: option {empty[0]!r} has no value; expected {empty[0]}=VALUE.")
         if route.check(found):
             return found
     examples = " or ".join(route.usage for route in routes)
@@ -104,9 +108,11 @@ def _read_form(address: str, route: Route, rest: str) -> DeviceAddress | None:
         is_path = place.startswith("/") and len(place) > 1
         if not place or not (route.form is Form.SERIAL or (route.form is Form.PATH and is_path)):
             return None
-        return DeviceAddress(address, route, path=place, baud=route.baud, options=dict(parse_qsl(query)))
+        return DeviceAddress(
+            address, route, path=place, baud=route.baud, options=dict(parse_qsl(query, keep_blank_values=True))
+        )
     parts = urlsplit(address)
-    host, options = parts.hostname or "", dict(parse_qsl(parts.query))
+    host, options = parts.hostname or "", dict(parse_qsl(parts.query, keep_blank_values=True))
     host.encode("idna")  # raises ValueError for a name that no host can have
     port = route.port if parts.port is None else parts.port
     has_path = len(parts.path) > 1
@@ -119,6 +125,9 @@ def _read_form(address: str, route: Route, rest: str) -> DeviceAddress | None:
         # /dev/ttyACM0, but COM7
         place = parts.path if parts.path.count("/") > 1 else parts.path.removeprefix("/")
         return DeviceAddress(address, route, host, path=place, options=options)
+    if route.form is Form.LISTEN:
+        # The check names the way for an address with a host.
+        return DeviceAddress(address, route, host, port, options=options) if port and not has_path else None
     if route.form not in (Form.HOST, Form.HOST_PATH) or not host or not port or has_path != (route.form is Form.HOST_PATH):
         return None
     return DeviceAddress(address, route, host, port, parts.path if has_path else "", options=options)

@@ -36,7 +36,7 @@ from skincal.model.wrench_frames import FindFrame, WrenchFrames, unchecked_frame
 from skincal.streams.clocks import Timestamper
 from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class
 from skincal.streams.link_diagnosis import Differences, LinkMonitor
-from skincal.streams.links import LinkSpec, format_of
+from skincal.streams.links import LinkSpec, format_of, make_link_decoder
 from skincal.streams.pairing import Pairing
 
 TIP_WIDTH = 3
@@ -206,7 +206,7 @@ class LinkIntake:
         return self._wrench_frames.names
 
     def _new_decoder(self) -> LinkDecoder:
-        decoder = LinkDecoder(self._format, self._channels, self.spec.carries)
+        decoder = make_link_decoder(self.spec.address, self._format, self._channels, self.spec.carries)
         decoder.use_scene(self._joint_names, self._wrench_frames)
         return decoder
 

@@ -14,12 +14,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qsl
 
 from skincal.devices.family import AUTO, DeviceAddress, Form, Route
+from skincal.devices.foreign_addresses import foreign_advice
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.devices.registry import parse_device
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.streams.decoders.auto_detect import LinkDecoder
+from skincal.streams.decoders.board_part import BoardPart, PartDecoder, read_part
 
 YARP_PORTS_LISTED_MAX = 200
 """A whole iCub has some hundred ports."""
@@ -92,15 +96,48 @@ def parse_address(address: str) -> DeviceAddress:
     _check_length(address)
     device = parse_device(address)
     if device is not None:
+        _part_of(device)
         return device
-    path, baud = split_baud(address)
+    place, options = _split_part(address)
+    path, baud = split_baud(place)
     # Before unknown schemes: the name of an existing file may begin like one.
     if path.startswith(FILE_PREFIX) or _is_file(path):
-        return DeviceAddress(address, FILE_ROUTE, path=path.removeprefix(FILE_PREFIX), baud=baud)
+        return DeviceAddress(address, FILE_ROUTE, path=path.removeprefix(FILE_PREFIX), baud=baud, options=options)
+    advice = foreign_advice(address)
+    if advice:
+        raise InputError(f"{address}: {advice}")
     scheme = UNKNOWN_SCHEME_RE.match(address)
     if scheme is not None:
         raise InputError(f"{address}: skincal cannot open addresses that begin with {scheme[1]}:. Expected {ADDRESS_HELP}.")
-    return DeviceAddress(address, SERIAL_ROUTE, path=path, baud=baud)
+    device = DeviceAddress(address, SERIAL_ROUTE, path=path, baud=baud, options=options)
+    _part_of(device)
+    return device
+
+
+def _split_part(address: str) -> tuple[str, dict[str, str]]:
+    """Split `PORT?channels=0-15`; a question mark before anything else is part of a name."""
+    place, mark, query = address.rpartition("?")
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    return (place, options) if mark and "channels" in options and {*options} <= {"channels", "of"} else (address, {})
+
+
+def _part_of(address: DeviceAddress) -> BoardPart | None:
+    """Return the part of a board that an address names. Raises InputError."""
+    try:
+        return read_part(address.options)
+    except InputError as error:
+        raise InputError(f"{address.text}: {error}") from error
+
+
+def make_link_decoder(address: str, format_name: str, channels: int | None, carries: tuple[Stream, ...]) -> LinkDecoder:
+    """Make the decoder of a link: of a part of a board if its address names one. A recorded command names none."""
+    try:
+        part = _part_of(parse_address(address)) if "channels=" in address else None
+    except InputError:
+        part = None
+    if part is None:
+        return LinkDecoder(format_name, channels, carries)
+    return PartDecoder(part, format_name, channels, carries)
 
 
 def split_baud(address: str) -> tuple[str, int]:

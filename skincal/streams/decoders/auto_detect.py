@@ -115,7 +115,7 @@ class LinkDecoder:
         if self._first_ns is None:
             self._first_ns = host_ns
         if host_ns - self._first_ns >= ASSUME_TEXT_AFTER_NS or self._bytes >= ASSUME_TEXT_AFTER_BYTES:
-            return self.finish()
+            return self._believe_text()
         return []
 
     def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
@@ -123,9 +123,10 @@ class LinkDecoder:
         return None if self._probes else self.current.feed_many(chunks)
 
     def finish(self) -> list[tuple[int, Batch]]:
-        """Assume text if no other format was found, because no more bytes come or enough came. Return its readings."""
-        if not self._probes:
-            return []
+        """Assume text if no other format was found, because no more bytes come. Return its readings."""
+        return self._believe_text() if self._probes else []
+
+    def _believe_text(self) -> list[tuple[int, Batch]]:
         self.current = self._text
         held, self._held = self._held, []
         # Without a reading the search goes on: the device may send words first and its records later.

@@ -21,6 +21,7 @@ from typing import ClassVar
 
 from skincal.devices.column_names import CLOCK_COLUMN_RE, TIME_COLUMN_RE, TIME_UNITS, WRENCH_AXES, short_unit
 from skincal.devices.decoding import CLOCK_MODULUS_US, DEFAULT_UNITS, NO_SEQ, FrameDecoder, FrameSplitter
+from skincal.devices.rising_columns import RISING_COLUMNS_MAX, RisingColumns, rising_words
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.line_forms import (
     HEXADECIMAL_FORM,
@@ -36,7 +37,6 @@ from skincal.streams.decoders.line_forms import (
 )
 from skincal.streams.decoders.line_streams import (
     PLAIN_KEY,
-    RISING_COLUMNS_MAX,
     Cells,
     ChannelFrames,
     ConstantChecksum,
@@ -46,7 +46,6 @@ from skincal.streams.decoders.line_streams import (
     NumberedRows,
     NumberedTitles,
     OpenBrackets,
-    RisingColumns,
     SeparatedRows,
     counts_lines,
 )
@@ -202,7 +201,7 @@ class TextDecoder(FrameDecoder):
                 advice = (
                     f"set [skin] channels to {len(numbers[values])}" if stream is Stream.SKIN else "name it in a header line"
                 )
-                self._status = f"The {_rising_words(values, len(numbers))} only rises: if it is a clock or a number, {advice}"
+                self._status = f"The {rising_words(values, len(numbers))} only rises: if it is a clock or a number, {advice}"
 
     def _count_hex_line(self) -> None:
         self._hex_lines, self._lines_since_hex = self._hex_lines + 1, 0
@@ -233,7 +232,7 @@ class TextDecoder(FrameDecoder):
                 continue
             values = self._rising.add(numbers, excess)
             if values is not None and self._is_plain(stream):
-                left_out = f"without the {_rising_words(values, len(numbers))}, which only rises: a clock or a number"
+                left_out = f"without the {rising_words(values, len(numbers))}, which only rises: a clock or a number"
                 self.units[stream], self._problem = f"{DEFAULT_UNITS[stream]}, {left_out}", ""
                 return self._add(stream, NO_SEQ, math.nan, numbers[values])
             break
@@ -453,13 +452,6 @@ def _may_be_names(names: list[str]) -> bool:
     if all(to_numbers([name]) is None for name in names):
         return True
     return len(names) > 1 and any(names == [str(k) for k in range(first, first + len(names))] for first in (0, 1))
-
-
-def _rising_words(values: slice, count: int) -> str:
-    """Name the columns of a line that are beside its values."""
-    left = count - len(range(*values.indices(count)))
-    side = "first" if values.start else "last"
-    return f"{side} of {count} values a line" if left == 1 else f"{side} {left} of {count} values a line"
 
 
 def _clock_unit(name: str) -> str | None:

@@ -1,12 +1,16 @@
-"""UDP with one host; each datagram becomes a packet."""
+"""UDP with one host, or on a port where one host sends; each datagram becomes a packet, or lines of text."""
 
 from __future__ import annotations
 
 import contextlib
 import select
 import socket
+import time
 
+from skincal.devices.datagrams import DATAGRAM_MAX_BYTES as LISTENED_MAX_BYTES
+from skincal.devices.datagrams import OTHER_SENDER_KIND, READING_KIND
 from skincal.devices.decoding import pack
+from skincal.devices.family import AUTO, Form
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
 
@@ -14,13 +18,17 @@ DATAGRAM_MAX_BYTES = 1472
 """Longest datagram that passes Ethernet in one piece; no device here sends longer ones."""
 MAX_DATAGRAMS_PER_READ = 64
 """More than come while a busy program waits 60 ms, at 1 kHz."""
+SENDER_SILENT_AFTER_S = 1.0
+"""s. After this silence of its sender a port reads another one: a board that started again sends from another port."""
 RECEIVE_BUFFER_BYTES = 1 << 20
 """Buffer of the system for a program that is held up: some seconds at 1 kHz, each datagram with the system's own 700 bytes."""
 
 
 def open_transport(opening: Opening) -> Link:
-    """Connect to the host and port of the address."""
+    """Connect to the host and port of the address, or listen on its port."""
     address = opening.address
+    if address.route.form is Form.LISTEN:
+        return ListeningLink(address.label, address.port, is_text=address.route.format == AUTO)
     return DatagramLink(address.label, address.host, address.port, address.route.message_kind)
 
 
@@ -59,6 +67,64 @@ class DatagramLink:
         # What a full buffer or a host that is away does to a datagram is what the network may do, too: asked again later.
         with contextlib.suppress(OSError):
             self._socket.send(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class ListeningLink:
+    """A UDP port of this computer. The first sender is read, and none of the others: two boards would mix their readings."""
+
+    def __init__(self, address: str, port: int, *, is_text: bool) -> None:
+        self._is_text = is_text
+        self._sender: tuple[str, int] | None = None
+        self._heard_s = 0.0
+        self._others: set[tuple[str, int]] = set()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+            self._socket.bind(("", port))
+            self._socket.setblocking(False)
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(
+                FailureKind.IN_USE,
+                f"{address}: port {port} cannot be opened ({error.strerror or error}); close the program that listens there, "
+                "or let the sender use another port.",
+            ) from error
+
+    def read(self, timeout_s: float) -> bytes:
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return b""
+        found: list[bytes] = []
+        with contextlib.suppress(OSError):  # no more wait, or a sender is gone
+            while len(found) < MAX_DATAGRAMS_PER_READ:
+                data, sender = self._socket.recvfrom(LISTENED_MAX_BYTES)
+                found.append(self._accept(data, sender))
+        return b"".join(found)
+
+    def _accept(self, data: bytes, sender: tuple[str, int]) -> bytes:
+        now_s = time.monotonic()
+        if self._sender is None or now_s - self._heard_s > SENDER_SILENT_AFTER_S:
+            self._sender = sender
+            self._others.discard(sender)
+        if sender != self._sender:
+            return self._name_other(sender)
+        self._heard_s = now_s
+        if self._is_text:
+            # A datagram is a whole line, with or without its end.
+            return data if data.endswith((b"\n", b"\r")) else data + b"\n"
+        return pack(READING_KIND, data)
+
+    def _name_other(self, sender: tuple[str, int]) -> bytes:
+        """Return a packet that names another sender once; text has no place for it."""
+        if self._is_text or sender in self._others or len(self._others) >= MAX_DATAGRAMS_PER_READ:
+            return b""
+        self._others.add(sender)
+        return pack(OTHER_SENDER_KIND, f"{sender[0]}:{sender[1]}".encode())
+
+    def write(self, data: bytes) -> None:
+        """Nothing is sent: a datagram of text or numbers needs no answer."""
 
     def close(self) -> None:
         self._socket.close()
