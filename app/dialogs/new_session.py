@@ -5,7 +5,9 @@ The same dialog changes the addresses of an open session.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,7 @@ from app.dialogs.dialog import Dialog, StandardButton
 from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row
 from app.panels.devices import link_sign
 from app.panels.layouts import make_row, scrolled
-from app.panels.widgets import choose_session_folder, compact_combo, digits_font, rich_label, secondary_label
+from app.panels.widgets import choose_session_folder, compact_combo, digits_font, rich_label, secondary_label, theme_colours
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
@@ -37,10 +39,11 @@ from app.text_size import scaled, set_font
 from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
 from skincal.geometry import FloatArray
-from skincal.model.errors import InputError, plain_text, shortened
+from skincal.model.errors import InputError, plain_text, plural, shortened
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.session.importing import joint_columns
+from skincal.streams.decoders.line_parts import PartKind, split_parts
 from skincal.streams.links import parse_address
 from skincal.streams.ros_topics import FoundTopic, propose_topics
 from skincal.words.link_words import STREAM_NAMES
@@ -64,6 +67,8 @@ POSE_ASKED_LATER = "choose later, before the first poke"
 STREAM_LABELS = {Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints", Stream.TIP: "T&ip"}
 SWAP_KEY = "F6"
 LINK_PREVIEW_UPDATE_PERIOD_MS = 100
+LINE_FONT_SIZE_PT = 9
+LAST_LINE = "Last line"
 CURVE_SIZE_PX = 120, 26
 STATE_TEXT_MIN_HEIGHT_PX = 34  # Two lines, so that nothing moves when text appears
 DIALOG_WIDTH_PX = 700
@@ -95,6 +100,10 @@ class StreamRow(QWidget):
         self.verdict = QLabel(wordWrap=True, alignment=Qt.AlignmentFlag.AlignTop)
         self.verdict.setMinimumHeight(scaled(STATE_TEXT_MIN_HEIGHT_PX))
         self.verdict.setAccessibleName(f"state of the {name}")
+        self.line = rich_label(wrap=True)  # Last line of text that gives no readings; hidden without one
+        set_font(self.line, digits_font(LINE_FONT_SIZE_PT), LINE_FONT_SIZE_PT)
+        self.line.setVisible(False)
+        self._shown_line = ""
         self.rate = QLabel()
         set_font(self.rate, digits_font(11), 11)
         self.curve = Sparkline(f"newest values of the {name}")
@@ -113,6 +122,7 @@ class StreamRow(QWidget):
         form.addWidget(self.box, at, 1, 1, 3)
         form.addWidget(self.sign, at + 1, 1, Qt.AlignmentFlag.AlignTop)
         form.addWidget(self.verdict, at + 1, 2)
+        form.addWidget(self.line, at + 2, 1, 1, 3)
         form.addLayout(make_row(self.rate, self.curve), at + 1, 3, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
 
     @property
@@ -140,10 +150,14 @@ class StreamRow(QWidget):
         if preview is not None:
             look, words = link_status(preview.health, preview.now_ns), preview_words(preview.health)
         self.sign.setText("" if look is None else link_sign(look))
-        if words != self.verdict.text():
+        line = "" if preview is None else preview.health.verdict.line
+        if (words, line) != (self.verdict.text(), self._shown_line):
             self.verdict.setText(words)
+            self._shown_line = line
+            self.line.setText(line_markup(line))
+            self.line.setVisible(bool(line))
             # A screen reader reads it in the field.
-            self.field.setAccessibleDescription(words)
+            self.field.setAccessibleDescription(f"{words} {LAST_LINE}: {line}" if line else words)
         curve = () if preview is None else preview.curve
         self.rate.setText("" if preview is None else rate(preview.health.rate))
         self.curve.show_curve(scroll_points(curve), f"{curve[-1]:.3g}" if curve else "")
@@ -167,6 +181,28 @@ class StreamRow(QWidget):
         if address:
             self.box.setEditText(str(address))
             self.agree()
+
+
+def line_markup(line: str) -> str:
+    """Return a line as rich text that colours and counts what is understood of it; empty without a line."""
+    if not line:
+        return ""
+    colours, parts = theme_colours(), split_parts(line)
+    style = {
+        PartKind.VALUE: f"color:{colours.accent}; font-weight:bold",
+        PartKind.NAME: f"color:{colours.warn}",
+        PartKind.FRONT: f"color:{colours.muted}",
+        PartKind.SEPARATOR: f"color:{colours.muted}",
+        PartKind.UNKNOWN: f"color:{colours.bad}; text-decoration:underline",
+    }
+    counts = Counter(part.kind for part in parts)
+    words = [
+        plural(counts[kind], noun)
+        for kind, noun in ((PartKind.VALUE, "number"), (PartKind.NAME, "name"), (PartKind.UNKNOWN, "unknown part"))
+        if counts[kind]
+    ]
+    shown = "".join(f'<span style="{style[part.kind]}">{escape(part.text)}</span>' for part in parts)
+    return f"{LAST_LINE} ({', '.join(words) or 'nothing understood'}):<br>{shown}"
 
 
 def scroll_points(values: Sequence[float]) -> FloatArray:

@@ -20,7 +20,7 @@ from skincal.model.readings import LinkAnswer, LinkHealth
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import predicted_error
-from skincal.words.link_words import link_name, link_verdict_words
+from skincal.words.link_words import link_name, link_verdict_words, nearest_form_words
 from skincal.words.poke_words import REASON_WORDS, rejection_advice, rejection_words
 from skincal.words.taxel_words import NOT_KNOWN_YET, predicted_words, state_count_words, state_sentence, taxel_error_words
 from skincal.words.units import ChannelNames, age, count, millimetres, newtons, rate
@@ -200,8 +200,10 @@ def preview_words(health: LinkHealth) -> str:
     words = link_verdict_words(health.verdict)
     if health.frames and health.verdict.answer is LinkAnswer.GOOD:
         words += f", in the frame {' and '.join(health.frames)}"
-    if health.text and health.verdict.line:
-        return f"{words}. {health.text}"
+    if health.verdict.answer is LinkAnswer.NO_READING and health.verdict.line:
+        # The line itself is shown below, in colours.
+        words = f"data arrives, but no readings. {nearest_form_words(health.verdict)}"
+        return f"{words}. {health.text}" if health.text else words
     return f"{words}: {health.text}" if health.text and health.verdict.answer is LinkAnswer.NO_ANSWER else words
 
 

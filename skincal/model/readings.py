@@ -197,9 +197,9 @@ class LinkVerdict:
     tried: tuple[int, ...] = ()
     """Baud rates tried, if they are searched."""
     line: str = ""
-    """Last line that arrived, if it is clean text that gives no reading; `NO_READING` only."""
+    """Last line that arrived, if it is clean text that gives no wanted reading; empty otherwise."""
     nearest: str = ""
-    """Example of the form of lines that is read and is the nearest to `line`."""
+    """Example of the form of lines that is read and is the nearest to `line`; `NO_READING` only."""
     unchanged: bool = False
     """A good skin has not changed a value yet, as thresholded skins do until something touches them."""
 

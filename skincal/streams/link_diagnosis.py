@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -321,7 +322,7 @@ class LinkMonitor:
         if self._fallback is not None and self._unexpected and wanted is not None:
             (stream, width), count = self._unexpected.most_common(1)[0]
             if count >= MIN_READINGS_FOR_DIAGNOSIS and count > self._fallback.current.counts.total():
-                return self._wrong_width(wanted, stream, width)
+                return replace(self._wrong_width(wanted, stream, width), line=last_clean_line(self._tail))
         is_early = self._missing_since_ns is None or now_ns - self._missing_since_ns < REPORT_NO_READING_AFTER_NS
         if is_early:
             return LinkVerdict(LinkAnswer.LISTENING, wanted, tried=self._bauds_tried)

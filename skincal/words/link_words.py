@@ -46,14 +46,19 @@ def _why_silent(link: LinkHealth, *, brief: bool) -> str:
     if not link.last_host_ns:
         return "nothing arrived. Check the power, the cable and the baud rate of the device"
     expected = " and ".join(STREAM_NAMES[stream] for stream in link.carries)
-    if verdict.line:
+    if verdict.answer is LinkAnswer.NO_READING and verdict.line:
         return f"data arrived, but no readings of the {expected}: {_unread_line(verdict)}"
     return f"data arrived, but no readings of the {expected}. Check the baud rate and the format of the device"
 
 
 def _unread_line(verdict: LinkVerdict) -> str:
     """Show a line of text that gives no reading, and the nearest form that is read."""
-    return f'the last line is "{verdict.line}". The nearest form that is read is "{verdict.nearest}"'
+    return f'the last line is "{verdict.line}". {nearest_form_words(verdict)}'
+
+
+def nearest_form_words(verdict: LinkVerdict) -> str:
+    """Show the nearest form of lines that is read."""
+    return f'The nearest form that is read is "{verdict.nearest}"'
 
 
 def _why_unread(link: LinkHealth) -> str:

@@ -32,32 +32,32 @@ CHANNEL_UNITS = (
     "mv|v|uv|n|mn|kn|pa|hpa|kpa|mpa|bar|mbar|psi|g|gf|kg|kgf|lb|lbf|ohms?|kohms?|pf|nf|ut|mt|ma|ua|%|counts?|raw|lsb"
 )
 """Units that may follow a channel's value. None of them has hexadecimal digits alone."""
-_NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)"
+NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)"
 _COMMA_NUMBER_PATTERN = r"[-+]?\d+,\d+"
 _LABEL_NAME = r"(?P<name>[A-Za-z_](?:[A-Za-z_ ]{0,30}[A-Za-z_])?)?[ _]?[\[(]?(?P<number>\d{1,6})?[\])]?"
 _LABEL_END = (
     r"(?:[ ]?(?P<unit>[A-Za-z%][A-Za-z.*]*(?: m)?)(?=\s*(?:[,;|\t]|$)|\s+[A-Za-z_\[(0-9]+[^,;|]*?[:=]))?\s*(?P<end>[,;|]|\s|$)"
 )
-_LABEL_RE = re.compile(rf"\s*{_LABEL_NAME}\s*[:=]\s*(?P<value>{_NUMBER_PATTERN})(?![\d.]){_LABEL_END}", re.IGNORECASE)
+_LABEL_RE = re.compile(rf"\s*{_LABEL_NAME}\s*[:=]\s*(?P<value>{NUMBER_PATTERN})(?![\d.]){_LABEL_END}", re.IGNORECASE)
 """A label, its number, its value and a unit, up to the separator."""
 _COMMA_LABEL_RE = re.compile(
     rf"\s*{_LABEL_NAME}\s*[:=]\s*(?P<value>{_COMMA_NUMBER_PATTERN})(?![\d.,]){_LABEL_END}", re.IGNORECASE
 )
 """The same with a decimal comma."""
 _BARE_LABEL_RE = re.compile(
-    rf"\s*(?P<name>[A-Za-z_]+)[\[(]?(?P<number>\d{{1,6}})[\])]?[\s,;|]\s*(?P<value>{_NUMBER_PATTERN})(?![\w.])(?P<unit>)"
+    rf"\s*(?P<name>[A-Za-z_]+)[\[(]?(?P<number>\d{{1,6}})[\])]?[\s,;|]\s*(?P<value>{NUMBER_PATTERN})(?![\w.])(?P<unit>)"
     r"\s*(?P<end>[,;|]|\s|$)",
     re.IGNORECASE,
 )
 """A label without a colon: `T0 200`."""
 _CELL_RE = re.compile(
     r"\s*(?P<name>[A-Za-z_]*?)[ _]?(?:r(?:ow)?[ _]?(?P<row>\d{1,3})[ _,]*c(?:ol(?:umn)?)?[ _]?(?P<column>\d{1,3})"
-    rf"|\[(?P<row2>\d{{1,3}})\]\[(?P<column2>\d{{1,3}})\])\s*[:=]\s*(?P<value>{_NUMBER_PATTERN})(?![\w.])\s*(?:[,;|]|\s|$)",
+    rf"|\[(?P<row2>\d{{1,3}})\]\[(?P<column2>\d{{1,3}})\])\s*[:=]\s*(?P<value>{NUMBER_PATTERN})(?![\w.])\s*(?:[,;|]|\s|$)",
     re.IGNORECASE,
 )
 """A value named by row and column, up to the separator."""
 _UNIT_VALUE_RE = re.compile(
-    rf"\s*(?P<value>{_NUMBER_PATTERN}) ?(?P<unit>[A-Za-z%][A-Za-z.*]*(?: m(?![A-Za-z]))?)\s*(?:[,;|]|\s|$)"
+    rf"\s*(?P<value>{NUMBER_PATTERN}) ?(?P<unit>[A-Za-z%][A-Za-z.*]*(?: m(?![A-Za-z]))?)\s*(?:[,;|]|\s|$)"
 )
 _TITLE_RE = re.compile(r"[#$@!>]?\s?(?P<name>[A-Za-z_][A-Za-z_ ]{0,30}?)\s*[:=]\s*(?P<rest>\S.*)")
 _NUMBERED_TITLE_RE = re.compile(
@@ -442,6 +442,12 @@ def _read_hex(text: str) -> LineReading | None:
     return None if values is None else LineReading(HEXADECIMAL_FORM, lists={"": values})
 
 
+def find_prefix(line: str) -> int:
+    """Return the number of characters that a log or a serial monitor prints first."""
+    found = next(filter(None, (pattern.fullmatch(line) for pattern in _PREFIX_RES)), None)
+    return 0 if found is None else found.start("rest")
+
+
 def _read_prefix(text: str) -> LineReading | None:
     """Read the numbers behind what a log or a serial monitor prints first."""
     found = next(filter(None, (pattern.fullmatch(text) for pattern in _PREFIX_RES)), None)
@@ -457,7 +463,7 @@ def _read_prefix(text: str) -> LineReading | None:
 
 def _read_teleplot(text: str) -> LineReading | None:
     """Read `>T0:200`, and `>T0:1234:200` with a time."""
-    found = re.fullmatch(rf">(?P<label>[^:]+):(?:\d+:)?(?P<value>{_NUMBER_PATTERN})(?:\|\w)?", text)
+    found = re.fullmatch(rf">(?P<label>[^:]+):(?:\d+:)?(?P<value>{NUMBER_PATTERN})(?:\|\w)?", text)
     inner = None if found is None else _read_labels(f"{found['label']}:{found['value']}")
     return None if inner is None else replace(inner, form="Teleplot")
 
@@ -474,7 +480,7 @@ LINE_FORMS = (
         "log or monitor prefix",
         b"I (1200) skin: 1,2,3,4\nI (1220) skin: 5,6,7,8\n",
         _read_prefix,
-        lambda line: any(pattern.fullmatch(line) for pattern in _PREFIX_RES),
+        lambda line: find_prefix(line) > 0,
     ),
     LineForm("checksum", b"$SKIN,1,2,3,4*1B\n$SKIN,5,6,7,8*13\n", _read_sentence, lambda line: line[:1] == "$" and "*" in line),
     LineForm("JSON object", b'{"skin":[1,2,3,4]}\n{"skin":[5,6,7,8]}\n', _read_object, lambda line: line.startswith("{")),

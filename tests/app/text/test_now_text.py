@@ -253,9 +253,9 @@ def test_a_link_without_good_readings_is_said_in_place_of_waiting():
     )
 
 
-def test_the_last_line_of_a_link_without_readings_is_shown_with_what_the_decoder_says_of_it():
+def test_a_link_without_readings_names_the_nearest_form_and_what_the_decoder_says():
     verdict = LinkVerdict(LinkAnswer.NO_READING, Stream.SKIN, line="$SKIN,1,2*00", nearest="$SKIN,1,2,3,4*1B")
-    said = approved("links.no_reading_line", line=verdict.line, nearest=verdict.nearest)
+    said = approved("links.no_reading_nearest", nearest=verdict.nearest)
     assert preview_words(link("skin", verdict=verdict)) == said
     unread = link("skin", verdict=verdict, text="Checksum *00 of a line is wrong; expected *1B")
     assert preview_words(unread) == f"{said}. {unread.text}"
