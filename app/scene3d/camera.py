@@ -1,8 +1,9 @@
 """Camera poses, and the camera that turns to the target.
 
-At first the camera looks at the side with the skin; the part's long axis is level and everything is in the picture. It turns to
-a new target between pokes if that is turned away, outside the picture, or drawn too small. It waits while a tool presses, and
-for 3 s after the operator moved it.
+At first the camera looks at the side with the skin; the part's long axis is along the long side of the picture, and the part
+fills it. The camera turns to a new target between pokes if that is turned away. The whole part stays in the picture, unless
+its taxels would be dots. Without a target the camera returns to its first view. It waits while a tool presses, and for 3 s
+after the operator moved it.
 """
 
 from __future__ import annotations
@@ -37,6 +38,11 @@ TARGET_MAX_OFFSET_OVER_HALF_VIEW = 0.75
 MIN_BALL_PX, TARGET_BALL_PX = 5.0, 14.0
 """A target with a ball smaller than the first is brought closer, until the ball has the second size."""
 MIN_SIN_VIEW_TO_LEVEL_AXIS = 0.3  # The part's level axis is kept level unless the camera looks along it by less than this
+CENTRING_STEPS = 6  # Each leaves a tenth of the shift from the picture's middle
+REST_DELAY_S = 1.5  # Without a target for so long, the camera returns to the first view
+LEVEL_TOLERANCE = 1e-6  # Between axes, unit
+SAME_VIEW_ANGLE, SAME_VIEW_SHIFT = float(np.radians(1.0)), 0.02
+"""rad between two views, and shift over half the height of the picture, below which the camera stays."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +123,70 @@ def place(camera: vtkCamera, pose: CameraPose) -> None:
     camera.SetViewAngle(CAMERA_VIEW_ANGLE_DEG)
 
 
+class Framing:
+    """Views of a part without roll: the axes of a view follow from its direction alone, and the part fills the picture.
+
+    `points`, (n, 3) float, metres, must all be in the picture; empty looks at the origin. `facing` is the side to look at,
+    (3,) float, unit; None for the side across the part's two long axes.
+    """
+
+    def __init__(self, points: FloatArray, facing: FloatArray | None = None) -> None:
+        self.points = points
+        _, self._front = first_frame(points, facing)
+        self._long = long_axis(points)
+
+    def axes(self, back: FloatArray, aspect: float) -> FloatArray:
+        """Return the axes, (3, 3) float, rows: right, up and back, of the view against `back`, (3,) float, unit.
+
+        A long part lies along the picture's long side. Another part stands upright, as in the first view.
+        """
+        return _turned_axes(self._reference(aspect), back, self._row(aspect))
+
+    def kept_axis(self, aspect: float) -> FloatArray:
+        """Return the axis of the part, (3,) float, unit, that is level or upright in the views."""
+        return self._reference(aspect)[self._row(aspect)]
+
+    @staticmethod
+    def is_along(axis: FloatArray, back: FloatArray) -> bool:
+        """Return whether a view is so nearly along its kept axis that another one is kept."""
+        return float(np.linalg.norm(axis - float(axis @ back) * back)) < MIN_SIN_VIEW_TO_LEVEL_AXIS
+
+    def _row(self, aspect: float) -> int:
+        """Return the row of the axis that is kept: 0 for a long part that is level, else 1, upright."""
+        return 0 if self._long is not None and aspect >= 1.0 else 1
+
+    def _reference(self, aspect: float) -> FloatArray:
+        """Return the axes of the straight first view."""
+        right, up, back = self._front
+        if self._long is None or aspect >= 1.0:
+            return self._front
+        # In a high picture the long axis is upright, its upper end the one with the larger z.
+        sign = 1.0 if right[2] >= 0.0 else -1.0
+        return np.stack([-sign * up, sign * right, back])
+
+    def rest(self, aspect: float, min_half_height: float, lean_deg: tuple[float, float] = (0.0, 0.0)) -> CameraPose:
+        """Return the first view of the whole part; `lean_deg` is its deviation to the right and up from straight."""
+        right, up, back = self._reference(aspect)
+        across, along = np.radians(lean_deg)
+        back = _rotation(up, -float(across)) @ _rotation(right, float(along)) @ back
+        return fit_from(self.points, self.axes(back, aspect), aspect, min_half_height)
+
+    def whole(self, axes: FloatArray, at: FloatArray, aspect: float, min_half_height: float) -> CameraPose:
+        """Return the pose with these axes that shows the whole part and the point `at`, (3,) float, metres."""
+        return fit_from(np.concatenate([self.points, at[None]]), axes, aspect, min_half_height)
+
+    def at_distance(self, axes: FloatArray, at: FloatArray, distance: float, aspect: float) -> CameraPose:
+        """Return the pose so far from a point, with the point in the picture and as little as possible next to the part."""
+        here = axes[:2] @ at
+        seen = np.concatenate([self.points @ axes[:2].T, here[None]])
+        half = distance * VIEW_SLOPE * np.array([aspect, 1.0])
+        # Middles of the pictures that end at the part's ends.
+        low = seen.min(axis=0) + (2.0 - VIEW_SIZE_OVER_PART_SIZE) * half
+        high = seen.max(axis=0) - (2.0 - VIEW_SIZE_OVER_PART_SIZE) * half
+        middle = np.where(low < high, np.clip(here, np.minimum(low, high), np.maximum(low, high)), (low + high) / 2.0)
+        return CameraPose(axes, axes.T @ np.array([*middle, float(axes[2] @ at)]), distance)
+
+
 def fit(points: FloatArray, facing_: FloatArray | None, aspect: float, min_half_height: float) -> CameraPose:
     """Return the pose from which all points are in the picture.
 
@@ -127,18 +197,42 @@ def fit(points: FloatArray, facing_: FloatArray | None, aspect: float, min_half_
     aspect : width over height of the picture
     min_half_height : metres, half the height of the picture at least
     """
-    return fit_from(points, *first_frame(points, facing_), aspect, min_half_height)
+    return Framing(points, facing_).rest(aspect, min_half_height)
 
 
-def fit_from(points: FloatArray, centre: FloatArray, axes: FloatArray, aspect: float, min_half_height: float) -> CameraPose:
-    """Return the pose with these axes, (3, 3), that looks at `centre`, (3,), and has all points in the picture; see `fit`."""
-    seen = (points - centre) @ axes.T if len(points) else np.zeros((1, 3))
-    distances = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) / aspect) * VIEW_SIZE_OVER_PART_SIZE / VIEW_SLOPE + seen[:, 2]
-    return CameraPose(axes, centre, max(float(distances.max()), min_half_height / VIEW_SLOPE))
+def fit_from(points: FloatArray, axes: FloatArray, aspect: float, min_half_height: float) -> CameraPose:
+    """Return the nearest pose with these axes, (3, 3), whose picture has all points, with equal margins on opposite sides."""
+    seen = points @ axes.T if len(points) else np.zeros((1, 3))
+    slopes = np.array([aspect, 1.0]) * VIEW_SLOPE / VIEW_SIZE_OVER_PART_SIZE
+    # A point is inside the right edge of a camera at (x, d) if its own x + slope z is at most x + slope d; left alike.
+    ahead = (seen[:, :2] + slopes * seen[:, 2:]).max(axis=0)
+    behind = (slopes * seen[:, 2:] - seen[:, :2]).max(axis=0)
+    depth = float((seen[:, 2].min() + seen[:, 2].max()) / 2.0)
+    distance = max(float(((ahead + behind) / (2.0 * slopes)).max()) - depth, min_half_height / VIEW_SLOPE)
+    middle, away = (ahead - behind) / 2.0, distance + depth - seen[:, 2:]
+    for _ in range(CENTRING_STEPS):
+        # Across, where there is room, the ends of the part may be at different depths.
+        places = (seen[:, :2] - middle) / away
+        middle = middle + (places.min(axis=0) + places.max(axis=0)) / 2.0 * float(away.mean())
+    return CameraPose(axes, axes.T @ np.array([*middle, depth]), distance)
+
+
+def _turned_axes(reference: FloatArray, back: FloatArray, row: int) -> FloatArray:
+    """Return the axes of a view against `back` that keeps an axis, 0 right or 1 up, of the reference level or upright.
+
+    If the view is along that axis, the other one is kept.
+    """
+    for kept in (row, 1 - row):
+        if kept != row or not Framing.is_along(reference[kept], back):
+            axis = reference[kept] - float(reference[kept] @ back) * back
+            axis = axis / float(np.linalg.norm(axis))
+            right = axis if kept == 0 else np.cross(axis, back)
+            return np.stack([right, np.cross(back, right), back])
+    raise AssertionError
 
 
 def first_frame(points: FloatArray, facing_: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return the middle of the points, and the axes of the pose that `fit` returns."""
+    """Return the middle of the points, and the axes of the straight first view in a wide picture."""
     if len(points) < 3:
         return points.mean(axis=0) if len(points) else np.zeros(3), np.eye(3)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -201,39 +295,37 @@ def is_inside(pose: CameraPose, at: FloatArray, aspect: float) -> bool:
     return bool(np.abs(offset).max() <= TARGET_MAX_OFFSET_OVER_HALF_VIEW)
 
 
-def turn_to(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: float, level: FloatArray | None) -> CameraPose:
-    """Return the nearest pose, at the same distance, that sees a point of the skin; see `is_visible`.
+def turned_back(pose: CameraPose, at: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return (3,) float, unit: the direction back to a camera, nearest to the present one, that sees a point of the skin.
 
-    `level` is (3,) float, unit: the axis that is level in the picture, if any.
+    It is the present one if that sees the point; see `MIN_FACING`.
     """
+    towards = pose.position - at
+    if float(normal @ towards) >= MIN_FACING * float(np.linalg.norm(towards)):
+        return pose.axes[2]
     slant = float(np.arccos(np.clip(normal @ pose.axes[2], -1.0, 1.0)))
-    if slant > RESIDUAL_TILT:
-        axis = np.cross(pose.axes[2], normal)
-        # Opposite to each other, they are turned over the upper edge.
-        axis = axis / np.linalg.norm(axis) if np.linalg.norm(axis) > 1e-9 else pose.right
-        pose = replace(pose, axes=_upright(pose.axes, _rotation(axis, slant - RESIDUAL_TILT) @ pose.axes[2], level))
-    return pose if is_inside(pose, at, aspect) else replace(pose, focus=at)
+    axis = np.cross(pose.axes[2], normal)
+    # Opposite to each other, they are turned over the upper edge.
+    axis = axis / np.linalg.norm(axis) if np.linalg.norm(axis) > 1e-9 else pose.right
+    return _rotation(axis, slant - RESIDUAL_TILT) @ pose.axes[2]
 
 
-def _upright(axes: FloatArray, back: FloatArray, level: FloatArray | None) -> FloatArray:
-    """Compute (3, 3) the axes of a camera that looks against `back`: level if possible, else turned least from `axes`."""
-    right = np.zeros(3) if level is None else level - float(level @ back) * back
-    if float(np.linalg.norm(right)) < MIN_SIN_VIEW_TO_LEVEL_AXIS:
-        right = np.cross(axes[1], back)
-        if float(np.linalg.norm(right)) < MIN_SIN_VIEW_TO_LEVEL_AXIS:
-            right = axes[0] - (axes[0] @ back) * back
-    elif float(right @ axes[0]) < 0.0:
-        right = -right
-    right = right / np.linalg.norm(right)
-    return np.stack([right, np.cross(back, right), back])
+def _ball_px(pose: CameraPose, at: FloatArray, height: float) -> float:
+    """Return the diameter of an estimate's ball at a point, in pixels of a picture so high."""
+    away = max(float((pose.position - at) @ pose.axes[2]), MIN_DISTANCE)
+    return ESTIMATE_BALL_DIAMETER_M * height / (2.0 * VIEW_SLOPE * away)
 
 
-def move_closer(pose: CameraPose, at: FloatArray, height: float) -> CameraPose:
-    """Return the pose, moved closer if a ball at a point would be smaller than `MIN_BALL_PX` in a picture so high."""
-    away = float((pose.position - at) @ pose.axes[2])
-    if ESTIMATE_BALL_DIAMETER_M * height >= MIN_BALL_PX * 2.0 * VIEW_SLOPE * away:
-        return pose
-    return CameraPose(pose.axes, at, max(MIN_DISTANCE, ESTIMATE_BALL_DIAMETER_M * height / (TARGET_BALL_PX * 2.0 * VIEW_SLOPE)))
+def is_near(first: CameraPose, second: CameraPose) -> bool:
+    """Return whether two poses show nearly the same picture, so that a move between them would only disturb."""
+    _, angle = _axis_and_angle(second.axes.T @ first.axes)
+    shift = float(np.linalg.norm((second.focus - first.focus) @ first.axes[:2].T))
+    size = VIEW_SLOPE * first.distance
+    return (
+        angle < SAME_VIEW_ANGLE
+        and shift < SAME_VIEW_SHIFT * size
+        and abs(second.distance - first.distance) < (SAME_VIEW_SHIFT * first.distance)
+    )
 
 
 def interpolate(start: CameraPose, end: CameraPose, share: float) -> CameraPose:
@@ -246,6 +338,22 @@ def interpolate(start: CameraPose, end: CameraPose, share: float) -> CameraPose:
         start.focus + eased * (end.focus - start.focus),
         start.distance + eased * (end.distance - start.distance) + 4.0 * eased * (1.0 - eased) * far,
     )
+
+
+def interpolate_level(start: CameraPose, end: CameraPose, share: float, framing: Framing, aspect: float) -> CameraPose:
+    """Return the pose as `interpolate`; between two views without roll, there is none on the way either."""
+    pose, kept = interpolate(start, end, share), framing.kept_axis(aspect)
+    for each in (start, end):
+        is_level = np.allclose(framing.axes(each.axes[2], aspect), each.axes, atol=LEVEL_TOLERANCE)
+        if not is_level or framing.is_along(kept, each.axes[2]):
+            return pose
+    # Around the kept axis and along it, as longitude and latitude: the great circle may lead past the axis.
+    eased, heights = share * share * (3.0 - 2.0 * share), [float(each.axes[2] @ kept) for each in (start, end)]
+    first, last = (each.axes[2] - height * kept for each, height in zip((start, end), heights, strict=True))
+    turn = float(np.arctan2(np.cross(first, last) @ kept, first @ last))
+    latitude = float(np.interp(eased, (0.0, 1.0), np.arcsin(np.clip(heights, -1.0, 1.0))))
+    level = _rotation(kept, eased * turn) @ first / np.linalg.norm(first)
+    return replace(pose, axes=framing.axes(np.cos(latitude) * level + np.sin(latitude) * kept, aspect))
 
 
 def _axis_and_angle(rotation: FloatArray) -> tuple[FloatArray, float]:
@@ -268,21 +376,34 @@ def _rotation(axis: FloatArray, angle: float) -> FloatArray:
 
 
 class AutoCamera:
-    """Turns a camera to the target; keeps the axis `level`, (3,) float, unit, level in the picture if given."""
+    """Turns a camera to the target, with the whole part in the picture; without a target the camera returns to rest.
 
-    def __init__(self, surface: Surface | None, level: FloatArray | None) -> None:
+    After the operator zoomed or moved the picture, their distance is kept until the whole part is shown again.
+    """
+
+    def __init__(
+        self, surface: Surface | None, framing: Framing, min_half_height: float, lean_deg: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
         self.wanted = True
         self.held = False  # A button of the mouse is down on the picture
-        self._surface, self._level = surface, level
+        self.framing, self.keeps_distance = framing, False
+        self._surface, self._min_half_height, self._lean_deg = surface, min_half_height, lean_deg
         self._touched_s = -np.inf
         self._target: Target | None = None
         self._is_due = False
+        self._rests_at_s = np.inf  # Host time when the camera returns to rest, s
         self._way: tuple[CameraPose, CameraPose, float] | None = None
         """Start, end, and host time of the start in seconds."""
 
-    def note_manual_move(self, now_s: float) -> None:
-        """Stop a turn in progress where it is, and wait."""
-        self._touched_s, self._way = now_s, None
+    def note_manual_move(self, now_s: float, *, keeps_distance: bool = False) -> None:
+        """Stop a turn in progress where it is, and wait; a turn later keeps the distance that the operator chose."""
+        self._touched_s, self._way, self._rests_at_s = now_s, None, np.inf
+        self.keeps_distance = self.keeps_distance or keeps_distance
+
+    def rest(self, aspect: float) -> CameraPose:
+        """Return the first view of the whole part, and keep the whole part in the picture from now on."""
+        self.keeps_distance, self._rests_at_s = False, np.inf
+        return self.framing.rest(aspect, self._min_half_height, self._lean_deg)
 
     def advance(self, camera: vtkCamera, aspect: float, height: float, state: View3DState, now_s: float) -> bool:
         """Continue a turn of the camera, or begin one; return whether the camera moved.
@@ -292,31 +413,51 @@ class AutoCamera:
         target = state.target if self.wanted else None
         if not _is_same(target, self._target):
             self._is_due, self._way = target is not None, None
+            self._rests_at_s = now_s + REST_DELAY_S if target is None and self.wanted else np.inf
         self._target = target
-        if target is None:
-            return False
         if state.live is not None and state.live.progress.phase in PRESSING_PHASES:
             # After the poke an interrupted turn begins again.
-            self._is_due, self._way = self._is_due or self._way is not None, None
+            self._is_due, self._way = self._is_due or (self._way is not None and target is not None), None
             return False
         if self.held or now_s - self._touched_s < PAUSE_AFTER_MANUAL_MOVE_S:
             return False
-        if self._is_due:
-            self._is_due = False
-            start, at = pose_of(camera), point_on_skin(self._surface, target.place, target.normal)
-            end = start
-            if not is_visible(start, at, target.normal, aspect):
-                end = turn_to(start, at, target.normal, aspect, self._level)
-            end = move_closer(end, at, height)
-            self._way = None if end is start else (start, end, now_s)
+        end = self._due_pose(pose_of(camera), aspect, height, now_s)
+        if end is not None:
+            start = pose_of(camera)
+            self._way = None if is_near(start, end) else (start, end, now_s)
         if self._way is None:
             return False
         start, end, begun_s = self._way
         share = min(1.0, (now_s - begun_s) / CAMERA_TURN_DURATION_S)
-        place(camera, interpolate(start, end, share))
+        place(camera, interpolate_level(start, end, share, self.framing, aspect))
         if share == 1.0:
             self._way = None
         return True
+
+    def _due_pose(self, start: CameraPose, aspect: float, height: float, now_s: float) -> CameraPose | None:
+        """Return the pose where the camera must be now; `None` if it stays."""
+        if self._target is not None and self._is_due:
+            self._is_due = False
+            return self._pose_for(self._target, start, aspect, height)
+        if self._target is None and now_s >= self._rests_at_s and not self.keeps_distance:
+            return self.rest(aspect)
+        return None
+
+    def _pose_for(self, target: Target, start: CameraPose, aspect: float, height: float) -> CameraPose:
+        framing, at = self.framing, point_on_skin(self._surface, target.place, target.normal)
+        is_seen = is_visible(start, at, target.normal, aspect) and _ball_px(start, at, height) >= MIN_BALL_PX
+        if self.keeps_distance and is_seen:
+            return start
+        # Also without a turn: a drag by hand may have rolled the picture.
+        axes = framing.axes(turned_back(start, at, target.normal), aspect)
+        near = max(MIN_DISTANCE, ESTIMATE_BALL_DIAMETER_M * height / (TARGET_BALL_PX * 2.0 * VIEW_SLOPE))
+        if self.keeps_distance:
+            is_dot = ESTIMATE_BALL_DIAMETER_M * height < MIN_BALL_PX * 2.0 * VIEW_SLOPE * start.distance
+            return framing.at_distance(axes, at, near if is_dot else start.distance, aspect)
+        whole = framing.whole(axes, at, aspect, self._min_half_height)
+        if _ball_px(whole, at, height) >= MIN_BALL_PX:
+            return whole
+        return start if is_seen else framing.at_distance(axes, at, near, aspect)
 
 
 def _is_same(now: Target | None, before: Target | None) -> bool:

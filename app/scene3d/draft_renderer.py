@@ -9,16 +9,17 @@ import pyvista as pv
 from vtkmodules.vtkRenderingCore import vtkCellPicker
 
 from app import theme
-from app.scene3d.camera import PLAIN_POSE, CameraPose, facing, fit_from
+from app.scene3d.camera import PLAIN_POSE, CameraPose, facing, fit_from, place, pose_of
 from app.scene3d.draft_state import NO_PLACES, ROBOT_STEPS, SENSOR_STEPS, DraftPicture, DraftStatic
 from app.scene3d.hints import HintsLayer
 from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, PART, Dots, Label, Layer, Segments
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
-from app.scene3d.scene_renderer import SceneRenderer
+from app.scene3d.robot_sides import SidesLayer, side_axes
+from app.scene3d.scene_renderer import MIN_VIEW_HALF_HEIGHT_M, SceneRenderer
 from app.scene3d.scene_state import StaticScene, rgb
 from app.scene3d.turn_handle import TurnHandleLayer
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, inverse_pose
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface, make_surface
@@ -29,8 +30,13 @@ from skincal.session.robot_shape import RobotShape
 SENSOR_AXIS_LENGTH_OVER_PART_SIZE = 0.28  # Length of the chosen sensor's axes, of the part's longest side
 MIN_DRAWN_AXIS_LENGTH_M = 0.03
 OTHER_SENSORS_AXIS_LENGTH_RATIO = 0.4  # Of other sensors' axes, of the chosen one's
+CHOSEN_AXES_PX, OTHER_AXES_PX = 4.0, 2.0  # Lines of the sensors' axes
+COVERED_AXES_OPACITY = 0.45  # Of the axes where the part covers them
 MARK_SIZE_OVER_PART_SIZE = 0.025  # Radius of landmarks and picked points, of the part's longest side
 BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+_GRID_WAYS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], dtype=float)
+AROUND_BALL = 1.12 * _GRID_WAYS / np.linalg.norm(_GRID_WAYS, axis=1, keepdims=True)
+"""(26, 3) float: corners of a solid that holds a ball of radius 1."""
 FIRST_VIEW = np.array(FIRST_SIDE)
 """Unit: from where a part or a robot is seen first, obliquely from above; its z axis is upright."""
 ROOT_XY_MASK = np.array([1.0, 1.0, 0.0])
@@ -89,6 +95,10 @@ class LinksLayer(Layer):
             actor.visibility = step in ROBOT_STEPS
             actor.prop.color = theme.MODULE_HUES[0] if is_part else self.colours.front
 
+    @property
+    def is_shown(self) -> bool:
+        return any(actor.visibility for actor in self.actors.values())
+
     def pick(self, x: float, y: float) -> str | None:
         """Return the link at a pixel; `None` next to the robot."""
         picker = vtkCellPicker()
@@ -120,7 +130,9 @@ class SensorsLayer(Layer):
 
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
         super().__init__(plotter, static)
-        self.chosen, self.others = Segments(plotter, FRONT, 4.0), Segments(plotter, FRONT, 2.0)
+        # The part covers what is behind it; a faint line shows where that goes on.
+        self.chosen, self.others = Segments(plotter, PART, CHOSEN_AXES_PX), Segments(plotter, PART, OTHER_AXES_PX)
+        self.hidden_axes = Segments(plotter, FRONT, OTHER_AXES_PX, opacity=COVERED_AXES_OPACITY)
         self._picture: DraftPicture | None = None
         self.size = MIN_DRAWN_AXIS_LENGTH_M
 
@@ -131,8 +143,8 @@ class SensorsLayer(Layer):
     def draw(self) -> None:
         picture = self._picture
         if picture is None or picture.step not in SENSOR_STEPS:
-            self.chosen.show(NO_PLACES, self.colours.ink)
-            self.others.show(NO_PLACES, self.colours.ink)
+            for actor in (self.chosen, self.others, self.hidden_axes):
+                actor.show(NO_PLACES, self.colours.ink)
             self.labels = ()
             return
         preview = picture.preview
@@ -145,7 +157,10 @@ class SensorsLayer(Layer):
             (self.chosen, chosen, self.size), (self.others, others, OTHER_SENSORS_AXIS_LENGTH_RATIO * self.size),
         ):  # fmt: skip
             ends = [np.stack([pose[:3, 3], pose[:3, 3] + size * pose[:3, axis]]) for _, pose in frames for axis in range(3)]
-            actor.show(np.array(ends).reshape(-1, 3), np.tile(hues.repeat(2, axis=0), (len(frames), 1)))
+            points, colours = np.array(ends).reshape(-1, 3), np.tile(hues.repeat(2, axis=0), (len(frames), 1))
+            actor.show(points, colours)
+            if actor is self.chosen:
+                self.hidden_axes.show(points, colours)
         self.labels = [Label(name, pose[:3, 3], MODULE_TO_LABEL_GAP_PX, 2.0) for name, pose in (*chosen, *others)]
         if chosen:
             pose = chosen[0][1]
@@ -251,11 +266,14 @@ class DraftRenderer(SceneRenderer):
         self.links, self.sensors = LinksLayer(plotter, static), SensorsLayer(plotter, static)
         self.marks = MarksLayer(plotter, static)
         self.modules = DraftModulesLayer(plotter, static, layout, laid)
-        self.handle = TurnHandleLayer(plotter, static)
+        self.handle, self.sides = TurnHandleLayer(plotter, static), SidesLayer(plotter, static)
+        self.hints = HintsLayer(plotter, static)
         self._fitted: object = None
         self._surface: Surface | None = None
         self._picture: DraftPicture | None = None
-        return self.links, self.surface_layer, self.modules, self.sensors, self.marks, self.handle, HintsLayer(plotter, static)
+        return (
+            self.links, self.surface_layer, self.modules, self.sensors, self.marks, self.handle, self.sides, self.hints,
+        )  # fmt: skip
 
     def show(self, state: Any) -> bool:
         picture: DraftPicture = state
@@ -274,6 +292,11 @@ class DraftRenderer(SceneRenderer):
         self.sensors.size = self.marks.size = max(MIN_DRAWN_AXIS_LENGTH_M, SENSOR_AXIS_LENGTH_OVER_PART_SIZE * longest)
         for layer in (self.links, self.sensors, self.marks, self.handle):
             layer.show_picture(picture)
+        self.sides.show_picture(picture, self.links.extent(preview))
+        root = None if preview.robot is None else preview.robot.root
+        self.hints.frame = (preview.draft.link or root or "part") if preview.robot is not None else "part"
+        self.hints.draw()
+        self._keep_base_still(None if before is None else before.preview, preview)
         key = (
             preview.size_mm, () if preview.shape is None else (preview.draft.link, *preview.link_poses), _view_of(picture),
             preview.sensor_pose is None,
@@ -282,6 +305,15 @@ class DraftRenderer(SceneRenderer):
             self._fitted = key
             self.fit()
         return True
+
+    def _keep_base_still(self, before: PartPreview | None, now: PartPreview) -> None:
+        """Move the camera with the robot's base, which moves in the part's link as a joint turns: the part moves instead."""
+        if before is None or before.robot is None or before.robot is not now.robot or before.draft.link != now.draft.link:
+            return
+        old, new = before.link_poses[before.robot.root], now.link_poses[before.robot.root]
+        if not np.array_equal(old, new):
+            move, pose = new @ inverse_pose(old), pose_of(self.camera)
+            place(self.camera, CameraPose(pose.axes @ move[:3, :3].T, move[:3, :3] @ pose.focus + move[:3, 3], pose.distance))
 
     def _show_layout(self, picture: DraftPicture) -> None:
         preview = picture.preview
@@ -301,38 +333,64 @@ class DraftRenderer(SceneRenderer):
         """Keep the camera: nothing turns it in the builder."""
         return False
 
-    def fitted_pose(self, min_half_height: float) -> CameraPose:
+    def fitted_pose(self) -> CameraPose:
         """Return the camera pose that shows what the step is about."""
         picture = self._picture
         if picture is None:
             return PLAIN_POSE
         preview, aspect = picture.preview, self.aspect()
-        turn, points, view = np.eye(3), self.static.extent, FIRST_VIEW
-        if _view_of(picture) == "robot" and preview.robot is not None:
-            turn, points = preview.link_poses[preview.robot.root][:3, :3], self.links.extent(preview)
-            if preview.surface is not None and len(points):
-                # From the side of the robot on which the part is.
-                offset = turn.T @ (preview.surface.vertices.mean(axis=0) - (points.min(axis=0) + points.max(axis=0)) / 2.0)
-                view = np.where(offset * ROOT_XY_MASK < -LABEL_MIN_DISTANCE_FROM_PART_AXIS_M, -1.0, 1.0) * FIRST_VIEW
+        eye = turn = np.eye(3)
+        points, view = self.static.extent, FIRST_VIEW
+        if picture.step in ROBOT_STEPS and preview.robot is not None:
+            turn, extent = preview.link_poses[preview.robot.root][:3, :3], self.links.extent(preview)
+            view = self._first_side(preview, extent, turn)
+            points = extent if _view_of(picture) == "robot" else points
         if picture.step in SENSOR_STEPS[:2]:
             chosen = [] if preview.sensor_pose is None else [preview.sensor_pose]
             tips = [pose[:3, 3] + self.sensors.size * pose[:3, :3].T for pose in chosen or preview.sensors.values()]
-            points = np.concatenate([points, *tips])
+            points = np.concatenate([points, *tips, *([_reach(preview)] if picture.step == "joints" else [])])
         if not len(points):
             return PLAIN_POSE
-        back = turn @ view if self.static.facing is None else self.static.facing
+        back = turn @ view if self.static.facing is None or turn is not eye else self.static.facing
         right = np.cross(turn[:, 2], back)
         right = right / np.linalg.norm(right) if np.linalg.norm(right) > MIN_SIN_VIEW_TO_UPRIGHT_AXIS else turn[:, 0]
         axes = np.stack([right, np.cross(back, right), back])
-        return fit_from(points, (points.min(axis=0) + points.max(axis=0)) / 2.0, axes, aspect, min_half_height)
+        return fit_from(points, axes, aspect, MIN_VIEW_HALF_HEIGHT_M)
+
+    def _first_side(self, preview: PartPreview, extent: FloatArray, turn: FloatArray) -> FloatArray:
+        """Return the side from which the robot is seen first, (3,) float, unit, in its root's frame: its front, if known."""
+        sides = side_axes(preview)
+        if preview.surface is None or not len(extent):
+            return FIRST_VIEW if sides is None else FIRST_VIEW[[1, 0, 2]] @ sides
+        # From the side of the robot on which the part is.
+        offset = turn.T @ (preview.surface.vertices.mean(axis=0) - (extent.min(axis=0) + extent.max(axis=0)) / 2.0)
+        if sides is not None:
+            is_right = float(sides[0] @ offset) < -LABEL_MIN_DISTANCE_FROM_PART_AXIS_M
+            return (FIRST_VIEW[[1, 0, 2]] * ([-1.0, 1.0, 1.0] if is_right else [1.0, 1.0, 1.0])) @ sides
+        return np.where(offset * ROOT_XY_MASK < -LABEL_MIN_DISTANCE_FROM_PART_AXIS_M, -1.0, 1.0) * FIRST_VIEW
 
     def pick(self, x: float, y: float) -> int | None:  # noqa: ARG002
         """Return `None`: a draft has no estimates."""
         return None
 
 
+def _reach(preview: PartPreview) -> FloatArray:
+    """Return the corners of the space that the part reaches as its joints turn, (n, 3) float, metres; empty without joints."""
+    robot, surface = preview.robot, preview.surface
+    if robot is None or surface is None or not preview.joints:
+        return NO_PLACES
+    names = {joint.name for joint in preview.joints}
+    chain = [joint for joint in reversed(robot.path_to_root(preview.draft.link)) if joint.name in names]
+    if not chain:
+        return NO_PLACES
+    places = np.array([preview.link_poses[joint.child][:3, 3] for joint in chain])
+    arm = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    arm += float(np.linalg.norm(surface.vertices - places[-1], axis=1).max())
+    return places[0] + arm * AROUND_BALL
+
+
 def _view_of(picture: DraftPicture) -> str:
     """Name what the camera shows in a step."""
     if picture.step == "part" and picture.preview.shape is not None:
         return "robot"
-    return "sensor" if picture.step in SENSOR_STEPS[:2] else "part"
+    return picture.step if picture.step in SENSOR_STEPS[:2] else "part"

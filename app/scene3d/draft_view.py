@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from enum import Enum
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QWidget
+from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtGui import QCursor
+from PySide6.QtWidgets import QToolTip, QWidget
 
 from app.scene3d.canvas import Canvas
 from app.scene3d.draft_state import DraftPicture
@@ -17,6 +19,7 @@ from skincal.geometry import FloatArray
 if TYPE_CHECKING:
     from app.scene3d.draft_renderer import DraftRenderer
 
+HOVER_REST_MS = 80  # The pointer rests on a link for so long until its name is shown
 LAYOUT_TURN_PER_WHEEL_NOTCH_DEG = 5.0  # Turn of the layout for one notch of the wheel over it
 
 
@@ -43,6 +46,9 @@ class DraftView3D(View3D):
     def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
         super().__init__(parent, canvas)
         self.mode = Mode.NONE
+        self._hovered = (0.0, 0.0)
+        self._hover_timer = QTimer(self, singleShot=True)
+        self._hover_timer.timeout.connect(self._name_link)
         self._angle: float | None = None
         """Degrees, of the pointer on the ring that is dragged; `None` if the layout is dragged."""
 
@@ -61,6 +67,22 @@ class DraftView3D(View3D):
         if self._canvas is not None:
             is_point = mode in (Mode.POINT, Mode.LAYOUT)
             self._canvas.setCursor(Qt.CursorShape.CrossCursor if is_point else Qt.CursorShape.ArrowCursor)
+
+    def hover(self, x: float, y: float) -> None:
+        """Name the link under the pointer as soon as it rests: a search in all meshes takes some milliseconds."""
+        if self._draft_renderer is not None and self._draft_renderer.links.is_shown:
+            self._hovered = x, y
+            QToolTip.hideText()
+            self._hover_timer.start(HOVER_REST_MS)
+
+    def _name_link(self) -> None:
+        link = None if self._draft_renderer is None else self._draft_renderer.links.pick(*self._hovered)
+        if link is not None and self._canvas is not None and self._canvas.underMouse():
+            QToolTip.showText(QCursor.pos(), f"<p>{escape(link)}</p>", self._canvas)
+
+    def close_view(self) -> None:
+        self._hover_timer.stop()
+        super().close_view()
 
     def grip(self, x: float, y: float) -> bool:
         if self.mode is not Mode.LAYOUT:
@@ -113,6 +135,8 @@ class DraftView3D(View3D):
     def _mount(self, loaded: object) -> None:
         super()._mount(loaded)  # pyright: ignore[reportArgumentType]
         self.set_mode(self.mode)
+        if self._canvas is not None:
+            self._canvas.setMouseTracking(True)
 
     def pick(self, x: float, y: float) -> None:
         if self.mode is Mode.LINK:

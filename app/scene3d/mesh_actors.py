@@ -85,8 +85,8 @@ class Dots(MeshActor):
 class Segments(MeshActor):
     """Line segments of one width in pixels: each two points in turn are joined."""
 
-    def __init__(self, plotter: pv.BasePlotter, renderer: int, pixels: float) -> None:
-        super().__init__(plotter, renderer, pixels, lighting=False)
+    def __init__(self, plotter: pv.BasePlotter, renderer: int, pixels: float, *, opacity: float = 1.0) -> None:
+        super().__init__(plotter, renderer, pixels, lighting=False, opacity=opacity)
 
     def connect(self, points: FloatArray) -> pv.PolyData:
         return pv.line_segments_from_points(points)

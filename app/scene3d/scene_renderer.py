@@ -14,7 +14,7 @@ from vtkmodules.vtkRenderingCore import vtkCellPicker
 
 from app.scene3d import camera
 from app.scene3d.axes import AxesLayer
-from app.scene3d.camera import AutoCamera, Viewpoint, long_axis, place, pose_of
+from app.scene3d.camera import AutoCamera, Viewpoint, place, pose_of
 from app.scene3d.estimates import CompareLayer, EstimatesLayer, UncertaintyLayer
 from app.scene3d.hints import HintsLayer
 from app.scene3d.labels import Labels
@@ -59,9 +59,13 @@ class SceneRenderer:
         self._labels_key: list[tuple[str, bytes, float]] | None = None
         self._hidden: frozenset[str] = frozenset()
         self._surface_actor = next((layer.outside for layer in self.layers if isinstance(layer, SurfaceLayer)), None)
-        self.auto_camera = AutoCamera(static.surface, long_axis(static.extent))
+        half_height = MIN_VIEW_HALF_HEIGHT_M if len(static.extent) else DEFAULT_VIEW_HALF_HEIGHT_M
+        self.auto_camera = AutoCamera(
+            static.surface, camera.Framing(static.extent, static.facing), half_height, self.first_lean_deg
+        )
         self._viewpoint: Viewpoint | None = None
         self._scales = (0.0, 0.0)
+        self._fitted_size = (0, 0)
         self._known_reach = (np.zeros(3), DEFAULT_VIEW_HALF_HEIGHT_M)
         # At the start of every picture, also of those that Qt requests.
         self._observer = self.window.AddObserver(vtkCommand.StartEvent, self._before_picture)
@@ -77,8 +81,10 @@ class SceneRenderer:
             layers.append(SurfaceLayer(plotter, static, static.surface))
         if layout is not None and static.laid is not None and np.isfinite(static.places[:, 0]).any():
             layers.append(ModulesLayer(plotter, static, layout, static.laid))
+        hints = HintsLayer(plotter, static)
+        hints.frame = static.scene.link
         others = (self.estimates, AxesLayer(plotter, static), UncertaintyLayer(plotter, static), self.target, self.landmarks)
-        return (*layers, *others, self.compare, HintsLayer(plotter, static), RobotTipLayer(plotter, static))
+        return (*layers, *others, self.compare, hints, RobotTipLayer(plotter, static))
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""
@@ -116,23 +122,22 @@ class SceneRenderer:
         height = self.window.GetSize()[1] / self.scales()[0]
         return self.auto_camera.advance(self.camera, self.aspect(), height, state, now_s)
 
-    def note_manual_move(self, now_s: float) -> None:
+    def note_manual_move(self, now_s: float, *, keeps_distance: bool = False) -> None:
         self.is_moved = True
-        self.auto_camera.note_manual_move(now_s)
+        self.auto_camera.note_manual_move(now_s, keeps_distance=keeps_distance)
 
     def fit(self) -> None:
         self.is_moved = False
-        has_extent = len(self.static.extent) > 0
-        pose = self.fitted_pose(MIN_VIEW_HALF_HEIGHT_M if has_extent else DEFAULT_VIEW_HALF_HEIGHT_M)
+        pose = self.fitted_pose()
         place(self.camera, pose)
         self._known_reach = pose.focus, camera.VIEW_SLOPE * pose.distance
-        if has_extent:
-            camera.rotate(self.camera, *self.first_lean_deg)
+        self._fitted_size = self.window.GetSize()
 
-    def fitted_pose(self, min_half_height: float) -> camera.CameraPose:
-        """Return the camera pose that shows the whole part; `min_half_height` is in metres."""
-        points = self.static.extent if len(self.static.extent) else self._known_places()
-        return camera.fit(points, self.static.facing, self.aspect(), min_half_height)
+    def fitted_pose(self) -> camera.CameraPose:
+        """Return the camera pose that shows the whole part."""
+        if not len(self.static.extent):
+            self.auto_camera.framing = camera.Framing(self._known_places(), self.static.facing)
+        return self.auto_camera.rest(self.aspect())
 
     def compile_shaders(self) -> None:
         """Draw a picture with something of every kind in it, so that no later one waits for a shader to be compiled."""
@@ -180,6 +185,9 @@ class SceneRenderer:
     def _before_picture(self, *_: object) -> None:
         """Follow the camera and the screen; changes nothing else, so it asks for no further picture."""
         scales, window = self.scales(), self.window
+        if not self.is_moved and window.GetSize() != self._fitted_size:
+            # The part fills a picture of another shape, too.
+            self.fit()
         if scales != self._scales:
             self._scales = scales
             window.SetDPI(round(FONT_POINTS_PER_INCH * scales[0]))

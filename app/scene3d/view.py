@@ -62,7 +62,7 @@ class Pointer(QObject):
             notches = event.angleDelta().y() / QT_WHEEL_UNITS_PER_NOTCH
             if not self._view.turn_wheel(notches, *self._pixels(event.position())):
                 camera.zoom(self._renderer.camera, ZOOM_FACTOR_PER_WHEEL_NOTCH**notches)
-                self._note_move()
+                self._note_move(keeps_distance=True)
         elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
             self._start = self._last = event.position()
             self._dragged = False
@@ -82,6 +82,7 @@ class Pointer(QObject):
     def _drag(self, event: QMouseEvent) -> None:
         buttons = event.buttons()
         if buttons == Qt.MouseButton.NoButton:
+            self._view.hover(*self._pixels(event.position()))
             return
         if not self._dragged and (event.position() - self._start).manhattanLength() < MAX_CLICK_MOVE_PX:
             return
@@ -97,9 +98,11 @@ class Pointer(QObject):
         elif buttons & Qt.MouseButton.LeftButton:
             degrees_per_pixel = ROTATION_PER_FULL_DRAG_DEG / size
             camera.rotate(self._renderer.camera, step.x() * degrees_per_pixel, -step.y() * degrees_per_pixel)
+            self._note_move(keeps_distance=False)
+            return
         else:
             camera.zoom(self._renderer.camera, ZOOM_FACTOR_PER_WHEEL_NOTCH ** (-step.y() / 20))
-        self._note_move()
+        self._note_move(keeps_distance=True)
 
     def _release(self, event: QMouseEvent) -> None:
         self._renderer.auto_camera.held = event.buttons() != Qt.MouseButton.NoButton
@@ -113,8 +116,8 @@ class Pointer(QObject):
         density = self._canvas.devicePixelRatioF()
         return position.x() * density, (self._canvas.height() - position.y()) * density
 
-    def _note_move(self) -> None:
-        self._renderer.note_manual_move(time.monotonic())
+    def _note_move(self, *, keeps_distance: bool) -> None:
+        self._renderer.note_manual_move(time.monotonic(), keeps_distance=keeps_distance)
         self._view.request_picture()
 
 
@@ -330,6 +333,9 @@ class View3D(QWidget):
         self._show_state()
         self.request_picture()
         self.ready.emit()
+
+    def hover(self, x: float, y: float) -> None:
+        """React to the pointer over a pixel while no button is down."""
 
     def grip(self, x: float, y: float) -> bool:  # noqa: ARG002
         """Grip what a drag moves instead of the camera; return whether there is something. Pixels as in `pick`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,9 @@ from skincal.model.urdf_chain import MOVING
 
 DRAWN_ROBOT_MAX_TRIANGLES = 2_000_000
 """Of a whole robot in the view: an iCub has 300,000. Links beyond it are not drawn."""
+MIN_DISTANCE_OF_SIDES_M = 0.03
+"""Between the middles of left and right links; nearer, their names mean something else."""
+_SIDE_OF_LINK = re.compile(r"(^|[_\-.])(l|r|left|right)(?=[_\-.]|$)|^(Left|Right)(?=[A-Z])", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +87,27 @@ def middle_angles(robot: Robot) -> dict[str, float]:
     """Choose an angle for each joint that moves on its own, radians: 0, or the nearest limit."""
     moving = [joint for joint in robot.joints.values() if joint.kind in MOVING and joint.mimic is None]
     return {joint.name: 0.0 if joint.limits is None else float(np.clip(0.0, *joint.limits)) for joint in moving}
+
+
+def left_of_robot(poses: Mapping[str, FloatArray]) -> FloatArray | None:
+    """Find the robot's left by the names of its links: `l_hand`, `left_hand`, `LeftHand` and their right partners.
+
+    `poses` are (4, 4), metres, in the frame of its root, whose z axis is upright, by link.
+
+    Returns
+    -------
+    (3,) float, unit, level: from the right links to the left ones; `None` if the names tell no sides
+    """
+    sides: dict[str, list[FloatArray]] = {"l": [], "r": []}
+    for link, pose in poses.items():
+        match = _SIDE_OF_LINK.search(link)
+        if match is not None:
+            sides[match[0].strip("_-.").lower()[0]].append(pose[:2, 3])
+    if not (sides["l"] and sides["r"]):
+        return None
+    across = np.mean(sides["l"], axis=0) - np.mean(sides["r"], axis=0)
+    size = float(np.linalg.norm(across))
+    return np.array([*(across / size), 0.0]) if size >= MIN_DISTANCE_OF_SIDES_M else None
 
 
 def link_poses(robot: Robot, angles: Mapping[str, float], root: str) -> dict[str, FloatArray]:
