@@ -211,7 +211,7 @@ class SessionView(QObject):
         context = PanelContext(part, methods, names, self.guided, controller.compute, controller.read_positions, self._folder)
         self.workspace = Workspace(context)
         self.chips = LinkChips()
-        self._modules_enough = ModulesEnough(self.guided.guide.plan, part.scene.noise.skin)
+        self._modules_enough = ModulesEnough(self.guided.guide.plan, part.scene.noise.skin, self.guided.guide.surroundings)
         self._enough_message: Message | None = None
         self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.tabs.setCurrentIndex)
@@ -480,7 +480,7 @@ class SessionView(QObject):
 
             def done(found: tuple[Verdict, tuple[str, ...]]) -> None:
                 verdict, sentences = found
-                early = () if verdict.enough and not verdict.frame_in_doubt else (verdict_sentence(verdict),)
+                early = () if verdict.is_finished and not verdict.frame_in_doubt else (verdict_sentence(verdict),)
                 dialog.show_written((*early, *sentences))
 
             self._controller.export(format_, path, method, rig, done, dialog.show_failure, options, dialog.end_task)

@@ -14,7 +14,7 @@ from app.text_size import scaled
 from app.theme import HEADLINE_FONT_SIZE_PT, WIDGET_GAP_PX
 from skincal.guide.verdict import Verdict
 from skincal.words.units import ChannelNames, count
-from skincal.words.verdict_words import figures, left_words, verdict_sentence
+from skincal.words.verdict_words import figures, left_words, verdict_details, verdict_headline
 
 HEADINGS = ("Taxel", "Why it is not finished")
 DIALOG_MIN_WIDTH_PX = 680
@@ -49,7 +49,8 @@ class VerdictDialog(Dialog):
         super().__init__("Verdict", parent, StandardButton.NoButton)
         self.setMinimumWidth(DIALOG_MIN_WIDTH_PX)
         self._channels = [left.channel for left in verdict.left]
-        self.sentence = QLabel(verdict_sentence(verdict), wordWrap=True)
+        self.sentence = QLabel(verdict_headline(verdict), wordWrap=True)
+        self.details = QLabel(verdict_details(verdict), wordWrap=True)
         shown = (*figures(verdict), *((("Sensor and arm", rig),) if rig else ()))
         self.figures = [(name, QLabel(value, wordWrap=True)) for name, value in shown]
         self.heading = secondary_label(f"{count(len(verdict.left), 'taxel')} not finished. Enter selects one in the views.")
@@ -64,17 +65,18 @@ class VerdictDialog(Dialog):
         self.left.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         set_bold(self.sentence, HEADLINE_FONT_SIZE_PT)
         self.sentence.setAccessibleName("verdict")
+        self.details.setAccessibleName("details of the verdict")
         form = make_form(*((secondary_label(name), value) for name, value in self.figures))
         row, self.words = make_row(self.left), QWidget()
         row.addStrut(scaled(LIST_MIN_HEIGHT_PX) if self._channels else 0)
-        make_column(self.sentence, form, self.heading, (row, 1), within=self.words, gap=2 * WIDGET_GAP_PX)
+        make_column(self.sentence, self.details, form, self.heading, (row, 1), within=self.words, gap=2 * WIDGET_GAP_PX)
         for widget in (self.heading, self.left):
             widget.setVisible(bool(self._channels))
         self.area = scrolled(self.words)
         self.area.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.area.setAccessibleName("verdict and figures")
         self.fill((self.area, 1))
-        is_good = verdict.enough and verdict.done > 0 and not verdict.doubted and settled
+        is_good = verdict.is_finished and not verdict.doubted and settled
         first = self.export if is_good and can_export else self.go_on
         first.setDefault(True)
         first.setFocus()

@@ -5,7 +5,6 @@ Cells are computed for the visible rows only: a session has thousands of pokes, 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -26,27 +25,27 @@ from app.panels.panel import Panel, PanelContext
 from app.panels.widgets import escape_tooltip, make_copyable, secondary_label, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
-from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, rejections, tilt_of
+from app.text.outcomes import force_of, peak_channel, pitch_of, tilt_of
 from app.theme import WIDGET_GAP_PX
-from skincal.contacts.outcome import Contact, Rejection
+from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Estimate
-from skincal.words.poke_words import REASON_WORDS, missed_words, rejection_words, short_rejection
+from skincal.words.poke_words import REASON_WORDS, missed_words, poke_count_words, rejection_words, short_rejection
 from skincal.words.units import DASH, ChannelNames, cell, number
 
 _Index = QModelIndex | QPersistentModelIndex
-HEADINGS = ("#", "Outcome", "Taxel", "Force\nN", "Tilt\n\N{DEGREE SIGN}", "Pitch\nmm")
+HEADINGS = ("#", "Outcome", "Taxel", "Force\nN", "Tilt\n\N{DEGREE SIGN}", "Twist\nmm")
 _COLUMN_HINTS = (
     "Number of the poke in the session",
     "Accepted, or why not",
     "Taxel that answered most, and how many more did",
     "Force of the poke",
     "Angle between the push and the inward normal",
-    "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}: beyond the noise it shows a second contact or a torque",
+    "Moment about the push over the force: beyond the noise it shows a second contact or a torque",
 )
 
-_WIDEST_CELLS = ("00000", "", "00-00 +0", "Force", "Tilt0", "Pitch0")
+_WIDEST_CELLS = ("00000", "", "00-00 +0", "Force", "Tilt0", "Twist0")
 """Widest text of each column; the empty one takes the rest."""
 
 
@@ -60,12 +59,14 @@ class PokeTable(QAbstractTableModel):
         self._estimates: Mapping[int, Estimate] = {}
         self._doubting: Mapping[int, Sequence[Estimate]] = {}
         self._at_landmarks: Mapping[int, str] = {}
+        self._taken = frozenset[int]()  # Taken from their landmark by the operator
         self._missed: Mapping[int, MissedLandmark] = {}
 
     def show(self, snapshot: Snapshot, estimates: Mapping[int, Estimate]) -> None:
         """Show the pokes of another snapshot; tell the view what changed."""
         records = snapshot.pokes
         self._estimates, self._at_landmarks = estimates, snapshot.at_landmarks
+        self._taken = snapshot.decisions.taken_from_landmarks
         self._missed = snapshot.decisions.missed_landmarks
         self._doubting = doubting(estimates.values())
         old, added = self._records, len(records) - len(self._records)
@@ -120,11 +121,14 @@ class PokeTable(QAbstractTableModel):
 
     def _colour(self, record: PokeRecord, column: int) -> QColor | None:
         colours = theme_colours()
-        if record.excluded:
+        if self._is_out(record):
             return QColor(colours.muted)
         if isinstance(record.outcome, Rejection) and record.outcome.poke not in self._at_landmarks:
             return QColor(colours.bad if column == 1 else colours.muted)
         return QColor(colours.accent) if column == 1 else None
+
+    def _is_out(self, record: PokeRecord) -> bool:
+        return record.excluded or (isinstance(record.outcome, Rejection) and record.outcome.poke in self._taken)
 
     def _hint(self, record: PokeRecord) -> str:
         outcome = record.outcome
@@ -148,8 +152,10 @@ class PokeTable(QAbstractTableModel):
             return f"\N{WHITE DIAMOND} {self._at_landmarks[outcome.poke]}"
         if column == 1 and isinstance(outcome, Rejection) and outcome.poke in self._missed:
             return f"\N{BALLOT X} not at {self._missed[outcome.poke].name}"
+        if column == 1 and self._is_out(record):
+            return "\N{CIRCLED MINUS} excluded"
         if column == 1:
-            return _outcome_text(record, doubt_mark(outcome.poke, self._doubting.get(outcome.poke, ()), self._names))
+            return _outcome_text(record.outcome, doubt_mark(outcome.poke, self._doubting.get(outcome.poke, ()), self._names))
         if column == 2:
             return self._taxel(record)
         return self._measured(outcome, column) if isinstance(outcome, Contact) else ""
@@ -169,11 +175,9 @@ class PokeTable(QAbstractTableModel):
         return cell(pitch_of(contact), "m")
 
 
-def _outcome_text(record: PokeRecord, doubt: str) -> str:
-    if isinstance(record.outcome, Rejection):
-        return f"\N{BALLOT X} {short_rejection(record.outcome)}"
-    if record.excluded:
-        return "\N{CIRCLED MINUS} excluded"
+def _outcome_text(outcome: Outcome, doubt: str) -> str:
+    if isinstance(outcome, Rejection):
+        return f"\N{BALLOT X} {short_rejection(outcome)}"
     return f"\N{CIRCLE WITH LEFT HALF BLACK} {doubt}" if doubt else "\N{CHECK MARK} accepted"
 
 
@@ -258,8 +262,11 @@ class PokesPanel(Panel):
                 self.taxel_wanted.emit(peak)
 
 
+MAX_NAMED_REASONS = 4  # Reasons of rejections that are counted apart
+
+
 def tally_words(snapshot: Snapshot) -> str:
     """Count the pokes and the reasons of rejections."""
-    reasons = Counter(REASON_WORDS[outcome.reason] for outcome in rejections(snapshot))
-    counted = ", ".join(f"{reason}: {n}" for reason, n in reasons.most_common(4))
-    return pokes_words(snapshot, f" ({counted})" if counted else "")
+    rejected = list(snapshot.poke_counts.rejected.items())[:MAX_NAMED_REASONS]
+    counted = ", ".join(f"{REASON_WORDS[reason]}: {n}" for reason, n in rejected)
+    return poke_count_words(snapshot.poke_counts, f" ({counted})" if counted else "")

@@ -47,7 +47,7 @@ from app.scene3d.scene_state import StaticScene
 from app.state.policies import GOOD_RMS, Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
-from app.text.outcomes import MARK_WORDS, METHOD_NAMES, error_words, pokes_words, summary_words
+from app.text.outcomes import MARK_WORDS, METHOD_NAMES, error_words, summary_words
 from app.text_size import scaled
 from app.theme import MODULE_HUES, WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
@@ -55,6 +55,7 @@ from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
 from skincal.taxels.result import Method, State
+from skincal.words.poke_words import poke_count_words
 from skincal.words.units import ChannelNames, number
 
 MIN_HEIGHT_OVER_WIDTH_TO_TURN_MAP = 1.25
@@ -543,6 +544,8 @@ class MapCard(QFrame):
             self.legend.setText("   ".join(texts))
             self.legend.setAccessibleDescription(", ".join(words for _, words in entries))
         if is_changed:
-            self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")
+            self.progress.setText(
+                f"{summary_words(state.estimates)}  \N{MIDDLE DOT}  {poke_count_words(state.snapshot.poke_counts)}"
+            )
             self.errors.setText(error_words(state.estimates, state.snapshot.part_size))
             self.methods.setCurrentIndex(self.methods.findData(state.method))

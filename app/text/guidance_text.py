@@ -34,7 +34,7 @@ REDUCED_ERROR_WORDS: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFAC
 FOLLOWS: Mapping[Method, str] = {
     Method.FREE: "The guide asks what the free method needs: pokes with the tool leaning to all sides.",
     Method.SURFACE: "The guide asks what the surface method needs: pokes evenly around each taxel, tool upright.",
-    Method.MODULES: "The guide asks what the modules method needs: a few pokes on each module, far apart.",
+    Method.MODULES: "The guide asks what the modules method needs: a few pokes on each module, far apart, and at the edges.",
 }
 """Each method needs other pokes."""
 
@@ -86,6 +86,8 @@ def _reason(guidance: Guidance, target: Target, part_size: float) -> str:
         return "No layout: this shows which taxel answers here"
     row = int(np.searchsorted(guidance.channels, target.channel))
     missing = guidance.needs[row]
+    if guidance.phase is GuidePhase.TEST:
+        return f"Test poke, {guidance.tests_missing} left: does it agree with the estimate?"
     if Need.ACCURACY not in missing:
         if not missing:
             return "A check: does this poke agree with the estimate?"
@@ -122,6 +124,10 @@ def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
     done, total = _count_finished(guidance, dead)
     if not total:
         return "All taxels are disabled"
+    if not done:
+        return f"Not finished: none of {count(total, 'taxel')} could be determined"
+    if guidance.tests_missing:
+        return f"Not finished: {count(guidance.tests_missing, 'test poke')} could not be predicted"
     return (
         f"Finished: {done} of {total} ({total - done} undetermined)" if done < total else f"Finished: {count(total, 'taxel')}"
     )

@@ -137,22 +137,6 @@ def error_words(estimates: Sequence[Estimate], part_size: float) -> str:
     return "" if found is None else f"expected error {predicted_words(found, apart=False)}"
 
 
-def rejections(snapshot: Snapshot) -> list[Rejection]:
-    """List the rejected pokes, without those at landmarks, where no taxel needs to answer."""
-    outcomes = (record.outcome for record in snapshot.pokes)
-    return [each for each in outcomes if isinstance(each, Rejection) and each.poke not in snapshot.at_landmarks]
-
-
-def pokes_words(snapshot: Snapshot, why: str = "") -> str:
-    """Count pokes, and those that do not count; `why` follows the number of rejected ones."""
-    rejected = len(rejections(snapshot))
-    excluded = sum(p.excluded for p in snapshot.pokes)
-    some = {"at landmarks": len(snapshot.at_landmarks), f"rejected{why}": rejected, "excluded": excluded}
-    return ", ".join(
-        [count(len(snapshot.pokes), "poke"), *(f"{number_of} {what}" for what, number_of in some.items() if number_of)]
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class LinkWords:
     """Texts for one link."""

@@ -11,7 +11,6 @@ from dataclasses import asdict
 from typing import Any
 
 from skincal.cli.terminal import say
-from skincal.contacts.outcome import Contact, Rejection
 from skincal.files.reference import error_summary
 from skincal.geometry import FloatArray
 from skincal.guide.verdict import Verdict
@@ -46,17 +45,13 @@ def unchecked_lines(results: SessionResults, unchecked: float | None) -> list[st
 
 def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
     """Count pokes by outcome."""
-    records, named = snapshot.pokes, snapshot.at_landmarks
-    # No taxel answers a poke at a landmark, which is no fault.
-    reasons = Counter(
-        r.outcome.reason.value for r in records if isinstance(r.outcome, Rejection) and r.outcome.poke not in named
-    )
+    counts = snapshot.poke_counts
     return {
-        "pokes": len(records),
-        "accepted": sum(isinstance(r.outcome, Contact) and not r.excluded for r in records),
-        "excluded": sum(r.excluded for r in records),
-        "at_landmarks": sum(r.outcome.poke in named and not r.excluded for r in records),
-        "rejected": dict(sorted(reasons.items())),
+        "pokes": counts.pokes,
+        "accepted": counts.accepted,
+        "excluded": counts.excluded,
+        "at_landmarks": counts.at_landmarks + counts.on_both,
+        "rejected": dict(sorted((reason.value, count) for reason, count in counts.rejected.items())),
     }
 
 

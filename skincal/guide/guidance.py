@@ -124,6 +124,7 @@ class GuidePhase(Enum):
     COVER = "looking for taxels"
     SWEEP = "sweep"
     OWN = "own pokes"
+    TEST = "test pokes"
     CLOSING = "closing check"
     ENOUGH = "enough"
 
@@ -198,11 +199,18 @@ class Guidance:
     """Gain by the landmarks of this arm pose; `None` if it is unknown."""
     closing: ClosingStep | None = None
     """`None` outside the closing check."""
+    tests_missing: int = 0
+    """Test pokes that the verdict still needs; known once no taxel needs pokes. More are requested in the phase `TEST`."""
 
     @property
     def enough(self) -> bool:
-        """Whether no taxel needs more pokes; the closing check may still go on."""
+        """Whether no more pokes are requested for the taxels and their test; the closing check may still go on."""
         return self.phase in (GuidePhase.ENOUGH, GuidePhase.CLOSING)
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether it is enough, a taxel is finished, and enough pokes test the result."""
+        return self.enough and self.finished > 0 and not self.tests_missing
 
     @property
     def finished(self) -> int:

@@ -44,6 +44,7 @@ from skincal.guide.progress import (
     poke_interval,
 )
 from skincal.guide.robot_order import RobotPace, nearest_open_taxel, travel_seconds
+from skincal.guide.surroundings import Surroundings
 from skincal.guide.taxel_statistics import TaxelStatistics
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import Evidence
@@ -77,6 +78,7 @@ class Guide:
     plan : positions of the taxels by the layout, if there is one
     spacing : m, usual distance of neighbours
     search : places to poke without a layout; None with a layout
+    surroundings : neighbours of the plan's taxels, for the modules method; None without a layout
     on_surface : whether a mesh gives the depth; without one, modules need tilted pushes for it
     """
 
@@ -88,6 +90,7 @@ class Guide:
         spacing: float,
         settings: GuideSettings | None = None,
         search: SurfaceSearch | None = None,
+        surroundings: Surroundings | None = None,
         *,
         on_surface: bool = True,
     ) -> None:
@@ -115,6 +118,9 @@ class Guide:
         """Pace of the robot that pokes; `None` for a hand."""
         self._estimates: list[Estimate | None] = [None] * count
         self._needs: list[tuple[Need, ...]] = [()] * count
+        self._surroundings = surroundings if method is Method.MODULES else None
+        # (n,) taxels that are touched or surrounded by touched ones.
+        self._covered: BoolArray = np.full(count, self._surroundings is None)
         self._unknown_error = float(np.sqrt(3.0)) * self.settings.unknown
         self._solved = np.full(count, self._unknown_error)
 
@@ -228,10 +234,15 @@ class Guide:
     def _update_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
         """Find the needs of each taxel whose contacts or estimate changed."""
         know, changed = self._statistics, list[int]()
-        facts = zip(*map(np.ndarray.tolist, (self._own(), know.diversity, *self._lopsidedness(), know.last_shift)), strict=True)
+        covered = self._covered
+        if self._surroundings is not None:
+            covered = self._surroundings.covered(np.array([estimate.contacts > 0 for estimate in estimates], dtype=bool))
+        recovered, self._covered = (covered != self._covered).tolist(), covered
+        numbers = self._own(), know.diversity, *self._lopsidedness(), know.last_shift, covered
+        facts = zip(*map(np.ndarray.tolist, numbers), strict=True)
         unseen: tuple[Need, ...] | None = None
         for row, (estimate, each) in enumerate(zip(estimates, facts, strict=True)):
-            if estimate is self._estimates[row] and estimate.channel not in dirty:
+            if estimate is self._estimates[row] and estimate.channel not in dirty and not recovered[row]:
                 continue
             if estimate.state is State.UNSEEN and self._unplanned[row]:
                 needs = ()
@@ -280,7 +291,8 @@ class Guide:
             target = self._target(state, phase)
         if self.method is Method.MODULES:
             errors = np.array([improvable_error(each, self._noise.skin) for each in estimates])
-            count = count_module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings)
+            modules, uncovered = self.plan.modules, ~self._covered
+            count = count_module_pokes_left(open_, modules, self._own(), errors, self.settings, uncovered, self._surroundings)
         else:
             offset, depth_bias = self._lopsidedness()
             lopsided = np.maximum(offset, np.abs(depth_bias))
@@ -309,6 +321,10 @@ class Guide:
         patience = settings.module_patience if self.method is Method.MODULES else settings.patience
         # Pokes that are aimed at a taxel, and answered by another module, must have an end, too.
         exhausted = np.maximum(self._own(), self._of_module(self._pokes.asked)) >= patience
+        if self._surroundings is not None:
+            # On a large module more taxels need a touch than a pose needs pokes: here each taxel has its own patience.
+            touch_alone = np.array([needs == (Need.TOUCH,) for needs in self._needs], dtype=bool)
+            exhausted = np.where(touch_alone, self._pokes.asked >= settings.touch_patience, exhausted)
         # Of thousands of taxels only these can be given up: the others are not looked at.
         candidates = exhausted | ((know.contacts == 0) & (unanswered >= settings.unanswered))
         if self._usable_tilt < settings.diversity:

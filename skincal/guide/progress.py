@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
+from skincal.guide.surroundings import BoolArray, Surroundings
 from skincal.taxels.result import Estimate, Method, State
 
-BoolArray: TypeAlias = NDArray[np.bool_]
+MIN_CHECKED_POKES = 10
+"""Fewer test pokes say nothing: with five, all are inside by chance in three sessions of four."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,8 @@ class GuideSettings:
     """Pokes per taxel in the sweep, in which pokes between taxels say more; later ones pull neighbours together."""
     unanswered: int = 3
     """Pokes at a taxel that never answers, after which it is given up: it may be broken, or not where the layout says."""
+    touch_patience: int = 6
+    """Pokes meant for an untouched taxel, and answered by others, after which it is given up: twice `unanswered`."""
     patience: int = 15
     """Own pokes after which an unfinished taxel is given up: twice the mean."""
     unknown: float = 0.020
@@ -74,6 +77,7 @@ class Need(Enum):
     DEPTH = "pokes that balance its depth"
     SETTLED = "one more poke, since the last one moved it"
     DECISION = "a poke that tells two places apart"
+    TOUCH = "a poke on it, or touched neighbours on all its sides"
 
 
 class Why(Enum):
@@ -99,6 +103,8 @@ class ContactFacts:
     """Length of the offset."""
     depth_bias: float = 0.0
     last_shift: float = float("inf")
+    is_covered: bool = True
+    """It is touched, or surrounded by touched taxels (see `Surroundings`); only the modules method needs it."""
 
 
 def improvable_error(estimate: Estimate, skin: float) -> float:
@@ -126,7 +132,7 @@ def find_needs(
         return ()
     if method is Method.MODULES:
         inexact = improvable_error(estimate, skin) > settings.module_wanted
-        missing = {Need.POKES: facts.own < settings.module_pokes, Need.ACCURACY: inexact}
+        missing = {Need.POKES: facts.own < settings.module_pokes, Need.ACCURACY: inexact, Need.TOUCH: not facts.is_covered}
     else:
         missing = {
             Need.POKES: facts.own < settings.own_pokes,
@@ -163,7 +169,7 @@ def give_up_reason(
     if all_sides_skipped:
         return Why.OUT_OF_REACH
     if contacts == 0:
-        return Why.NEVER_FIRED if unanswered >= settings.unanswered else None
+        return Why.NEVER_FIRED if unanswered >= settings.unanswered or patience_exhausted else None
     if patience_exhausted:
         return Why.AMBIGUOUS if Need.DECISION in missing else Why.NOT_CONVERGED
     # Axes that all lean by one angle, evenly to all sides, have just that diversity; no others have more.
@@ -220,11 +226,22 @@ def count_pokes_left(
 
 
 def count_module_pokes_left(
-    open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings
+    open_: BoolArray,
+    modules: IntArray,
+    own: IntArray,
+    rms: FloatArray,
+    settings: GuideSettings,
+    uncovered: BoolArray | None = None,
+    surroundings: Surroundings | None = None,
 ) -> int:
     """Predict the number of pokes until no module is open, by the modules method; else as `count_pokes_left`.
 
-    `modules` is (n,) of each taxel, `own` (n,) the pokes of its module, `rms` (n,) its `improvable_error`.
+    Parameters
+    ----------
+    modules : (n,) of each taxel
+    own : (n,) pokes of its module
+    rms : (n,) its `improvable_error`
+    uncovered : (n,) taxels that need a touch on or around them; none without `surroundings`
     """
     count = 0
     for module in np.unique(modules[open_]).tolist():
@@ -232,17 +249,33 @@ def count_module_pokes_left(
         pokes, error = int(own[taxels].max()), float(np.max(np.where(np.isfinite(rms[taxels]), rms[taxels], 0.0)))
         exact = int(np.ceil(max(pokes, 1) * ((error / settings.module_wanted) ** 2 - 1.0)))
         count += max(settings.module_pokes - pokes, min(exact, settings.module_patience - pokes), 1)
-    return count
+    touches = 0 if surroundings is None or uncovered is None else surroundings.count_touches(open_ & uncovered)
+    return max(count, touches)
 
 
-def count_pokes_from_start(method: Method, modules: IntArray, settings: GuideSettings, *, on_mesh: bool) -> int:
-    """Predict the number of pokes of a whole session; `modules` is (n,) of each taxel, `on_mesh` whether there is a mesh."""
+def count_pokes_from_start(
+    method: Method, modules: IntArray, settings: GuideSettings, surroundings: Surroundings | None = None, *, on_mesh: bool
+) -> int:
+    """Predict the number of pokes of a whole session.
+
+    Parameters
+    ----------
+    modules : (n,) of each taxel
+    surroundings : neighbours of the taxels; `None` without a layout
+    on_mesh : whether there is a mesh
+    """
+    return max(_count_from_start(method, modules, settings, surroundings, on_mesh=on_mesh), MIN_CHECKED_POKES)
+
+
+def _count_from_start(
+    method: Method, modules: IntArray, settings: GuideSettings, surroundings: Surroundings | None, *, on_mesh: bool
+) -> int:
     count = len(modules)
     every, nothing, unknown = np.ones(count, dtype=bool), np.zeros(count, dtype=np.int64), np.full(count, np.inf)
     if method is Method.MODULES and not on_mesh:
         return settings.bare_pokes * len(np.unique(modules))
     if method is Method.MODULES:
-        return count_module_pokes_left(every, modules, nothing, unknown, settings)
+        return count_module_pokes_left(every, modules, nothing, unknown, settings, every, surroundings)
     return count_pokes_left(method, every, nothing, unknown, np.zeros(count), unknown, settings)
 
 

@@ -15,19 +15,21 @@ all pokes alike are shown by landmarks alone. Their pokes are held out, too, and
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import comb, inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.contacts.poke_counts import PokeCounts
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.contact_scatter import PokeMisses, learn_scatter
 from skincal.guide.guidance import Guidance
 from skincal.guide.plan_check import find_pads_off_plan
-from skincal.guide.progress import GuideSettings, Need, Why, working_time
+from skincal.guide.progress import MIN_CHECKED_POKES, GuideSettings, Need, Why, working_time
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import predicted_misses
 from skincal.modules.pose import ModuleModel
@@ -55,8 +57,6 @@ DISAGREE_IF_P_VALUE_BELOW = 0.01
 """Below this chance the number of pokes outside is no accident."""
 AGREE_IF_P_VALUE_AT_LEAST = 0.1
 """With a smaller chance they are not said to agree: at most one true session in ten."""
-MIN_CHECKED_POKES = 10
-"""Fewer held-out pokes say nothing: with five, all are inside by chance in three sessions of four."""
 MIN_OTHER_CONTACTS_TO_PREDICT = 2
 """Other contacts of its taxel that a prediction needs."""
 
@@ -277,8 +277,7 @@ class Verdict:
     unchecked: float | None
     """m, rms shift of the taxels by rig errors that the prediction leaves out; `None` under a correction, whose uncertainty is
     in the prediction, or without an estimate."""
-    pokes: int
-    """That count."""
+    counts: PokeCounts
     seconds: float
     """s, of work, without pauses."""
     closings: tuple[Closing, ...] = ()
@@ -288,6 +287,18 @@ class Verdict:
 
     frame_in_doubt: str = ""
     """Frame that messages of the wrench name, if it is not settled what their readings mean; else empty."""
+    states: Mapping[State, int] = field(default_factory=dict[State, int])
+    """Number of used taxels in each state."""
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether no more pokes are requested, a taxel is finished, and enough pokes test the result."""
+        return self.enough and self.done > 0 and self.check.has_enough
+
+    @property
+    def tests_missing(self) -> int:
+        """Number of test pokes that are still needed."""
+        return max(0, MIN_CHECKED_POKES - self.check.checked)
 
     @property
     def doubted(self) -> bool:
@@ -318,6 +329,7 @@ def verdict_of(
     landmarks: LandmarkAgreement | None = None,
     unchecked: float | None = None,
     part_size: float = inf,
+    counts: PokeCounts | None = None,
 ) -> Verdict:
     """Judge a session.
 
@@ -328,6 +340,7 @@ def verdict_of(
     evidence, surface, module_model : as for `check`
     landmarks, unchecked : see `Verdict`
     part_size : m, see `known_error`
+    counts : of all pokes; `None` if there are no others than `contacts`
     """
     state = {estimate.channel: estimate.state for estimate in estimates}
     used = [channel for channel in guidance.channels.tolist() if state.get(channel) is not State.DEAD]
@@ -345,7 +358,8 @@ def verdict_of(
         landmarks_left=0 if guidance.landmark is None else guidance.landmark.pokes_left,
         predicted=predicted_error(estimates, part_size),
         unchecked=unchecked,
-        pokes=len(contacts),
+        counts=counts or PokeCounts(on_skin=len(contacts)),
+        states=Counter(state[channel] for channel in used if channel in state),
         seconds=working_time(*(np.array([getattr(contact, name) for contact in ordered]) for name in ("start_s", "end_s"))),
     )
 

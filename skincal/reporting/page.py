@@ -28,7 +28,7 @@ from skincal.taxels.shared_errors import PredictedError
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
 from skincal.words.link_words import beside_words
-from skincal.words.poke_words import REASON_WORDS
+from skincal.words.poke_words import REASON_WORDS, poke_count_words
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 from skincal.words.setup_words import setup_sentences
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words, unchecked_sentence
@@ -128,7 +128,7 @@ def report_page(facts: SessionFacts) -> str:
         method=facts.method.value,
         version=facts.versions["skincal"],
         verdict=verdict_sentence(facts.verdict),
-        enough=facts.verdict.enough and not facts.verdict.doubted,
+        enough=facts.verdict.is_finished and not facts.verdict.doubted,
         sections=[make(facts) for make in SECTIONS],
     )
 
@@ -335,13 +335,9 @@ def _rig(facts: SessionFacts) -> ReportSection:
 
 
 def _pokes(facts: SessionFacts) -> ReportSection:
-    records, named = facts.results.snapshot.pokes, facts.results.snapshot.at_landmarks
-    out = [str(record.outcome.poke) for record in records if record.excluded]
-    counts = (
-        f"{plural(len(records), 'poke')}: {len(facts.results.snapshot.contacts)} count, {len(named)} at landmarks, "
-        f"{sum(map(len, facts.rejected.values()))} rejected, {len(out)} taken out by the operator."
-    )
-    said = [counts, *([f"Taken out: poke {', '.join(out)}."] if out else [])]
+    snapshot = facts.results.snapshot
+    out = [str(record.outcome.poke) for record in snapshot.pokes if snapshot.is_taken_out(record)]
+    said = [f"{poke_count_words(snapshot.poke_counts)}.", *([f"Excluded: poke {', '.join(out)}."] if out else [])]
     said += [f"Channel {channel} is not used: {why}." for channel, why in facts.results.snapshot.dead.items()]
     rows = [
         (REASON_WORDS[reason], str(len(found)), ", ".join(str(each.poke) for each in found))

@@ -181,7 +181,11 @@ def _series(part: Part, snapshot: Snapshot, truth: TaxelPositions | None) -> Err
 
 def _rejected(snapshot: Snapshot) -> dict[Reason, tuple[Rejection, ...]]:
     # No taxel answers a poke at a landmark, which is no fault.
-    outcomes = [record.outcome for record in snapshot.pokes if record.outcome.poke not in snapshot.at_landmarks]
+    outcomes = [
+        record.outcome
+        for record in snapshot.pokes
+        if record.outcome.poke not in snapshot.at_landmarks and not snapshot.is_taken_out(record)
+    ]
     every = [outcome for outcome in outcomes if isinstance(outcome, Rejection)]
     of = {reason: tuple(each for each in every if each.reason is reason) for reason in Reason}
     return dict(sorted(((reason, found) for reason, found in of.items() if found), key=lambda item: -len(item[1])))

@@ -77,6 +77,8 @@ class Decisions:
     """Pokes that missed their requested landmark, by number."""
     named_by_hand: frozenset[int] = frozenset()
     """Numbers of the pokes whose landmark the operator named."""
+    taken_from_landmarks: frozenset[int] = frozenset()
+    """Numbers of the pokes that the operator took from their landmark, by undo too."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections in use, by `FRAME` and `RIG`."""
     closings: tuple[ClosingRound, ...] = ()
@@ -234,8 +236,12 @@ def _with_landmark_poke(action: AtLandmark | FoundAtLandmark, now: Decisions, co
 
 
 def _name_poke(now: Decisions, poke: int, name: str | None, missed: MissedLandmark | None, *, by_hand: bool) -> Decisions:
+    taken = now.taken_from_landmarks - {poke}
+    if not name and missed is None and (poke in now.landmark_of_poke or poke in now.taken_from_landmarks):
+        taken |= {poke}
     return replace(
         now,
+        taken_from_landmarks=taken,
         landmark_of_poke=_with_key(now.landmark_of_poke, poke, name or None),
         missed_landmarks=_with_key(now.missed_landmarks, poke, missed),
         named_by_hand=now.named_by_hand | {poke} if by_hand else now.named_by_hand - {poke},

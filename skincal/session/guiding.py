@@ -17,10 +17,20 @@ from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
 from skincal.guide.believed_positions import DEFAULT_TAXEL_SPACING_M, PlannedPlaces, plan_from_layout, plan_without_positions
 from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_error_sd
-from skincal.guide.guide import Guide
-from skincal.guide.progress import AxisDiversity, ContactFacts, GuideSettings, Need, Why, count_pokes_from_start, find_needs
+from skincal.guide.guide import MAX_SKIPS_PER_TAXEL_SIDE, Guide
+from skincal.guide.progress import (
+    MIN_CHECKED_POKES,
+    AxisDiversity,
+    ContactFacts,
+    GuideSettings,
+    Need,
+    Why,
+    count_pokes_from_start,
+    find_needs,
+)
 from skincal.guide.robot_order import RobotPace
-from skincal.guide.verdict import Left, Verdict, verdict_of
+from skincal.guide.surroundings import Surroundings
+from skincal.guide.verdict import Left, Verdict, check, held_out, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.modules.pose import ModuleModel
@@ -76,7 +86,10 @@ class SessionGuide:
         """The operator wants to be guided."""
         self.first_module_pokes = 0
         """Contacts on one module before the landmarks and the other modules: of a demonstration, which shows taxels at once."""
-        self.costs = costs_of(self.plan, methods_of(part.scene, part.surface), on_mesh=part.surface is not None)
+        self.surroundings = None if layout is None else Surroundings(layout, self.plan.channels)
+        """Neighbours of the taxels; `None` without a layout."""
+        methods, on_mesh = methods_of(part.scene, part.surface), part.surface is not None
+        self.costs = costs_of(self.plan, methods, self.surroundings, on_mesh=on_mesh)
         """Approximate pokes that each method takes until it is enough; empty if no layout places the taxels."""
 
     def next_target(
@@ -131,7 +144,7 @@ class SessionGuide:
                 guide.skip(_target_of(skip, skip.push), is_impossible=bool(skip.reason))
         self._skipped[method] = len(snapshot.decisions.skips)
         asked = {record.outcome.poke: record.asked for record in snapshot.pokes}
-        return guide.update(
+        guidance = guide.update(
             _contacts(snapshot),
             {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
             evidence,
@@ -139,6 +152,26 @@ class SessionGuide:
             {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
             rig_error_sd(counting_landmark_pokes(snapshot), self._scene.noise),
         )
+        return self._with_test_poke(guidance, snapshot, evidence)
+
+    def _with_test_poke(
+        self, guidance: Guidance, snapshot: Snapshot, evidence: Callable[[Collection[int]], Evidence]
+    ) -> Guidance:
+        """Ask for pokes that test the result, once no taxel needs any and too few others could be predicted."""
+        if guidance.phase is not GuidePhase.ENOUGH or not guidance.finished:
+            return guidance
+        estimates, contacts = snapshot.estimates[guidance.method], snapshot.contacts
+        dead = {estimate.channel for estimate in estimates if estimate.state is State.DEAD}
+        used = [channel for channel in guidance.channels.tolist() if channel not in dead]
+        noise, model = self._scene.noise, self._module_model
+        tested = check(contacts, used, evidence, guidance.method, noise, self._surface, model, estimates)
+        missing = max(0, MIN_CHECKED_POKES - tested.checked)
+        # Where as many held-out pokes cannot be predicted, as of a single taxel as a module, more pokes do not help.
+        is_in_vain = len(held_out(contacts)) - tested.checked >= MIN_CHECKED_POKES
+        target = None if is_in_vain else _test_target(guidance, snapshot)
+        if not missing or target is None:
+            return replace(guidance, tests_missing=missing)
+        return replace(guidance, phase=GuidePhase.TEST, target=target, tests_missing=missing, pokes_left=missing)
 
     def remaining_work(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
         """List the remaining needs of a method, on the skin and at landmarks. This alone decides whether it is enough.
@@ -177,6 +210,7 @@ class SessionGuide:
             landmarks,
             unchecked_of(used, landmarks, estimates, snapshot.contacts, counting_landmark_pokes(snapshot), noise),
             snapshot.part_size,
+            snapshot.poke_counts,
         )
         left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
         doubt = frame_in_doubt(snapshot.wrench_frames, snapshot.contacts)
@@ -216,7 +250,10 @@ class SessionGuide:
         if method not in self._guides:
             layout, noise, cover = self._scene.skin.layout, self._scene.noise, self._part.cover
             spacing, on_surface = DEFAULT_TAXEL_SPACING_M if layout is None else layout.spacing, self._surface is not None
-            self._guides[method] = Guide(self.plan, noise, method, spacing, search=cover, on_surface=on_surface)
+            around = self.surroundings
+            self._guides[method] = Guide(
+                self.plan, noise, method, spacing, search=cover, surroundings=around, on_surface=on_surface
+            )
         return self._guides[method]
 
     def _planned(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
@@ -405,6 +442,22 @@ def _taxel_targets(guidance: Guidance, snapshot: Snapshot) -> dict[str, Target]:
     }
 
 
+def _test_target(guidance: Guidance, snapshot: Snapshot) -> Target | None:
+    """Choose the finished taxel that was requested least; `None` if the operator or the robot skipped all of them twice."""
+    targets = _taxel_targets(guidance, snapshot)
+    skips = Counter(
+        skip.channel for skip in snapshot.decisions.skips if isinstance(skip, SkipPoke) and skip.method == guidance.method.value
+    )
+    asked = Counter(record.asked.channel for record in snapshot.pokes if record.asked is not None)
+    best: tuple[int, int] | None = None
+    for channel, own, needs in zip(guidance.channels.tolist(), guidance.own.tolist(), guidance.needs, strict=True):
+        if needs or str(channel) not in targets or skips[channel] >= MAX_SKIPS_PER_TAXEL_SIDE:
+            continue
+        key = max(own, asked[channel]) + skips[channel], channel
+        best = key if best is None else min(best, key)
+    return None if best is None else targets[str(best[1])]
+
+
 def _straight(channel: int | None, place: FloatArray, normal: FloatArray, landmark: str = "") -> Target:
     return Target(channel, place, normal, -normal, 0.0, float("inf"), float("inf"), landmark)
 
@@ -447,8 +500,8 @@ def _asked_target(asked: AskPoke | None) -> Target | None:
 class ModulesEnough:
     """Detects once that the modules method needs no more pokes while the shown method needs many."""
 
-    def __init__(self, plan: PlannedPlaces, skin: float) -> None:
-        self._plan, self._skin, self._settings = plan, skin, GuideSettings()
+    def __init__(self, plan: PlannedPlaces, skin: float, surroundings: Surroundings | None) -> None:
+        self._plan, self._skin, self._settings, self._surroundings = plan, skin, GuideSettings(), surroundings
         self._seen: Snapshot | None = None
         self._noticed = False
 
@@ -470,23 +523,36 @@ class ModulesEnough:
         return self._noticed
 
     def _enough(self, snapshot: Snapshot) -> bool:
+        if len(snapshot.contacts) < MIN_CHECKED_POKES:
+            return False
         module_of = dict(zip(self._plan.channels.tolist(), self._plan.modules.tolist(), strict=True))
         enough = self._settings.module_pokes
         known = [estimate for estimate in snapshot.estimates.get(Method.MODULES, ()) if estimate.channel in module_of]
         if all(estimate.state is State.DEAD for estimate in known) or any(self._needs(estimate, enough) for estimate in known):
             return False
         own = Counter(module_of.get(contact.strongest_channel) for contact in snapshot.contacts)
-        return not any(self._needs(estimate, own[module_of[estimate.channel]]) for estimate in known)
+        if any(self._needs(estimate, own[module_of[estimate.channel]]) for estimate in known):
+            return False
+        touched = {estimate.channel for estimate in known if estimate.contacts}
+        dead = {estimate.channel for estimate in known if estimate.state is State.DEAD}
+        channels = self._plan.channels
+        covered = None if self._surroundings is None else self._surroundings.covered(np.isin(channels, list(touched)))
+        return covered is None or set(channels[~covered].tolist()) <= dead
 
     def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:
         return find_needs(estimate, ContactFacts(pokes), Method.MODULES, self._settings, self._skin)
 
 
-def costs_of(plan: PlannedPlaces, methods: Iterable[Method], *, on_mesh: bool) -> Mapping[Method, int]:
+def costs_of(
+    plan: PlannedPlaces, methods: Iterable[Method], surroundings: Surroundings | None, *, on_mesh: bool
+) -> Mapping[Method, int]:
     """Estimate how many pokes each method takes until it is enough, the cheapest first; see `SessionGuide.costs`."""
     if not len(plan.channels) or not np.isfinite(plan.places).all():
         return {}
-    pokes = {method: count_pokes_from_start(method, plan.modules, GuideSettings(), on_mesh=on_mesh) for method in methods}
+    pokes = {
+        method: count_pokes_from_start(method, plan.modules, GuideSettings(), surroundings, on_mesh=on_mesh)
+        for method in methods
+    }
     return dict(sorted(pokes.items(), key=lambda item: item[1]))
 
 

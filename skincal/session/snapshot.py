@@ -8,7 +8,8 @@ from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING
 
-from skincal.contacts.outcome import Contact, Outcome, Progress
+from skincal.contacts.outcome import Contact, Outcome, Progress, Rejection
+from skincal.contacts.poke_counts import PokeCounts, count_pokes
 from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import AskPoke
@@ -66,6 +67,18 @@ class Snapshot:
     def contacts(self) -> tuple[Contact, ...]:
         """The contacts that count, in the order of their numbers."""
         return tuple(record.outcome for record in self.pokes if isinstance(record.outcome, Contact) and not record.excluded)
+
+    @cached_property
+    def poke_counts(self) -> PokeCounts:
+        """Counts of all pokes."""
+        return count_pokes(
+            (record.outcome, self.is_taken_out(record), record.outcome.poke in self.at_landmarks) for record in self.pokes
+        )
+
+    def is_taken_out(self, record: PokeRecord) -> bool:
+        """Whether the operator excluded a poke, or took a rejected one from its landmark."""
+        taken = isinstance(record.outcome, Rejection) and record.outcome.poke in self.decisions.taken_from_landmarks
+        return record.excluded or taken
 
     @cached_property
     def can_undo(self) -> str:

@@ -16,6 +16,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
+from skincal.guide.surroundings import Surroundings
 from skincal.session.session import Session
 from skincal.simulate.contacts import POKE_CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
 from skincal.simulate.example_parts import ExamplePart
@@ -259,7 +260,8 @@ def _session(part: ExamplePart, method: Method) -> Session:
 
 
 def _guide(part: ExamplePart, method: Method) -> Guide:
-    return Guide(part.plan, part.scene.noise, method, part.spacing, GuideSettings())
+    around = Surroundings(part.layout, part.plan.channels)
+    return Guide(part.plan, part.scene.noise, method, part.spacing, GuideSettings(), surroundings=around)
 
 
 def _seconds(ways: FloatArray) -> FloatArray:

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 from skincal.contacts.outcome import RAW_UNIT, BeforePokes, Reason, Rejection
+from skincal.contacts.poke_counts import PokeCounts
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
 from skincal.model.readings import LinkHealth, Loss, Stream
 from skincal.model.scene import ContactSettings
 from skincal.words.link_words import link_name
-from skincal.words.units import number, quantity
+from skincal.words.units import count, grouped, number, quantity
 
 REASON_WORDS: Mapping[Reason, str] = {
     Reason.TOO_SOFT: "too soft",
@@ -65,6 +66,21 @@ _SHORT_REASONS: Mapping[Reason, str] = {
     Reason.SATURATED: "out of range",
 }
 """Short reasons for a narrow column; the other reasons fit there with their number."""
+
+
+def poke_count_words(counts: PokeCounts, why: str = "") -> str:
+    """Count pokes by what became of them: `"18 pokes: 8 accepted, 9 at landmarks, 1 rejected"`.
+
+    `why` follows the number of rejected ones.
+    """
+    at_landmarks = counts.at_landmarks + counts.on_both
+    both = f" ({grouped(counts.on_both)} of them accepted, too)" if counts.on_both else ""
+    parts = {
+        "accepted": counts.accepted, f"at landmarks{both}": at_landmarks, f"rejected{why}": counts.rejections,
+        "excluded": counts.excluded,
+    }  # fmt: skip
+    listed = ", ".join(f"{grouped(number_of)} {what}" for what, number_of in parts.items() if number_of)
+    return ": ".join(filter(None, (count(counts.pokes, "poke"), listed)))
 
 
 def rejection_words(rejection: Rejection) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -87,8 +87,12 @@ STATE_WORDS = {
 
 def state_count_words(estimates: Iterable[Estimate]) -> str:
     """Count taxels by state: `"28 touched, 20 inferred, 3 untouched"`; states of no taxel are left out."""
-    counts = Counter(estimate.state for estimate in estimates)
-    return ", ".join(f"{grouped(counts[state])} {state.value}" for state in State if counts[state])
+    return counted_states_words(Counter(estimate.state for estimate in estimates))
+
+
+def counted_states_words(counts: Mapping[State, int]) -> str:
+    """List the number of taxels in each state; see `state_count_words`."""
+    return ", ".join(f"{grouped(counts[state])} {state.value}" for state in State if counts.get(state))
 
 
 def state_lines(estimates: Iterable[Estimate]) -> list[str]:

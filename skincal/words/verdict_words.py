@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from skincal.guide.progress import GuideSettings, Need, Why
+from skincal.guide.progress import MIN_CHECKED_POKES, GuideSettings, Need, Why
+from skincal.guide.surroundings import SURROUNDING_MAX_SPACINGS
 from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, LandmarkAgreement
 from skincal.taxels.result import Method
+from skincal.words.poke_words import poke_count_words
 from skincal.words.rig_words import closing_sentence, earlier_closings
-from skincal.words.taxel_words import error_words
+from skincal.words.taxel_words import counted_states_words, error_words
 from skincal.words.units import minutes
 
 NEED_WORDS: Mapping[Need, str] = {
@@ -22,6 +24,7 @@ NEED_WORDS: Mapping[Need, str] = {
     Need.DEPTH: "pokes that balance its depth",
     Need.SETTLED: "one more poke, since the last one moved its position",
     Need.DECISION: "a poke that decides between two positions",
+    Need.TOUCH: "a poke on it, or on taxels on all its sides",
 }
 WHY_WORDS: Mapping[Why, str] = {
     Why.DEAD: "disabled",
@@ -35,49 +38,89 @@ WHY_WORDS: Mapping[Why, str] = {
 
 
 def verdict_sentence(verdict: Verdict) -> str:
-    """Summarize the verdict: `"All 84 taxels are finished, expected error 3 mm or less. Test pokes agree."`.
+    """Summarize the verdict: `"All 84 taxels are finished. 60 touched, 24 inferred. ..."`."""
+    return " ".join(filter(None, (verdict_headline(verdict), verdict_details(verdict))))
+
+
+def verdict_headline(verdict: Verdict) -> str:
+    """Say whether the session is finished, and what speaks against its result.
 
     Taxels with a small expected error that still need something else are not counted as finished.
     """
     if not verdict.used:
         return "All taxels are disabled." if verdict.left else "No taxel has answered yet."
-    if verdict.done == verdict.used:
+    doubts = " and ".join(_doubts(verdict))
+    return f"{_progress_words(verdict)}{f', but {doubts}' if doubts else ''}."
+
+
+def _progress_words(verdict: Verdict) -> str:
+    """Count the finished taxels, or name what is missing."""
+    taxels, given_up = plural(verdict.used, "taxel"), verdict.used - verdict.done
+    if verdict.is_finished:
+        if given_up:
+            return f"{verdict.done} of {taxels} are finished, {given_up} could not be determined"
         used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
-        done = f"All {plural(verdict.used, used + 'taxel')} are finished, expected error {1e3 * verdict.wanted:g} mm or less"
-        if verdict.method is Method.MODULES:
-            done = f"{done} relative to each other"
-    else:
-        given_up = f", {verdict.used - verdict.done} could not be determined" if verdict.enough else ""
-        done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are finished{given_up}"
-    early = "" if verdict.enough else "Not finished: "
-    left = verdict.landmarks_left if verdict.done == verdict.used else 0
-    asked = f", {plural(left, 'landmark poke')} left" if left else ""
-    if early:
-        done = done[:1].lower() + done[1:]
-    return " ".join(filter(None, (f"{early}{done}{asked}.", _skin_words(verdict), _landmark_words(verdict))))
+        return f"All {plural(verdict.used, f'{used}taxel')} are finished" if verdict.used > 1 else "The only taxel is finished"
+    if verdict.enough and not verdict.done:
+        return f"Not finished: none of {taxels} could be determined"
+    if given_up and not verdict.enough:
+        return f"Not finished: {verdict.done} of {taxels} are finished"
+    if verdict.landmarks_left:
+        return f"Not finished: {plural(verdict.landmarks_left, 'landmark poke')} left"
+    if not verdict.tests_missing:
+        return "Not finished yet"
+    if verdict.enough:
+        return f"Not finished: only {verdict.check.checked} of {MIN_CHECKED_POKES} test pokes could be predicted"
+    return f"Not finished: {plural(verdict.tests_missing, 'test poke')} left"
+
+
+def _doubts(verdict: Verdict) -> list[str]:
+    """List what speaks against the result."""
+    check, landmarks = verdict.check, verdict.landmarks
+    found, against = list[str](), list[str]()
+    if verdict.frame_in_doubt:
+        found.append("the frame of the wrench is not settled")
+    if verdict.has_moved:
+        found.append("something has moved since the start")
+    elif not verdict.frame_in_doubt:
+        # A movement, or a wrong frame, makes test pokes meaningless.
+        against += [] if check.believed else ["test pokes"]
+        found += ["taxels answer off the plan of their modules"] if check.believed and check.off_plan is not None else []
+    against += [] if landmarks is None or landmarks.agrees else ["landmarks"]
+    return [*found, *([f"{' and '.join(against)} contradict it"] if against else [])]
+
+
+def verdict_details(verdict: Verdict) -> str:
+    """Complete the headline: states of the taxels, their expected error, test pokes and landmarks."""
+    if not verdict.used:
+        return ""
+    states = counted_states_words(verdict.states)
+    error = ""
+    if verdict.done == verdict.used:
+        relative = " relative to each other" if verdict.method is Method.MODULES else ""
+        error = f"Expected error {1e3 * verdict.wanted:g} mm or less{relative}."
+    return " ".join(filter(None, (f"{states}." if states else "", error, _skin_words(verdict), _landmark_words(verdict))))
 
 
 def _skin_words(verdict: Verdict) -> str:
-    """Say whether held-out pokes agree; a movement makes that meaningless."""
+    """Say whether test pokes agree, where the headline has no doubt about them."""
     check = verdict.check
     if verdict.frame_in_doubt:
         return (
             f"The wrench's messages name the frame {verdict.frame_in_doubt}, and what they mean is not settled: "
             "do not use the positions before it is."
         )
-    if verdict.has_moved:
-        return "Something has moved since the start."
-    if not check.believed:
-        return "Test pokes contradict it."
+    if verdict.has_moved or not check.believed:
+        return ""
     if check.off_plan is not None:
         return off_plan_sentence(check.off_plan)
     if not check.has_enough:
-        return "There are too few test pokes to check it." if verdict.done else ""
+        return ""
     return "Test pokes agree." if check.agrees else "Test pokes hardly agree."
 
 
 def off_plan_sentence(off_plan: float) -> str:
-    """Warn of pads that answer `off_plan` metres (sd in each direction) off the plan of their modules."""
+    """Warn of taxels that answer `off_plan` metres (sd in each direction) off the plan of their modules."""
     return (
         f"Taxels answer about {1e3 * off_plan:.1f} mm off the plan of their modules (a wrong plan, or uneven sensitivities). "
         "The expected error leaves this out. "
@@ -86,12 +129,12 @@ def off_plan_sentence(off_plan: float) -> str:
 
 
 def _landmark_words(verdict: Verdict) -> str:
-    """Say whether landmarks agree, independent of the test pokes: only landmarks reveal a common shift of all taxels."""
+    """Say whether landmarks agree, where the headline has no doubt: only they reveal a common shift of all taxels."""
     landmarks = verdict.landmarks
     if landmarks is None:
         return "Not checked with landmarks: a common shift of all taxels would go unnoticed."
     if not landmarks.agrees:
-        return "Landmarks contradict it."
+        return ""
     return f"Landmarks agree only {_noise_words(landmarks)}." if landmarks.by_noise else "Landmarks agree."
 
 
@@ -101,14 +144,15 @@ def _noise_words(landmarks: LandmarkAgreement) -> str:
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
     """List the numbers behind the verdict, each with its name."""
+    states = f": {counted_states_words(verdict.states)}" if verdict.states else ""
     return (
-        ("Finished", f"{verdict.done} of {plural(verdict.used, 'taxel')}, {verdict.method.value} method"),
-        ("Needs", done_words(verdict.method, verdict.wanted)),
+        ("Finished", f"{verdict.done} of {plural(verdict.used, 'taxel')} by the {verdict.method.value} method{states}"),
+        ("Expected error", error_words(verdict.predicted, verdict.unchecked)),
+        ("Finished means", done_words(verdict.method, verdict.wanted)),
         ("Test pokes", check_words(verdict)),
         ("Landmarks", agreement_words(verdict.landmarks)),
         ("Final check", closing_words(verdict.closings)),
-        ("Expected error", error_words(verdict.predicted, verdict.unchecked)),
-        ("Work", f"{plural(verdict.pokes, 'accepted poke')} on the skin in {minutes(verdict.seconds)}"),
+        ("Work", f"{minutes(verdict.seconds)}, {poke_count_words(verdict.counts)}"),
     )
 
 
@@ -117,19 +161,22 @@ def done_words(method: Method, wanted: float) -> str:
     settings = GuideSettings()
     error = f"an expected error of {1e3 * wanted:g} mm or less"
     if method is Method.MODULES:
-        return f"{error} relative to the other taxels, and {settings.module_pokes} pokes on its module"
+        return (
+            f"{error} relative to the other taxels, {settings.module_pokes} pokes on its module, and a poke on the taxel or on "
+            f"taxels on all its sides within {SURROUNDING_MAX_SPACINGS:g} spacings"
+        )
     sides = " and leaning to several sides" if method is Method.FREE else ""
     return f"{error}, {settings.own_pokes} own pokes evenly around it{sides}, and a stable position"
 
 
 def check_words(verdict: Verdict) -> str:
-    """Count the held-out pokes inside their expected range, and say what too few mean."""
+    """Count the test pokes inside their expected range, and say what too few mean."""
     check = verdict.check
     if not check.checked:
         return "none yet"
-    words = f"{check.inside} of {plural(check.checked, 'held-out poke')} inside the expected range"
+    words = f"{check.inside} of {plural(check.checked, 'test poke')} inside the expected range"
     if check.believed and not check.has_enough:
-        return f"{words}: too few for a statement"
+        return f"{words}: too few for a statement, {MIN_CHECKED_POKES} are needed"
     if check.believed and check.off_plan is not None:
         return f"{words}. {off_plan_sentence(check.off_plan)}"
     if check.agrees:

@@ -43,7 +43,7 @@ def test_the_windows_file_says_what_the_verdict_and_the_command_say(bench, recor
     dialog = bench.window.findChild(VerdictDialog)
     said = verdicts(tmp_path / "w.json")
     assert set(said) == {method.value for method in view.workspace.methods}
-    assert dialog.sentence.text() == f"{said[view.method.value]}."
+    assert f"{dialog.sentence.text()} {dialog.details.text()}" == f"{said[view.method.value]}."
     dialog.reject()
     assert main(["export", str(folder), "--format", "json", "--out", str(tmp_path / "c.json")]) == 0
     capsys.readouterr()

@@ -15,6 +15,7 @@ from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest
 from app.state.policies import Offer
 from app.text.rig_text import rig_state
+from skincal.contacts.poke_counts import PokeCounts
 from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.closing import Closing, ClosingPlaces
@@ -29,7 +30,7 @@ from skincal.rig.correction_fit import (
 )
 from skincal.session.corrections import correct_action
 from skincal.session.review import Review
-from skincal.taxels.result import Method
+from skincal.taxels.result import Method, State
 from skincal.taxels.shared_errors import PredictedError
 from skincal.words.rig_words import correction_sentence, rig_sentences
 from skincal.words.taxel_words import error_words
@@ -40,6 +41,7 @@ from skincal.words.verdict_words import (
     done_words,
     figures,
     left_words,
+    verdict_headline,
     verdict_sentence,
 )
 from tests.app.window_support import NAMES, changed, pixels
@@ -70,7 +72,19 @@ def verdict(
     done = used - sum(taxel.why is not Why.DEAD for taxel in left)
     enough = all(taxel.why is not Why.NOT_POKED_ENOUGH for taxel in left)
     return Verdict(
-        Method.SURFACE, enough, 0.003, done, used, left, checked, landmarks, predicted, unchecked, 252, 552.0, closings
+        Method.SURFACE,
+        enough,
+        0.003,
+        done,
+        used,
+        left,
+        checked,
+        landmarks,
+        predicted,
+        unchecked,
+        PokeCounts(252),
+        552.0,
+        closings,
     )
 
 
@@ -84,15 +98,15 @@ def verdict(
         (verdict(checked=Check(14, 7)), approved("verdict.all_done_against", count=24, target_mm=3)),
         (verdict(checked=Check(11, 8)), approved("verdict.all_done_hardly", count=24, target_mm=3)),
         (verdict(checked=Check(11, 9)), approved("verdict.all_done_agree", count=24, target_mm=3)),
-        (verdict(checked=Check(0, 0)), approved("verdict.all_done_unchecked", count=24, target_mm=3)),
-        (verdict(checked=Check(4, 4)), approved("verdict.all_done_unchecked", count=24, target_mm=3)),
+        (verdict(checked=Check(0, 0)), approved("verdict.all_done_unchecked", tested=0, target_mm=3)),
+        (verdict(checked=Check(4, 4)), approved("verdict.all_done_unchecked", tested=4, target_mm=3)),
         (
             verdict(checked=Check(4, 4), landmarks=None),
-            approved("verdict.all_done_unchecked_no_landmarks", count=24, target_mm=3),
+            approved("verdict.all_done_unchecked_no_landmarks", tested=4, target_mm=3),
         ),
         (
             verdict(checked=Check(4, 4), landmarks=MISSED),
-            approved("verdict.all_done_unchecked_landmarks_against", count=24, target_mm=3),
+            approved("verdict.all_done_unchecked_landmarks_against", tested=4, target_mm=3),
         ),
         (verdict(landmarks=None), approved("verdict.all_done_without_landmarks", count=24, target_mm=3)),
         (verdict(landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
@@ -122,8 +136,9 @@ def verdict(
         ),
         (
             replace(verdict(), enough=False, landmarks_left=6),
-            approved("verdict.landmarks_to_go", count=24, target_mm=3, left=6),
+            approved("verdict.landmarks_to_go", target_mm=3, left=6),
         ),
+        (replace(verdict(), states={State.TOUCHED: 20, State.INFERRED: 4}), approved("verdict.states")),
         (verdict(UNUSED, used=0), approved("verdict.none_used")),
         (verdict(used=0), approved("verdict.none_answered")),
     ],
@@ -135,11 +150,11 @@ def test_one_sentence_says_what_the_session_has_come_to(what, said):
 def test_the_figures_are_those_of_the_verdict():
     assert figures(verdict(GIVEN_UP)) == (
         ("Finished", approved("verdict.done_of_method", done=23, count=24, method="surface")),
-        ("Needs", approved("verdict.needs_surface", target_mm=3)),
+        ("Expected error", approved("verdict.predicted_apart", mean_mm="1.1", worst_mm="2.1", whole_mm="1.2", among_mm="0.5")),
+        ("Finished means", approved("verdict.needs_surface", target_mm=3)),
         ("Test pokes", approved("verdict.check", good=13, held_out=14)),
         ("Landmarks", approved("verdict.landmarks_held_out", pokes=21, ratio="0.9")),
         ("Final check", approved("closing.none")),
-        ("Expected error", approved("verdict.predicted_apart", mean_mm="1.1", worst_mm="2.1", whole_mm="1.2", among_mm="0.5")),
         ("Work", approved("verdict.work", pokes=252, minutes=9)),
     )
     assert approved("verdict.check_against") in check_words(verdict(checked=Check(14, 7)))
@@ -190,8 +205,8 @@ def test_only_what_landmarks_and_the_skin_speak_for_is_believed(qtbot, what, bel
     assert (what.believed, what.doubted) == (believed, doubted)
     dialog = VerdictDialog(what, NAMES)
     qtbot.addWidget(dialog)
-    assert dialog.export.isDefault() is not doubted
-    assert dialog.go_on.isDefault() is doubted
+    leads_to_file = what.is_finished and not doubted
+    assert (dialog.export.isDefault(), dialog.go_on.isDefault()) == (leads_to_file, not leads_to_file)
 
 
 def test_a_session_that_gave_up_every_taxel_does_not_lead_to_the_file(qtbot):
@@ -205,6 +220,14 @@ def test_a_session_that_gave_up_every_taxel_does_not_lead_to_the_file(qtbot):
 def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
     assert approved("verdict.needs_free_sides") in done_words(Method.FREE, 0.003)
     assert done_words(Method.MODULES, 0.002) == approved("verdict.needs_modules", target_mm=2)
+
+
+def test_a_headline_says_what_is_missing_and_finished_only_of_what_was_tested():
+    unfinished = replace(verdict(checked=Check(6, 6)), enough=False)
+    assert verdict_headline(unfinished) == approved("verdict.tests_to_go", left=4) + "."
+    assert verdict_headline(replace(verdict(), done=0)) == approved("verdict.none_determined") + "."
+    assert verdict_headline(verdict(used=1)) == approved("verdict.only_one") + "."
+    assert [verdict(checked=Check(n, n)).is_finished for n in (9, 10)] == [False, True]
 
 
 @pytest.mark.parametrize("why", list(Why))

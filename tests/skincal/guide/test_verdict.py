@@ -193,7 +193,7 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
     answers = (snapshot.estimates[Method.MODULES], contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
     assert verdict_of(by_modules, *answers, mine.module_model).check.has_enough
     assert verdict.used == 83
-    assert verdict.pokes == len(contacts)
+    assert verdict.counts.accepted == len(contacts)
     assert {taxel.channel: taxel.why for taxel in verdict.left}[dead] is Why.DEAD
     open_ = [taxel for taxel in verdict.left if taxel.why is not Why.DEAD]
     assert verdict.done == 83 - len(open_)
@@ -213,7 +213,7 @@ def test_a_session_without_pokes_has_a_verdict_too():
     guidance = guide.update({}, snapshot.estimates, session.evidence, {}.get)
     estimates = snapshot.estimates[Method.SURFACE]
     verdict = verdict_of(guidance, estimates, {}, session.evidence, NoiseSettings(), part().surface, SETTINGS)
-    assert (verdict.done, verdict.used, verdict.pokes, verdict.seconds) == (0, 84, 0, 0.0)
+    assert (verdict.done, verdict.used, verdict.counts.accepted, verdict.seconds) == (0, 84, 0, 0.0)
     assert {taxel.why for taxel in verdict.left} == {Why.NOT_POKED_ENOUGH}
     assert verdict.check == Check(0, 0)
     assert verdict.check.believed

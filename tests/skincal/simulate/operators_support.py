@@ -7,6 +7,7 @@ import numpy as np
 
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
+from skincal.guide.surroundings import Surroundings
 from skincal.session.session import Session
 from skincal.simulate.example_parts import ExamplePart
 from skincal.simulate.operator import OPERATORS
@@ -43,15 +44,18 @@ def followed(operator, seed, limit=200, method=Method.MODULES):
     conditions = Conditions(habits=OPERATORS[operator])
     rig, rng = displaced_rig(part(), conditions, seed), np.random.default_rng([seed, 11])
     session = Session(part().scene, part().surface, set(Method))
-    guide, contacts, pokes = Guide(part().plan, part().scene.noise, method, part().spacing), {}, 0
-    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, lambda _: None)
+    around = Surroundings(part().layout, part().plan.channels)
+    guide = Guide(part().plan, part().scene.noise, method, part().spacing, surroundings=around)
+    contacts, targets, pokes = {}, {}, 0
+    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
     while guidance.phase is not GuidePhase.ENOUGH and pokes < limit:
         pokes += 1
         meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
         for contact in poke_by_hand(rig, meant, conditions, rng, pokes)[0]:
             session.add(contact)
             contacts[contact.poke] = contact
-        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, lambda _: None)
+        targets[pokes] = guidance.target
+        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
     estimates = session.snapshot().estimates[method]
     done, errors = np.array([not needs for needs in guidance.needs]), errors_of(estimates, rig)
     far, falsely = (int((done & (errors > bar)).sum()) for bar in (FAR, WRONG))

@@ -1,0 +1,80 @@
+"""Touched taxels around each taxel: whether its position lies between measured ones or beyond them.
+
+A taxel is *surrounded* if it lies in the convex hull of the touched taxels within `SURROUNDING_MAX_SPACINGS` spacings, in the
+plane of the layout. Seen from the taxel, the directions to these neighbours leave no gap above half a turn. Its position is
+then between measured ones. So the corners of a patch must be touched, and its edges every few taxels. Modules with an anchor of
+their own are planes of their own.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.geometry import FloatArray, IntArray
+from skincal.mesh.surface import pairs_within
+from skincal.model.skin import Layout
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+SURROUNDING_MAX_SPACINGS = 3.0
+"""Farther touched taxels say little: a sheet that is stretched by 3 % is off by half a millimetre over 3 x 5 mm."""
+GAP_TOLERANCE_RAD = float(np.radians(2.0))
+"""rad, above half a turn: taxels on a straight edge of a layout whose positions are rounded."""
+PLANE_DISTANCE_M = 1e3
+"""m, between planes of a layout: no taxels of two planes are neighbours."""
+
+
+class Surroundings:
+    """Neighbours of n taxels in their layout.
+
+    Parameters
+    ----------
+    channels : (n,) taxels of the layout
+    """
+
+    def __init__(self, layout: Layout, channels: IntArray) -> None:
+        own_plane = np.array([index + 1 if module.anchor is not None else 0 for index, module in enumerate(layout.modules)])
+        planes = own_plane[layout.module_of[channels]]
+        flat = layout.places[channels]
+        self._count = len(channels)
+        reach = SURROUNDING_MAX_SPACINGS * layout.spacing * (1.0 + 1e-6) if np.isfinite(layout.spacing) else 0.0
+        pairs = pairs_within(np.column_stack([flat, PLANE_DISTANCE_M * planes]), reach)
+        taxels, others = np.concatenate([pairs, pairs[:, ::-1]]).T
+        away = flat[others] - flat[taxels]
+        angles = np.arctan2(away[:, 1], away[:, 0])
+        order = np.lexsort((angles, taxels))
+        self._taxels: IntArray = taxels[order]
+        self._others: IntArray = others[order]
+        self._angles: FloatArray = angles[order]
+        self._cells: IntArray = _number_cells(flat, planes, reach)
+
+    def covered(self, touched: BoolArray) -> BoolArray:
+        """Tell (n,) which taxels are touched, or surrounded by touched ones; `touched` is (n,)."""
+        counted = touched[self._others]
+        taxels, angles = self._taxels[counted], self._angles[counted]
+        found = touched.copy()
+        if not len(taxels):
+            return found
+        starts = np.flatnonzero(np.diff(taxels, prepend=-1))
+        ends = np.append(starts[1:], len(taxels)) - 1
+        gaps = np.diff(angles, append=0.0)
+        # The last neighbour of a taxel is followed by its first, a turn later.
+        gaps[ends] = angles[starts] + 2.0 * np.pi - angles[ends]
+        largest = np.maximum.reduceat(gaps, starts)
+        found[taxels[starts]] |= largest <= np.pi + GAP_TOLERANCE_RAD
+        return found
+
+    def count_touches(self, open_: BoolArray) -> int:
+        """Estimate how many touches cover the taxels `open_` (n,): one for each square of `SURROUNDING_MAX_SPACINGS`."""
+        return len(np.unique(self._cells[open_]))
+
+
+def _number_cells(flat: FloatArray, planes: IntArray, side: float) -> IntArray:
+    """Find (n,) the number of the grid square around each taxel."""
+    if not len(flat) or side <= 0:
+        return np.arange(len(flat))
+    rows = np.column_stack([np.floor((flat - np.nanmin(flat, axis=0)) / side), planes])
+    return np.unique(rows, axis=0, return_inverse=True)[1].ravel()
