@@ -12,8 +12,9 @@ _TIME_UNIT = (
     "(s|ms|us|ns|sec(?:ond)?s?|msecs?|millis(?:econds?)?|usecs?|micros(?:econds?)?|\u00b5s|\u03bcs|nsecs?|nanos(?:econds?)?)"
 )
 TIME_COLUMN_RE = re.compile(
-    r"(?:t|[%_]*time|datetime|date[ _/]?time|elapsed(?:[ _]time)?|clock|rosbagtimestamp|"
-    rf"(?:.*[./])?(?:stamp|timestamp|time[ _]stamp))(?:[ _/,]*[\[(]?{_TIME_UNIT}[\])]?)?"
+    r"(?:t|[%_]*time|zeit|zeitpunkt|zeitstempel|temps|horodatage|tiempo|tempo|"
+    r"datetime|date[ _/]?time|elapsed(?:[ _]time)?|clock|rosbagtimestamp|"
+    rf"(?:.*[./])?(?:stamp|timestamp|time[ _]stamp))(?:[ _/,]*(?:in )?[\[(]?{_TIME_UNIT}[\])]?)?"
 )
 CLOCK_COLUMN_RE = re.compile(r"(ms|us|msec|usec|millis|micros|milliseconds|microseconds)(?:\(\))?")
 COUNTER_COLUMN_RE = re.compile(
@@ -21,7 +22,8 @@ COUNTER_COLUMN_RE = re.compile(
     r"(?:[ _](?:no|nr|number|id|index|count|counter))?\.?|(?:rdt|f/t|ft)[ _]?seq(?:uence)?"
 )
 _WRENCH_AXIS_RE = re.compile(
-    r"(?:.*[./_ ])?([fmt]|force|torque|moment)[._/ ,-]*([xyz])((?:[ _,/]*[\[(].*[\])]|[ _,/]*[a-z][a-z .*\u00b7-]*)?)"
+    r"(?:.*[./_ ])?([fmt]|force|torque|moment|kraft|drehmoment|couple)[._/ ,-]*([xyz])"
+    r"((?:[ _,/]*[\[(].*[\])]|[ _,/]*[a-z][a-z .*\u00b7-]*)?)"
 )
 _BRACKETS_RE = re.compile(r"[\[(]")
 MOMENT_UNITS = {**TORQUE_UNITS, "mnm": 1e-3, "ncm": 1e-2, "knmm": 1.0}
@@ -43,7 +45,7 @@ def axis_of(name: str) -> tuple[str, str] | None:
     found = _WRENCH_AXIS_RE.fullmatch(name)
     if found is None:
         return None
-    axis = ("f" if found[1].startswith("f") else "m") + found[2]
+    axis = ("f" if found[1][0] in "fk" else "m") + found[2]
     unit = plain_unit(found[3])
     # A word without brackets may be anything.
     if unit and not _BRACKETS_RE.search(found[3]) and unit not in {**FORCE_UNITS, **MOMENT_UNITS}:

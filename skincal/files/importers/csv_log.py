@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import islice, pairwise
@@ -34,12 +35,14 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.devices.column_names import TIME_UNITS
+from skincal.devices.column_names import MOMENT_UNITS, TIME_UNITS
 from skincal.devices.decoding import TIME_STAMP_MAX_S, WRENCH_VALUES
+from skincal.devices.netft import FORCE_UNITS
+from skincal.files.importers.labview import ABSOLUTE_MIN_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
-from skincal.files.importers.table_columns import TableColumns, TimeColumns, ValueColumns, names_time
+from skincal.files.importers.table_columns import TableColumns, TimeColumns, ValueColumns, comment_units, names_time
 from skincal.files.importers.table_form import EMPTY_WORDS, TableForm, read_form
-from skincal.files.importers.table_values import FIELD_SHOWN_MAX_CHARS, date_order, date_reader, time_kind, to_float
+from skincal.files.importers.table_values import FIELD_SHOWN_MAX_CHARS, date_reader, find_slash_order, time_kind, to_float
 from skincal.files.importers.timeline import FINER_TIMES, OpenRecording, Timeline, check_overlap, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
@@ -59,6 +62,9 @@ NANOSECONDS_MIN = 1000
 """A column of nanoseconds has a value of at least this."""
 ECHO_COLUMNS = 3
 """Columns of `ros2 topic echo --csv` before the values: seconds, nanoseconds, frame."""
+
+
+_NETFT_COUNTER_RE = re.compile(r"(?:rdt|f/t)[ _]?seq(?:uence)?")
 
 
 class _Table:
@@ -98,6 +104,8 @@ class _Table:
         """Time of the first row as text; empty if there is none."""
         self._seconds_of, finding = self._detect_time()
         self.findings = [*form.findings, *values.findings, *([finding] if finding else [])]
+        self.is_of_netft_program = any(map(_NETFT_COUNTER_RE.fullmatch, form.names))
+        """Whether its names are those of the maker's program for Net F/T sensors."""
         self.skipped = 0
         """Rows without a time in the last reading..."""
         self.without_values = 0
@@ -110,9 +118,9 @@ class _Table:
         self.dated, self.unit_assumed = kind.startswith("date"), False
         if self.dated:
             finding = "" if kind == "date with a zone" else f"{column} holds dates without a zone and was read as UTC."
-            order = date_order(first)
+            order = self._slash_order()
             said = f"{finding} Dates with slashes were read as {order}/year." if order else finding
-            return date_reader(first), said.strip()
+            return date_reader(first, order), said.strip()
         no_unit = " names no unit and" if self.named else ""
         if unit is None and number is not None and UNIX_NS[0] <= number <= UNIX_NS[1]:
             return partial(_number_seconds, TIME_UNITS["ns"], self._uses), (
@@ -124,6 +132,18 @@ class _Table:
         )
         finding = f"{column}{no_unit} was read as seconds{degrees}." if unit is None else ""
         return partial(_number_seconds, TIME_UNITS[unit or "s"], self._uses), finding
+
+    def _slash_order(self) -> str:
+        """Find the order of day and month in dates with slashes. Raises InputError: it is unclear."""
+        if "/" not in self.first_time:
+            return ""
+        splits = max(self._time.columns) + 1
+        try:
+            return find_slash_order(self._time_text(self._form.split(line, splits)) for line in self._form.lines())
+        except ValueError as error:
+            raise InputError(
+                f"{self.path}: {error}; expected one recording: write dates as 2024-05-01, or cut the file at the leap."
+            ) from error
 
     @property
     def link(self) -> LinkSpec:
@@ -183,6 +203,8 @@ class _Table:
             seconds = None if first is None or second is None else first + second * TIME_UNITS["ns"]
         else:
             seconds = self._seconds_of(self._time_text(row))
+        if seconds is not None and self._form.start_s and abs(seconds) < ABSOLUTE_MIN_S:
+            seconds += self._form.start_s
         return None if seconds is None or not abs(seconds) <= TIME_STAMP_MAX_S else seconds
 
     def _line(self, index: int, row: list[str], seconds: float) -> bytes:
@@ -232,6 +254,12 @@ def open_recording(places: Mapping[Stream, RecordedPlace], channels: int = 0) ->
 
 def _check_times(table: _Table, timeline: Timeline) -> None:
     """Raise InputError: there are no times, they lack fractions of a second, or they are hardly seconds."""
+    if table.is_of_netft_program and (timeline.is_coarse or not timeline.lines):
+        raise InputError(
+            f"{table.path}: the program of the sensor's maker writes whole seconds (seen "
+            f"{table.first_time[:FIELD_SHOWN_MAX_CHARS]!r}): no row can be paired with one of a skin. Record both live "
+            "(skincal record --wrench netft://ADDRESS), or log t_s with fractions of a second."
+        )
     if not timeline.lines:
         seen = f"seen {table.first_time[:FIELD_SHOWN_MAX_CHARS]!r} as the time; " if table.first_time else ""
         raise InputError(
@@ -310,7 +338,11 @@ def _unnamed_values(form: TableForm, time: TimeColumns, stream: Stream, channels
             f"{plural(channels, 'channel')}.{_rising_columns(form, first)} Write names above the columns (t_s, t0, t1, ...), "
             "so that the taxels are known."
         )
-    return ValueColumns(tuple(range(first, form.width)), (1.0,) * count, findings)
+    factors = (1.0,) * count
+    if stream is Stream.WRENCH and (units := comment_units(form.path, form.facts)):
+        factors = (FORCE_UNITS[units.get("force", "n")],) * 3 + (MOMENT_UNITS[units.get("torque", "nm")],) * 3
+        findings += ("the values are in the units of the lines before the rows.",)
+    return ValueColumns(tuple(range(first, form.width)), factors, findings)
 
 
 def _rising_columns(form: TableForm, first: int) -> str:

@@ -135,7 +135,7 @@ RECORDING_IMPORTERS = (
     Importer(
         "csv",
         "CSV tables",
-        (".csv", ".tsv", ".txt"),
+        (".csv", ".tsv", ".txt", ".lvm"),
         "csv_log",
         {
             Stream.WRENCH: "CSV file: time and fx fy fz mx my mz. FILE::NAME takes the columns whose names begin so.",

@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
+from pathlib import Path
 
 from skincal.devices.column_names import (
     CLOCK_COLUMN_RE,
@@ -37,8 +38,10 @@ _HEADER_FIELD_RE = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
 _NUMBERED_COLUMN_RE = re.compile(r"((?:.*[./])?\D*?)(\d+)[\])]?(?:[ _]*[\[(]\D[^\])]*[\])])?")
 _NUMBER_WITHIN_RE = re.compile(r"(\D*)(\d+)(\D+)")
 """A number with a word behind it: `t0_raw`."""
+_HEX_NUMBER_RE = re.compile("[0-9a-f]{1,4}")
 _JOINT_COLUMN_RE = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
 _JOINT_NAME_RE = re.compile(r".+[ _\[(](?:deg|rad)[\])]?")
+_JOINT_WORD_RE = re.compile(r"joint|(?:^|[^a-z])(?:j|q|a|axis|pos|position|angle)[ _\[(]?\d|position$|angle$")
 _PRESSURE_CENTRE_RE = re.compile(r"(?:.*[./_ ])?(?:a|cop|cop_|cop |p|cp)[xy](?:[ _]*[\[(].*)?")
 
 
@@ -235,8 +238,10 @@ class TableColumns:
         facts = "\n".join(self._form.facts)
         counts = {kind: to_float(found[1].replace(",", "")) for kind, found in _facts(_COUNTS_RE, facts).items()}
         units = {kind: plain_unit(found[1]) for kind, found in _facts(_FACT_UNIT_RE, facts).items()}
+        if not has_units and not (counts or units):
+            units = comment_units(self.path, self._form.facts)
         if has_units or not (counts or units):
-            return {}, ()
+            return {}, () if has_units else _mentioned_units(facts)
         are_counts = bool(counts) and self._are_whole(columns)
         factors: dict[str, float] = {}
         for kind, table in (("force", FORCE_UNITS), ("torque", MOMENT_UNITS)):
@@ -269,13 +274,22 @@ class TableColumns:
         families = self._families(self.others)
         has_more = bool(self.wrench) or any(len(each.at) > 1 and each.base not in bases for each in families)
         unnamed = [k for k in self.others if k not in known and (not has_more or _family_base(self.names[k]) in bases)]
-        if unnamed or (self.wrench and not known):
-            name = self.names[(unnamed or self.wrench)[0]]
-            raise InputError(f"{self.path}: column {name!r} names no unit; expected names such as j0_deg or j0_rad.")
-        if not known:
-            raise InputError(f"{self.path}: no column besides the time; expected one a joint, such as j0_deg, j1_deg, ...")
+        if unnamed or not known:
+            raise InputError(self._unnamed_joints(unnamed or self.others))
         factors = [1.0 if _joint_unit(self.names[k]) == "deg" else math.degrees(1.0) for k in known]
         return ValueColumns(tuple(known), tuple(factors))
+
+    def _unnamed_joints(self, columns: Sequence[int]) -> str:
+        """Say why columns are no joint angles."""
+        likely = [k for k in columns if _JOINT_WORD_RE.search(self.names[k])] or list(columns)
+        if not likely:
+            seen = self._list_names(range(len(self.names)))
+            return f"{self.path}: no column is a joint; seen {seen}; expected one a joint, such as j0_deg, j1_deg, ..."
+        name = self.names[likely[0]]
+        return (
+            f"{self.path}: column {name!r} names no unit; expected names such as j0_deg or j0_rad. If it is the angle of a "
+            f"joint, name it {name}_deg or {name}_rad, and the others so."
+        )
 
     def _is_joint(self, column: int, name: str) -> bool:
         return column not in self.wrench and self._is_free(column) and _JOINT_COLUMN_RE.fullmatch(name) is not None
@@ -299,6 +313,15 @@ class TableColumns:
             family.at[number] = column
         return list(found.values())
 
+    def _hexadecimal(self, family: _Family, columns: Sequence[int]) -> _Family | None:
+        """Return the family whose numbers are hexadecimal, if with these all numbers from 0 on are there: `t9`, `ta`."""
+        base = family.base
+        rests = {k: self.names[k].removeprefix(base) for k in columns if self.names[k].startswith(base)}
+        found = {int(rest, 16): k for k, rest in rests.items() if _HEX_NUMBER_RE.fullmatch(rest)}
+        has_letters = any(not rests[k].isdigit() for k in found.values())
+        is_whole = has_letters and sorted(found) == list(range(len(found))) and not family.end
+        return _Family(base, at=found) if is_whole and {*family.at.values()} <= {*found.values()} else None
+
     def skin_families(self) -> list[tuple[str, int]]:
         """List begin of the names and number of channels of each family that may be a skin."""
         families = [each for each in self._families(self.others) if len(each.at) > 1]
@@ -308,6 +331,7 @@ class TableColumns:
         if not columns:
             raise InputError(f"{self.path}: no column besides the time; expected one a channel, such as t0, t1, ...")
         families = self._families(columns) or self._families(columns, _NUMBER_WITHIN_RE)
+        families = [self._hexadecimal(each, columns) or each for each in families]
         fitting = [each for each in families if channels and channels in (len(each.at), each.span)]
         if len(fitting) > 1:
             bases = " or ".join(f"{self.path.name}::{each.base}" for each in fitting)
@@ -426,6 +450,41 @@ class TableColumns:
 
 _COUNTS_RE = r"counts per unit {}\W*([\d.,]*\d)"
 _FACT_UNIT_RE = r"{} units?\W*([A-Za-z\u00b7.* -]+)"
+
+
+_UNIT_WORD = r"((?:m|k)?N(?:[ .*\u00b7\u22c5-]?m?m|[ .*\u00b7\u22c5-]?cm)?|lbf?(?:[ .*-]?(?:in|ft))?)(?![\w/])"
+_UNIT_WORD_RE = re.compile(rf"(?<![\w./])(?<!\d )(?<!per ){_UNIT_WORD}")
+"""A unit of force or moment in a text; not behind a number, which is a range, or in counts for each unit."""
+
+
+def comment_units(path: Path, facts: Sequence[str]) -> dict[str, str]:
+    """Return the units of force and torque that comments name in words, such as `torque in Nmm` or `[N], [Nmm]`.
+
+    Raises InputError: they name two units of one kind, or one that is not known.
+    """
+    found: dict[str, list[str]] = {"force": [], "torque": []}
+    for word in _UNIT_WORD_RE.findall("\n".join(facts)):
+        unit = plain_unit(word)
+        kind = "torque" if unit in MOMENT_UNITS else "force"
+        found[kind] += [] if unit in found[kind] else [unit]
+    for kind, units in found.items():
+        if len(units) > 1 or not {*units} <= {*FORCE_UNITS, *MOMENT_UNITS}:
+            raise InputError(
+                f"{path}: the lines before the rows name {' and '.join(units)}, and the names of the columns no unit; write "
+                f"the unit of the {kind} into the names: fx [N], mx [Nm]."
+            )
+    units = {kind: units[0] for kind, units in found.items() if units}
+    # A letter N alone may be a number of rows.
+    return {} if units == {"force": "n"} else units
+
+
+def _mentioned_units(facts: str) -> tuple[str, ...]:
+    """Warn of moments in another unit than N m that a text mentions behind a number; these may be a range."""
+    words = (found[1] for found in re.finditer(rf"\d ?{_UNIT_WORD}", facts))
+    word = next((each for each in words if MOMENT_UNITS.get(plain_unit(each), 1.0) != 1.0), "")
+    if not word:
+        return ()
+    return (f"the lines before the rows mention {word}; the moments were read as N m. If not: write mx [{word}] and so on.",)
 
 
 def _facts(pattern: str, text: str) -> dict[str, re.Match[str]]:

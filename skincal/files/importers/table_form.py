@@ -18,6 +18,7 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import TypeAlias
 
+from skincal.files.importers.labview import HEAD_END, is_labview, read_labview_head
 from skincal.files.importers.table_values import (
     FIELD_SHOWN_MAX_CHARS,
     NumberEvidence,
@@ -78,6 +79,8 @@ class TableForm:
     list_columns: tuple[tuple[int, int], ...] = ()
     """Columns of the file that hold a list each, and the number of its values."""
     findings: tuple[str, ...] = ()
+    start_s: float = 0.0
+    """Seconds since 1970 at its time 0, for times that count from the begin of the file; 0 if it is unknown."""
 
     def lines(self) -> Iterator[str]:
         """Yield the lines with a row."""
@@ -126,6 +129,8 @@ def read_form(path: Path, names_time: NamesTime) -> TableForm:
     """
     encoding = _find_encoding(path)
     head = list(islice(_lines(path, encoding, "\t", comments=True), HEAD_LINES))
+    if head and is_labview(head[0]):
+        return _labview_form(path, encoding, head)
     if not any(line.strip("# \t") for line in head):
         raise InputError(f"{path}: the file is empty; expected rows of a time and values, with or without a header.")
     if "\ufffd" in head[0] or not re.sub(r"\s", " ", head[0]).isprintable():
@@ -146,9 +151,41 @@ def read_form(path: Path, names_time: NamesTime) -> TableForm:
     examples = tuple(tuple(_spread(row, lists)) for row in rows)
     skipped = bool(separator_line) + sum(not line.startswith("#") for line in head[: form.first])
     width = len(names) or max((_filled_width(row) for row in examples), default=0)
+    return TableForm(path, encoding, form.separator, names, _facts(head, form), width, skipped, examples, lists, form.findings)
+
+
+def _labview_form(path: Path, encoding: str, head: Sequence[str]) -> TableForm:
+    """Read the form of a LabVIEW measurement file. Raises InputError: it has several heads, or see `read_labview_head`."""
+    found = read_labview_head(path, head)
+    first = found.names_at + 1
+    if any(line.startswith(HEAD_END) for line in islice(_lines(path, encoding, "\t"), first, None)):
+        raise InputError(
+            f"{path}: has a head before each part of its rows; expected one: in 'Write To Measurement File' choose 'One header "
+            "only', or save each part as a file."
+        )
+    names = tuple(_with_unit(*each) for each in zip_longest(found.names, found.units, fillvalue=""))
+    examples = tuple(tuple(split_fields(line, found.separator)) for line in head[first:])
+    # The last column is for comments, and most rows have none.
+    if names[-1] == "comment" and not any(len(row) >= len(names) and row[len(names) - 1] for row in examples):
+        names = names[:-1]
     return TableForm(
-        path, encoding, form.separator, names, tuple(head[: form.names_at]), width, skipped, examples, lists, form.findings
+        path,
+        encoding,
+        found.separator,
+        names,
+        tuple(head[: found.names_at]),
+        len(names),
+        first,
+        examples,
+        start_s=found.start_s,
     )
+
+
+def _facts(head: Sequence[str], form: _Head) -> tuple[str, ...]:
+    """Return the lines before the names, and the comments between these and the first row."""
+    first = form.first if form.names else next((k for k, line in enumerate(head) if not line.startswith("#")), len(head))
+    between = (line for line in head[form.names_at : first] if line.startswith("#"))
+    return (*head[: form.names_at], *between)
 
 
 @dataclass(frozen=True, slots=True)

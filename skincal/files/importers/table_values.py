@@ -13,10 +13,11 @@ mark, unless a comma has two readings as well.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from functools import partial
+from itertools import pairwise
 
 from skincal.model.errors import InputError
 
@@ -171,10 +172,10 @@ def time_kind(text: str, uses: dict[str, str] | None = None) -> str:
     """Classify the time in a field; empty if it is no time."""
     if to_float(text, uses) is not None:
         return "number"
-    date = next((found for pattern in _MOMENT_RES if (found := pattern.fullmatch(text))), None)
-    if date is None:
+    moment = next((found for pattern in _MOMENT_RES if (found := pattern.fullmatch(text))), None)
+    if moment is None:
         return ""
-    return "date with a zone" if date[date.re.groups] else "date without one"
+    return "date with a zone" if moment[moment.re.groups] else "date without one"
 
 
 def is_date(text: str) -> bool:
@@ -187,18 +188,43 @@ def is_time_of_day(text: str) -> bool:
     return _TIME_OF_DAY_RE.fullmatch(text) is not None
 
 
-def date_order(text: str) -> str:
-    """Name the order of day and month in a date with slashes; empty for other dates."""
-    found = _SLASHES_RE.match(text)
-    if found is None:
+def find_slash_order(dates: Iterable[str]) -> str:
+    """Name the order of day and month that lets the days of a file, in dates with slashes, follow each other.
+
+    Empty for other dates. A single day is read as month/day, unless that is not possible: only differences of times count.
+    Raises ValueError: both orders, or none, are possible.
+    """
+    found = [match[0] for text in dates if (match := _SLASHES_RE.match(text))]
+    days = [tuple(map(int, text.split("/"))) for text in dict.fromkeys(found)]
+    if not days:
         return ""
-    return "day/month" if int(found[0].partition("/")[0]) > 12 else "month/day"
+    possible = [order for order, first in (("month/day", 0), ("day/month", 1)) if _follow_each_other(days, first)]
+    if len(days) == 1 and possible:
+        return possible[0]
+    if len(possible) != 1:
+        first, last = found[0], found[-1]
+        raise ValueError(f"{first} and {last} are no days that follow each other, neither as day/month nor as month/day")
+    return possible[0]
 
 
-def date_reader(first: str) -> Callable[[str], float | None]:
-    """Return the function that converts dates as the first one of a file to seconds since 1970, `None` for any other text."""
+def _follow_each_other(days: Sequence[tuple[int, ...]], month_at: int) -> bool:
+    """Check whether days in the order of a file, as numbers, exist and are neighbours."""
+    try:
+        ordinals = [date(day[2], day[month_at], day[1 - month_at]).toordinal() for day in days]
+    except ValueError:
+        return False
+    return all(abs(b - a) == 1 for a, b in pairwise(ordinals))
+
+
+def date_reader(first: str, order: str) -> Callable[[str], float | None]:
+    """Return the function that converts dates as the first one of a file to seconds since 1970, `None` for any other text.
+
+    Parameters
+    ----------
+    order : of day and month in dates with slashes, see `find_slash_order`
+    """
     pattern = next(each for each in _MOMENT_RES if each.fullmatch(first))
-    return partial(_date_seconds, pattern, time_kind(first), date_order(first) == "day/month")
+    return partial(_date_seconds, pattern, time_kind(first), order == "day/month")
 
 
 def _date_seconds(pattern: re.Pattern[str], kind: str, is_day_first: bool, text: str) -> float | None:

@@ -211,6 +211,7 @@ def _sort_labels(form: str, named: Sequence[_Label]) -> LineReading | None:
     """Sort labelled numbers into channels, axes, clock and counter; `None` if two have one meaning."""
     channels, axes, lead = dict[int, float](), dict[str, float](), dict[str, float]()
     bases, units = set[str](), set[str]()
+    named = _number_hex_labels(named)
     for name, number, value, unit in named:
         axis = axis_of(name) if number is None else None
         if number is not None:
@@ -284,6 +285,22 @@ def _read_units(text: str) -> LineReading | None:
         axis: value * factor for axis, value, factor in zip(WRENCH_AXES, values, factors, strict=True) if factor is not None
     }
     return LineReading("units", " ".join(units), axes=axes) if len(axes) == len(factors) else None
+
+
+def _number_hex_labels(named: Sequence[_Label]) -> Sequence[_Label]:
+    """Give labels `TA` to `TF` their numbers next to `T0` to `T9`, if with these all numbers from 0 on are there."""
+    base = next((each.name for each in named if each.number is not None), None)
+    if base is None:
+        return named
+    texts = [each.name + ("" if each.number is None else str(each.number)) for each in named]
+    rests = [text.removeprefix(base) if text.startswith(base) else "" for text in texts]
+    numbers = [int(rest, 16) if _HEX_RE.fullmatch(rest) else -1 for rest in rests]
+    is_whole = any(each.number is None and number >= 0 for each, number in zip(named, numbers, strict=True))
+    if not is_whole or sorted(number for number in numbers if number >= 0) != list(range(sum(n >= 0 for n in numbers))):
+        return named
+    return [
+        each._replace(name=base, number=number) if number >= 0 else each for each, number in zip(named, numbers, strict=True)
+    ]
 
 
 def _unit_factor(axis: str, unit: str) -> float | None:

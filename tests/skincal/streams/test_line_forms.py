@@ -44,6 +44,7 @@ def checked(body):
 FORMS = {
     "plain": lambda _, v: f"{comma(v)}\n",
     "labels from 0": lambda _, v: ",".join(f"T{n}:{each}" for n, each in enumerate(v)) + "\n",
+    "labels in hexadecimal": lambda _, v: ",".join(f"T{n:X}:{each}" for n, each in enumerate(v)) + "\n",
     "labels from 1 and tabs": lambda _, v: "\t".join(f"S{n}={each}" for n, each in enumerate(v, 1)) + "\r\n",
     "labels in any order": lambda k, v: (
         " ".join(f"taxel[{n}]: {v[n]}" for n in np.random.default_rng(k).permutation(len(v))) + "\n"
