@@ -35,7 +35,7 @@ from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.findings import MeshFinding
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.load import load_surface
-from skincal.mesh.search import nearest_points
+from skincal.mesh.search import nearest_points, nearest_pushed_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError, list_channels, plural
 from skincal.model.scene import ContactSettings, NoiseSettings, SurfaceSpec
@@ -60,6 +60,8 @@ MIRROR_CHECK_MAX_RESIDUAL_RATIO = 0.6
 """The mirrored layout must fit this much better to say so; the paper's modules fit 2.1 mm straight, 10.4 mm mirrored."""
 NEIGHBOUR_MAX_SPACINGS = 1.3
 """Taxels of one module within this many spacings are neighbours: 1.0 apart, the next ring is 1.7."""
+SAME_DEPTH_MAX_SDS = 2.0
+"""Walls whose distances from a taxel differ by less, in standard deviations of its position, may both be the poked one."""
 SPACING_RATIOS = (0.7, 1.4)
 """Median distance of neighbours over that of the layout: 4 to 6 mm for 5 mm, and room for scatter, which widens it."""
 
@@ -551,7 +553,13 @@ def _expected_surface(calibration: Calibration, method: Method, shape: _Shape) -
     if shape.surface is not None:
         normals = np.zeros((len(taxels.channels), 3))
         if finite.any():
-            _, triangles = nearest_points(shape.surface, taxels.positions[finite])
+            places = taxels.positions[finite]
+            near, triangles = nearest_points(shape.surface, places)
+            if method is Method.FREE:
+                # It knows the depth badly: on a thin part a taxel may lie nearer to the inner face.
+                facing, others = nearest_pushed_points(shape.surface, places, -taxels.normals[finite])
+                farther = np.linalg.norm(facing - places, axis=1) - np.linalg.norm(near - places, axis=1)
+                triangles = np.where(farther <= SAME_DEPTH_MAX_SDS * taxels.sd[finite], others, triangles)
             normals[finite] = shape.surface.normals[triangles]
         return ExpectedSurface(shape.surface.vertices, normals, "the surface")
     known = None if shape.planned is None else np.isfinite(shape.planned.places).all(axis=1)

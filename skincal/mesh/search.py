@@ -92,6 +92,21 @@ def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, In
     return found.points, found.triangles
 
 
+def nearest_pushed_points(surface: Surface, points: FloatArray, pushes: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Find as `nearest_points` does, on the triangles that face `pushes` (n, 3): a push enters a thin wall from outside.
+
+    Where no triangle faces the push, it is the nearest one of all.
+    """
+    near, triangles = nearest_points(surface, points)
+    away = np.flatnonzero(np.einsum("ij,ij->i", surface.normals[triangles], pushes) >= 0.0)
+    if len(away):
+        turns = np.broadcast_to(np.eye(3), (len(away), 3, 3))
+        found = nearest_in_metric(surface, turns, np.asarray(points, dtype=float)[away], pushes[away])
+        faced = found.triangles >= 0
+        near[away[faced]], triangles[away[faced]] = found.points[faced], found.triangles[faced]
+    return near, triangles
+
+
 class SurfaceTable(ctypes.Structure):
     """`Surface` of `skincal/solver/source/search.h`."""
 

@@ -279,9 +279,10 @@ def _move_to_ground(ground: ModuleGround, origin: FloatArray, x: FloatArray, nor
     if not isinstance(ground, ModulesOnSurface):
         return ModulePoses(origin[None], x[None], normal[None], np.full(1, -1, dtype=np.int64))
     # Imported only now: a scene without a mesh does not need it.
-    from skincal.mesh.search import nearest_points
+    from skincal.mesh.search import nearest_pushed_points
 
-    point, triangle = nearest_points(ground.surface, origin[None])
+    # The inner face of a thin wall may be nearer.
+    point, triangle = nearest_pushed_points(ground.surface, origin[None], -normal[None])
     facing = ground.surface.normals[triangle]
     x = x - (x @ facing[0]) * facing[0]
     length = float(np.sqrt(x @ x))

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.search import nearest_points
+from skincal.mesh.search import nearest_pushed_points
 from skincal.model.errors import InputError
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, NoTarget, PokeTarget
 from skincal.simulate.simulated_rig import (
@@ -285,31 +285,34 @@ def aimed_presses(
 ) -> PressedPlaces:
     """Simulate a hand that aims at shown places (n, 3), metres, with unit pushes (n, 3).
 
-    Places move to the surface, or without a surface to the plane of the taxels in `rows` (n,).
+    Places move to the surface that faces the push, or without a surface to the plane of the taxels in `rows` (n,).
     """
     count = len(places)
-    places, normals = _on_part(rig, rows, places)
+    places, normals = _on_part(rig, rows, places, -pushes)
     e1, e2 = tangents(normals)
     offset = habits.aim * rng.standard_normal((count, 2))
-    points, normals = _on_part(rig, rows, places + offset[:, :1] * e1 + offset[:, 1:] * e2)
+    points, normals = _on_part(rig, rows, places + offset[:, :1] * e1 + offset[:, 1:] * e2, normals)
     pushes = limit_tilt(add_hand_noise(apply_bias(pushes, normals, habits), habits.hand, rng), normals, habits.cone)
     forces, turns = rng.uniform(*habits.force, count), rng.uniform(0.0, np.pi / 2, count)
     return PressedPlaces(rig.channels[rows], points, normals, pushes, forces, turns)
 
 
-def _on_part(rig: Rig, rows: IntArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Move places (n, 3) onto the surface, or without one into the planes of their taxels; return also the normals."""
+def _on_part(rig: Rig, rows: IntArray, places: FloatArray, outward: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Move places (n, 3) onto the surface, or without one into the planes of their taxels; return also the normals.
+
+    `outward` (n, 3) points out of the part: a hand does not press the inner face of a thin wall.
+    """
     if rig.surface is not None:
-        return _on_skin(rig, places, places)
+        return _on_skin(rig, places, outward)
     normals = rig.normals[rows]
     return places - np.sum((places - rig.places[rows]) * normals, axis=1, keepdims=True) * normals, normals
 
 
 def _on_skin(rig: Rig, points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Project points onto the surface; return them and its normals. Without a surface the input is returned."""
+    """Project points onto the surface that faces as `normals` do; return them and its normals. Without one: the input."""
     if rig.surface is None:
         return points, normals
-    on_surface, triangles = nearest_points(rig.surface, points)
+    on_surface, triangles = nearest_pushed_points(rig.surface, points, -normals)
     return on_surface, rig.surface.normals[triangles]
 
 

@@ -1,7 +1,7 @@
 """Solve taxels one by one in the compiled solver: outliers, least squares, point on the surface, uncertainty, rivals.
 
-The mathematics is explained in `trust.h`, `factor.h`, `search.h`, `rival.h` and `uncertainty.h` in `skincal/solver/source`. A
-taxel's numbers depend on its own contacts alone: not by a bit on which others are solved with it.
+The mathematics is explained in `trust.h`, `factor.h`, `search.h`, `cover.h`, `rival.h` and `uncertainty.h` in
+`skincal/solver/source`. A taxel's numbers depend on its own contacts alone: not by a bit on which others are solved with it.
 
 **Free method** (paper, II-A), without the part's shape: the point nearest to all force axes. p_j minimises
 sum k^2 |u x p_j + m/|f||^2 over the contacts of W_j: p_j = -(F' K^2 F)^-1 F' K^2 M, by QR of K F.
@@ -10,6 +10,8 @@ sum k^2 |u x p_j + m/|f||^2 over the contacts of W_j: p_j = -(F' K^2 F)^-1 F' K^
 offset|^2 plus a constant. Its minimum is found over all triangles that face the pushes. One axis is enough: it enters the part
 at one point. The covariance is in the plane of that point's triangle, also on an edge or a vertex: facets belong to the mesh
 and not to the part, so an edge does not hold a taxel.
+
+A push enters from outside, so a place under another wall counts less than one under none (`cover.h`).
 
 A second minimum elsewhere is a **rival** if the noise could have made it the worse one (`odds_of` in `solver.c`).
 """

@@ -7,7 +7,7 @@
 #ifndef RIVAL_H
 #define RIVAL_H
 
-#include "search.h"
+#include "cover.h"
 
 /* Rounds in which triangles equally near are gone over; what is not at its end by then is a valley, not a place. */
 static const int PLATEAU = 64;
@@ -72,8 +72,14 @@ static int is_end(Surface *s, Metric *m, const Beside *beside, const Candidate *
     return end;
 }
 
-/* The second minimum, where its value is at most `limit` and it lies outside `radius` of the best one. */
-static Best second_to(Surface *s, Metric *m, Vec best, double radius, double limit)
+static int is_reached(const Surface *s, Metric *m, const Candidate *c, Cover deepest)
+{
+    return cover_of(s, m, candidate_point(s, c), s->order[c->node], 0) <= deepest;
+}
+
+/* The second minimum, where its value is at most `limit`, it lies outside `radius` of the best one and no deeper under other
+ * walls than `deepest`. */
+static Best second_to(Surface *s, Metric *m, Vec best, double radius, double limit, Cover deepest)
 {
     unsigned char *mark = top;
     double squared = limit * m->scale * m->scale, far = smaller(root_of(squared), FARTHEST / 2);
@@ -90,7 +96,8 @@ static Best second_to(Surface *s, Metric *m, Vec best, double radius, double lim
     keep_lowest(s, &found);
     kept = 0;
     for (int i = 0; i < found.count; i++)
-        if (is_end(s, m, &beside, &found.all[i])) found.all[kept++] = found.all[i];
+        if (is_end(s, m, &beside, &found.all[i]) && (deepest == CLOSED || is_reached(s, m, &found.all[i], deepest)))
+            found.all[kept++] = found.all[i];
     found.count = kept;
     Best second = best_of(s, m, found);
     top = mark;

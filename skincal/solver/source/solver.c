@@ -121,9 +121,17 @@ static double stretch_of_inverse(const Freedom *free)
     return root_of(sum);
 }
 
-/* Reports the second minimum that the noise could have made the worse one. */
+static void put_rival(Answer *said, Best rival, double odds)
+{
+    said->odds = odds;
+    said->rival_triangle = rival.triangle;
+    put(said->rival, rival.point);
+}
+
+/* Reports the second minimum that the noise could have made the worse one. Under other walls none does, if the best is under
+ * none: COVERED_ODDS are as many as the largest odds reported. */
 static void say_rival(
-    const Task *t, Answer *said, const Contacts *c, const Factor *f, Metric *m, Best best, const Freedom *space,
+    const Task *t, Answer *said, const Contacts *c, const Factor *f, Metric *m, Best best, Cover under, const Freedom *space,
     const Freedom *plane)
 {
     double slack = slack_of(c, best.point, t->noise, t->rivals->odds);
@@ -132,13 +140,38 @@ static void say_rival(
     /* All that fits as well lies within this of the point where the axes meet, wherever the surface is. */
     double around = root_of(best.value + slack) * stretch_of_inverse(space) + length(minus(best.point, f->solution));
     if (around < radius || !finite(radius)) return;
-    Best second = second_to(t->surface, m, best.point, radius, best.value + slack);
+    Best second = second_to(t->surface, m, best.point, radius, best.value + slack, under);
     if (second.triangle < 0) return;
     double odds = odds_of(c, best.point, second.point, second.value - best.value, t->noise);
-    if (!(odds < t->rivals->odds)) return;
-    said->odds = odds;
-    said->rival_triangle = second.triangle;
-    put(said->rival, second.point);
+    if (odds < t->rivals->odds) put_rival(said, second, odds);
+}
+
+/* The place that a push reaches from outside (`cover.h`) in place of `best`, and how it lies under other walls. Where one
+ * under walls and one under none fit both, the other one is put down as the rival; returns whether it was compared. */
+static int choose_wall(const Task *t, Answer *said, const Contacts *c, Metric *m, Best *best, Cover *under)
+{
+    double walls;
+    *under = cover_of(t->surface, m, best->point, best->triangle, &walls);
+    if (*under == CLOSED) {
+        /* The wall that the push meets holds a minimum that is no worse than the place where it is met. */
+        Best open = second_to(t->surface, m, best->point, 0, square(walls / m->scale) * (1 + ROUND), COVERED);
+        if (open.triangle < 0) return 0;
+        *best = open;
+        *under = cover_of(t->surface, m, best->point, best->triangle, 0);
+    }
+    if (*under != COVERED) return 0;
+    double slack = slack_of(c, best->point, t->noise, COVERED_ODDS * t->rivals->odds);
+    Best outer = second_to(t->surface, m, best->point, 0, best->value + slack, OPEN), rival = outer;
+    if (outer.triangle < 0) return 0;
+    double odds = odds_of(c, best->point, outer.point, outer.value - best->value, t->noise) / COVERED_ODDS;
+    if (odds < 1.0) {
+        rival = *best;
+        *best = outer;
+        *under = OPEN;
+        odds = 1.0 / odds;
+    }
+    if (odds < t->rivals->odds) put_rival(said, rival, odds);
+    return 1;
 }
 
 static void say_on_surface(const Task *t, int i, const Contacts *c, const Factor *f, Vec push, const Freedom *space)
@@ -146,6 +179,8 @@ static void say_on_surface(const Task *t, int i, const Contacts *c, const Factor
     Answer *said = t->said + i;
     Metric m = metric_of(t->surface, &f->root, f->offset, &push);
     Best best = nearest_to(t->surface, &m, t->starting[i]);
+    Cover under = OPEN;
+    int compared = best.triangle >= 0 && choose_wall(t, said, c, &m, &best, &under);
     put(said->point, best.point);
     said->triangle = best.triangle;
     said->value = best.value;
@@ -153,7 +188,7 @@ static void say_on_surface(const Task *t, int i, const Contacts *c, const Factor
     if (best.triangle < 0) return;
     Freedom plane = in_plane(f, vec_at(t->surface->normals + 3 * best.triangle));
     put_known(&said->held, c, &plane, best.point, t->noise);
-    say_rival(t, said, c, f, &m, best, space, &plane);
+    if (!compared) say_rival(t, said, c, f, &m, best, under, space, &plane);
 }
 
 static void solve_taxel(const Task *t, int i)
@@ -310,7 +345,7 @@ EXPORT void second(void)
     begin();
     for (Word i = 0; i < q->metrics; i++) {
         Metric m = metric_at(q, i);
-        Best found = q->triangles[i] < 0 ? none : second_to(q->surface, &m, vec_at(q->best + 3 * i), q->radii[i], q->limits[i]);
+        Best found = q->triangles[i] < 0 ? none : second_to(q->surface, &m, vec_at(q->best + 3 * i), q->radii[i], q->limits[i], CLOSED);
         put_best(q, i, found);
         q->tried[i] = m.tried;
     }

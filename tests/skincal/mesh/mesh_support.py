@@ -38,6 +38,25 @@ def together(*surfaces: Surface) -> Surface:
     return make_surface(np.concatenate([surface.vertices for surface in surfaces]), np.concatenate(triangles))
 
 
+def turned_over(surface: Surface) -> Surface:
+    """The same triangles wound the other way."""
+    return make_surface(surface.vertices, surface.triangles[:, ::-1])
+
+
+def bent_plate(around=32, along=24, radius=0.07, thickness=0.003, half_angle_deg=50.0, length=0.12) -> Surface:
+    """A closed plate bent about y, its outer face toward +z: 107 x 120 x 27 mm."""
+    angles = np.radians(np.linspace(-half_angle_deg, half_angle_deg, around + 1))
+    a, y = np.meshgrid(angles, np.linspace(-length / 2, length / 2, along + 1), indexing="ij")
+    sheets = [np.stack([r * np.sin(a), y, r * np.cos(a)], axis=-1).reshape(-1, 3) for r in (radius, radius - thickness)]
+    number = np.arange(a.size).reshape(a.shape)
+    corners = [part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])]
+    outer = np.concatenate([np.stack([corners[k] for k in ks], axis=1) for ks in ((0, 1, 2), (0, 2, 3))])
+    rim = np.concatenate([number[:, 0], number[-1, 1:], number[-2::-1, -1], number[0, -2:0:-1]])
+    after = np.roll(rim, -1)
+    sides = [np.stack([rim, rim + a.size, after], axis=1), np.stack([after, rim + a.size, after + a.size], axis=1)]
+    return make_surface(np.concatenate(sheets), np.concatenate([outer, outer[:, ::-1] + a.size, *sides]))
+
+
 def soup(rng, count=300) -> Surface:
     """Triangles of all sizes and shapes, needles among them, no vertex shared."""
     middles = rng.uniform(-0.05, 0.05, (count, 1, 3))

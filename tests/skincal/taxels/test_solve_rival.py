@@ -32,13 +32,23 @@ def press(number, point, push, moment_noise=None):
     return Contact(number, 0, 1, force, moment, np.array([0]), np.array([50.0]), np.eye(4), "", 0.0, True)
 
 
-def test_one_axis_through_two_plates_may_mean_either():
-    push = np.array([0.1, 0.0, -1.0])
-    estimate = solve([press(1, np.zeros(3), push)], [0], Method.SURFACE, NOISE, plates(0.0, -0.03))[0]
+def stairs(depth: float = 0.03):
+    """Two plates that face +z: one on the left, the other one `depth` below on the right."""
+    surface = plates(0.0, -depth)
+    moved = surface.vertices + np.where(surface.vertices[:, 2:] < -depth / 2, [0.06, 0, 0], [-0.06, 0, 0])
+    return make_surface(moved, surface.triangles)
+
+
+LEANING = np.array([2 / 3, 0.0, -1.0])
+"""Push that meets both stairs, 10 mm from their edges."""
+
+
+def test_one_axis_through_two_stairs_may_mean_either():
+    estimate = solve([press(1, [-0.01, 0, 0], LEANING)], [0], Method.SURFACE, NOISE, stairs())[0]
     assert estimate.state is State.TOUCHED
-    np.testing.assert_allclose(estimate.position, 0.0, atol=1e-12)
+    np.testing.assert_allclose(estimate.position, [-0.01, 0, 0], atol=1e-12)
     assert estimate.rival is not None
-    np.testing.assert_allclose(estimate.rival.position, [0.003, 0.0, -0.03], atol=1e-12)
+    np.testing.assert_allclose(estimate.rival.position, [0.01, 0.0, -0.03], atol=1e-12)
     assert estimate.rival.odds == pytest.approx(1.0, abs=0.01)
 
 
@@ -74,18 +84,18 @@ def test_the_odds_are_those_of_being_wrong():
     """The truth is on either plate as often: of estimates with given odds, 1/(1 + odds) must be on the wrong one."""
     # All noise is in the moment, so that what is drawn is what the model says.
     noise = NoiseSettings(force=1e-9, moment=0.02, contact=1e-9, reach=1e-9)
-    surface, rng = plates(0.0, -0.02, cells=4), np.random.default_rng(2)
+    surface, rng = stairs(), np.random.default_rng(2)
     wrong, expected, variance, seen, alone, missed = 0, 0.0, 0.0, 0, 0, 0
     for _ in range(600):
-        depth = -0.02 * int(rng.integers(2))
+        upper = bool(rng.integers(2))
+        place = np.array([-0.01, 0.0, 0.0]) if upper else np.array([0.01, 0.0, -0.03])
         tilts = rng.normal(0, 0.15, (3, 2))
-        contacts = [
-            press(i, [0.0, 0.0, depth], [*tilt, -1.0], 0.02 * rng.standard_normal(3)) for i, tilt in enumerate(tilts, start=1)
-        ]
+        pushes = LEANING + np.c_[tilts, np.zeros(3)]
+        contacts = [press(i, place, push, 0.02 * rng.standard_normal(3)) for i, push in enumerate(pushes, start=1)]
         estimate = solve(contacts, [0], Method.SURFACE, noise, surface)[0]
         if estimate.position is None:
             continue
-        is_wrong = abs(estimate.position[2] - depth) > 0.01
+        is_wrong = upper != (estimate.position[2] > -0.01)
         if estimate.rival is None:
             alone, missed = alone + 1, missed + is_wrong
             continue
