@@ -22,6 +22,7 @@ from typing import ClassVar
 from skincal.devices.column_names import CLOCK_COLUMN_RE, TIME_COLUMN_RE, TIME_UNITS, WRENCH_AXES, short_unit
 from skincal.devices.decoding import CLOCK_MODULUS_US, DEFAULT_UNITS, NO_SEQ, FrameDecoder, FrameSplitter
 from skincal.devices.rising_columns import RISING_COLUMNS_MAX, RisingColumns, rising_words
+from skincal.model.errors import list_channels
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.line_forms import (
     HEXADECIMAL_FORM,
@@ -41,6 +42,7 @@ from skincal.streams.decoders.line_streams import (
     ChannelFrames,
     ConstantChecksum,
     ContinuedLines,
+    CyclicColumn,
     FormAgreement,
     LineSplitter,
     NumberedRows,
@@ -92,7 +94,9 @@ class TextDecoder(FrameDecoder):
         self._channel_frames: dict[tuple[str, str], ChannelFrames] = {}
         self._cells: dict[tuple[str, str], Cells] = {}
         self._titles, self._checksum, self._brackets = NumberedTitles(), ConstantChecksum(), OpenBrackets()
-        self._rising, self._rising_inside = RisingColumns(), RisingColumns()
+        self._rising: dict[int, RisingColumns] = {}
+        """By number of values: a link may have lines of two streams."""
+        self._rising_inside, self._cyclic = RisingColumns(), CyclicColumn()
         self._lines_searched = self._pair_lines = 0
         self._hex_lines = self._lines_since_hex = 0
 
@@ -195,7 +199,13 @@ class TextDecoder(FrameDecoder):
         self._lines_searched += 1
         if len({*map(len, fields)}) == 1 and len(fields[0]) > 1 and all(map(str.isdigit, fields)):
             self._status = MAY_BE_HEX if any(field[0] == "0" for field in fields) else self._status
-        if stream in (Stream.SKIN, Stream.WRENCH) and len(numbers) > 2:
+        lines = self._cyclic.add(numbers[0]) if stream is Stream.SKIN and len(numbers) > 1 else 0
+        if lines:
+            self._status = (
+                f"The first of {len(numbers)} values a line counts again and again: if it is the number of a channel or a row, "
+                f"set [skin] channels to {lines * (len(numbers) - 1)}"
+            )
+        elif stream in (Stream.SKIN, Stream.WRENCH) and len(numbers) > 2:
             values = self._rising_inside.add(numbers)
             if values is not None:
                 advice = (
@@ -213,6 +223,10 @@ class TextDecoder(FrameDecoder):
     def _other_width(self, line: str, numbers: list[float]) -> Loss | None:
         """Read a part of a frame, or a line with a clock, a number or the numbers of the channels among its values."""
         lead, width = self._columns.count, self._width(Stream.SKIN)
+        stream, values = (None, None) if lead else self._without_rising(numbers)
+        if stream is not None and values is not None:
+            self._problem = ""
+            return self._add(stream, NO_SEQ, math.nan, values)
         if not lead and width is not None and len(numbers) < width:
             for parts, frame in self._parts_of(line, numbers, width):
                 if frame is not None or parts.is_agreed:
@@ -226,18 +240,22 @@ class TextDecoder(FrameDecoder):
             # Two lines in a row that count are no values.
             return self._end_part(None, numbers[1::2]) if self._pair_lines > 1 else None
         self._pair_lines = 0
-        for stream in () if lead else (each for each in self._carries if self._width(each) is not None):
-            excess = len(numbers) - (self._width(stream) or 0)
-            if not 0 < excess <= RISING_COLUMNS_MAX:
-                continue
-            values = self._rising.add(numbers, excess)
-            if values is not None and self._is_plain(stream):
-                left_out = f"without the {rising_words(values, len(numbers))}, which only rises: a clock or a number"
-                self.units[stream], self._problem = f"{DEFAULT_UNITS[stream]}, {left_out}", ""
-                return self._add(stream, NO_SEQ, math.nan, numbers[values])
-            break
         self._problem = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
         return Loss.BAD_WIDTH
+
+    def _without_rising(self, numbers: list[float]) -> tuple[Stream | None, list[float] | None]:
+        """Find the stream of a line with clocks or numbers among its values, and its values without them."""
+        for stream in self._carries:
+            excess = len(numbers) - (self._width(stream) or len(numbers))
+            if not 0 < excess <= RISING_COLUMNS_MAX or (len(numbers) not in self._rising and len(self._rising) >= MAX_TITLES):
+                continue
+            values = self._rising.setdefault(len(numbers), RisingColumns()).add(numbers, excess)
+            if values is not None and self._is_plain(stream):
+                left_out = f"without the {rising_words(values, len(numbers))}, which only rises: a clock or a number"
+                self.units[stream] = f"{DEFAULT_UNITS[stream]}, {left_out}"
+                return stream, numbers[values]
+            break
+        return None, None
 
     def _parts_of(
         self, line: str, numbers: list[float], width: int
@@ -343,6 +361,9 @@ class TextDecoder(FrameDecoder):
             frames = collected.add(channels, width) if channels else []
             incomplete = collected.pop_incomplete()
             is_beyond = collected.is_beyond
+            if frames and collected.never_sent:
+                channels = list_channels(collected.never_sent)
+                self._problem = f"No line has a label of channel {channels} (from 0): these have no readings"
         elif found.number is not None and width is not None and key[1] == found.title:
             (values,) = found.lists.values()
             if self._stream_of(len(values)) is None:

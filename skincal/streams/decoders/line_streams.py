@@ -15,6 +15,8 @@ LONE_RETURNS_MIN = 3
 """Carriage returns without a line feed, before the first line feed, after which they end lines."""
 NUMBERED_CYCLES_MIN, NUMBERED_LINES_MIN = 3, 12
 """Cycles and lines whose first values count the lines of a frame, until they are known to do so."""
+FRAMES_WITHOUT_CHANNEL_MIN = 20
+"""Frames in a row without the same channels, until the link names these."""
 BEYOND_LINES_MIN = 3
 """Lines whose numbers are beyond the scene's: one may be damaged."""
 COUNTED_TITLES_MIN = 30
@@ -86,7 +88,8 @@ class ChannelFrames:
         self._found: dict[int, float] = {}
         self._first: int | None = None
         self._incomplete = 0
-        self._beyond_lines = 0
+        self._beyond_lines = self._frames_without = 0
+        self._without = set[int]()
 
     @property
     def is_beyond(self) -> bool:
@@ -101,7 +104,7 @@ class ChannelFrames:
     def add(self, channels: dict[int, float], width: int | None) -> list[list[float]]:
         """Add the channels of a line; return the completed frames."""
         frames: list[list[float]] = []
-        self._beyond_lines += width is not None and max(channels) > width
+        self._beyond_lines += width is not None and max(channels) >= width + (self._first != 0)
         if self._found and min(channels) <= max(self._found):
             frames += self._end(width)
         self._found |= channels
@@ -126,7 +129,17 @@ class ChannelFrames:
             self._incomplete += 1
             return []
         self._first = first
+        self._note_missing({number - first for number in range(first, first + size)} - {each - first for each in found})
         return [[found.get(number, math.nan) for number in range(first, first + size)]]
+
+    def _note_missing(self, channels: set[int]) -> None:
+        self._frames_without = self._frames_without + 1 if channels and channels == self._without else 1
+        self._without = channels
+
+    @property
+    def never_sent(self) -> list[int]:
+        """Channels that none of many frames had."""
+        return sorted(self._without) if self._frames_without >= FRAMES_WITHOUT_CHANNEL_MIN else []
 
 
 class SeparatedRows:
@@ -214,7 +227,7 @@ class NumberedRows:
         if rest or rows < 2 or (self._rows and len(values) != len(self._rows[0])):
             self._restart()
             return None
-        self._beyond_lines += is_title and number > rows
+        self._beyond_lines += is_title and number >= rows + (not self.is_agreed or self._first)
         if self.is_beyond:
             self.is_agreed = False
             return None
@@ -239,6 +252,28 @@ class NumberedRows:
         self._rows, self._lines, self._cycles = [], 0, 0
 
 
+class CyclicColumn:
+    """Search for a first value that counts through the lines of a frame, again and again."""
+
+    def __init__(self) -> None:
+        self._last = math.nan
+        self._steps = self._cycles = 0
+        self.lines = 0
+        """Lines of a frame; 0 if the first value does not count."""
+
+    def add(self, number: float) -> int:
+        """Add the first value of a line; return the lines of a frame, or 0."""
+        if number == self._last + 1:
+            self._steps += 1
+        else:
+            is_cycle = number in (0, 1) and self._steps > 0 and self._last - number == self._steps
+            self._cycles = self._cycles + 1 if is_cycle else 0
+            self.lines = self._steps + 1 if self._cycles >= NUMBERED_CYCLES_MIN else 0
+            self._steps = 0
+        self._last = number
+        return self.lines
+
+
 def counts_lines(rows: Sequence[Sequence[float]]) -> bool:
     """Check whether the first values of several rows, or every second one of one row, only count."""
     if not rows:
@@ -254,7 +289,7 @@ class ContinuedLines:
 
     def __init__(self) -> None:
         self._parts: list[float] = []
-        self._ends_open = False
+        self._ends_open = self._began_open = False
         self._complete = self._incomplete = 0
 
     @property
@@ -268,9 +303,12 @@ class ContinuedLines:
 
     def add(self, line: str, numbers: list[float], width: int) -> list[float] | None:
         """Add a line and its numbers; return the frame that it completes, but not the first one."""
-        goes_on = bool(self._parts) and self._ends_open != (line[0] in ",;")
+        begins_open = line[0] in ",;"
+        # A separator at the begin of all lines, or at the end of all, says nothing.
+        goes_on = bool(self._parts) and self._ends_open != begins_open and not (begins_open and self._began_open)
         self._incomplete += bool(self._parts) and not goes_on and self.is_agreed
         self._parts = self._parts + numbers if goes_on else numbers
+        self._began_open = self._began_open if goes_on else begins_open
         self._ends_open = line[-1] in ",;"
         if len(self._parts) < width:
             return None

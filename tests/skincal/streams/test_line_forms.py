@@ -338,6 +338,46 @@ def test_a_board_with_more_channels_or_rows_than_the_scene_gives_no_part_of_its_
         assert decoder.counts[Loss.BAD_WIDTH] or decoder.device_message
 
 
+def test_channels_that_no_label_names_are_said():
+    found, decoder = decoded("T0:1,T1:2,T2:3,T3:4\n" * 30, 6)
+    assert all(row[:4] == [1, 2, 3, 4] and math.isnan(row[4]) and math.isnan(row[5]) for row in found)
+    assert decoder.device_message == "No line has a label of channel 4-5 (from 0): these have no readings"
+    # Now and then a missing one is not said.
+    assert not decoded(("T0:1,T1:2,T2:3,T3:4\n" * 5 + "T0:1,T1:2,T2:3\n") * 9)[1].device_message
+
+
+@pytest.mark.parametrize("line", ["T{n}:{v}\n", "Row {n}: {v} {v} {v} {v}\n"])
+def test_one_channel_or_row_more_than_the_scene_ends_the_readings(line):
+    count = 4 if "Row" in line else 16
+    raw = "".join("".join(line.format(n=n, v=10 * k + n) for n in range(count)) for k in range(40))
+    found, decoder = decoded(raw, count * (4 if "Row" in line else 1) - (4 if "Row" in line else 1))
+    assert len(found) <= 4
+    assert "count further" in decoder.device_message
+
+
+def test_a_scene_with_two_channels_hears_that_the_first_value_is_the_number_of_a_channel():
+    lines = "".join(f"{n},{200 + n + k}\n" for k in range(9) for n in range(4))
+    assert decoded(lines, 2)[1].device_message.endswith("set [skin] channels to 4")
+    # The advice followed.
+    assert decoded(lines, 4)[0][-1] == [208, 209, 210, 211]
+    rng = np.random.default_rng(7)
+    assert not decoded("".join(f"{comma(rng.integers(0, 3, 2))}\n" for _ in range(300)), 2)[1].device_message
+
+
+def test_a_comma_at_the_begin_of_every_line_joins_no_two_frames():
+    assert decoded(",1,2,3,4\n" * 20, 8)[0] == []
+
+
+def test_clocks_before_wrench_and_skin_of_one_link_are_left_out():
+    rng = np.random.default_rng(6)
+    lines = [
+        f"{20 * k},{comma(rng.integers(-9, 9, 6))}\n{20 * k + 1},{comma(rng.integers(190, 210, WIDTH))}\n" for k in range(60)
+    ]
+    wrench, skin = TextDecoder(WIDTH, (Stream.WRENCH, Stream.SKIN)).feed(("\n" + "".join(lines)).encode())
+    assert wrench.values.tolist() == [list(map(float, line.split("\n")[0].split(",")[1:])) for line in lines[30:]]
+    assert skin.values.tolist() == [list(map(float, line.split("\n")[1].split(",")[1:])) for line in lines[30:]]
+
+
 def test_two_sensors_with_one_title_are_not_mixed_and_a_constant_number_is_part_of_the_title():
     assert decoded("Sensor 1: 1,2,3,4\nSensor 2: 5,6,7,8\n" * 40)[0] == []
     assert decoded("Sensor 2: 1,2,3,4\n" * 4)[0] == [[1, 2, 3, 4]] * 3
