@@ -1,15 +1,62 @@
 """Where every taxel of a robot skin is, from pokes measured by a force/torque sensor.
 
-The core: no window, no drawing. See `docs/conventions.md` for frames, units and terms.
+    >>> import skincal
+    >>> scene = skincal.Scene.load("icub-forearm")
+    >>> session = skincal.Session.simulate(scene, pokes=60, seed=1)
+    >>> taxels = session.taxels("surface")
+    >>> taxels.channel, taxels.position, taxels.covariance
+    >>> taxels.compare(session.truth)
+    >>> session.export("r_forearm.txt", format="icub")
+
+`Scene` is the part with its mesh and layout. A `Session` holds pokes and estimates: `Session.load` opens a recording, `solve`
+uses your own arrays, `read_csv` and `read_bag` read recordings of other programs, `Session.simulate` makes one. `Taxels` is a
+table of positions with uncertainty. All raise `InputError`, whose text says what was expected, for wrong input.
+
+Lengths are metres, forces newtons, moments newton metres, angles radians; positions are in the frame of the link. The tutorial
+is `docs/python.md`, the method `docs/method.md`. This package draws no window.
 
 Linear algebra runs in one thread, in this process and those it starts, unless the environment says otherwise or numpy was
 imported before: the matrices are small, and beside a busy process threads that wait for one another take ten times as long.
 """
 
-import os
+from __future__ import annotations
 
-__version__ = "0.1.0"
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from skincal.version import __version__ as __version__
+
+if TYPE_CHECKING:
+    from skincal.interface.scene import Scene
+    from skincal.interface.session import Judgement, Session, read_bag, read_csv, solve
+    from skincal.interface.taxels import Comparison, Taxels
+    from skincal.model.errors import InputError
+
+__all__ = [
+    "Comparison", "InputError", "Judgement", "Scene", "Session", "Taxels", "read_bag", "read_csv", "solve",
+]  # fmt: skip
 
 # OpenBLAS, MKL and Accelerate read these once, when numpy or scipy is imported.
 for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_variable, "1")
+
+_PUBLIC_NAMES = {
+    "skincal.interface.scene": ("Scene",),
+    "skincal.interface.session": ("Judgement", "Session", "read_bag", "read_csv", "solve"),
+    "skincal.interface.taxels": ("Comparison", "Taxels"),
+    "skincal.model.errors": ("InputError",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name at its first use: commands need none of them, and numpy takes a quarter of a second."""
+    for module, names in _PUBLIC_NAMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module 'skincal' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return [*__all__, "__version__"]

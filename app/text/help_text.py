@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from pathlib import Path
 
-from skincal import __version__
+from skincal.version import __version__
 
 NO_DOCUMENTS = "This copy of skincal has no documents; they are in the folder docs of the source."
 LICENCE = "BSD 3-Clause License: you may use, change and pass it on with its copyright notice, without any warranty."

@@ -15,10 +15,10 @@ from typing import Any
 
 import typer
 
-from skincal import __version__
 from skincal.child_environment import protect_children
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError, shortened
+from skincal.version import __version__
 
 app = typer.Typer(
     name="skincal",

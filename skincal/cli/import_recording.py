@@ -69,6 +69,8 @@ def _topics_command(importer: Importer) -> Callable[..., None]:
         wrench: str | None = None, skin: str | None = None, joints: str | None = None, pose: _PoseOption = None,
         as_json: Json = False,
     ) -> None:  # fmt: skip
+        from skincal.session.importing import find_topics
+
         loaded = find_scene(scene)
         names = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
         check_pose(loaded, pose, streamed=True)
@@ -79,33 +81,6 @@ def _topics_command(importer: Importer) -> Callable[..., None]:
     help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
     command.__annotations__ |= {name: Annotated[str | None, help_of[name]] for name in help_of}
     return command
-
-
-def find_topics(
-    path: Path, named: Mapping[Stream, str], scene: Scene, pose: str | None
-) -> tuple[dict[Stream, RecordedPlace], list[str]]:
-    """Complete the named topics by likely ones; name the other likely ones in sentences.
-
-    A stream without a likely topic gets an empty one, which the importer refuses with the topics that there are. Joints are
-    read only where the scene has an arm and no pose is given.
-    """
-    from skincal.files.importers.preview import guess_streams
-    from skincal.session.importing import joint_columns
-
-    wanted = {Stream.WRENCH, Stream.SKIN, *named}
-    needs_joints = scene.arm is not None and pose is None
-    guessed, others = dict[Stream, RecordedPlace](), list[str]()
-    if wanted - named.keys() or (needs_joints and Stream.JOINTS not in named):
-        found = guess_streams([path], scene.skin.channels, joint_columns(scene))
-        guessed = found.places
-        if needs_joints and Stream.JOINTS in guessed:
-            wanted.add(Stream.JOINTS)
-        others = found.sentences_on_others(wanted - named.keys())
-    return {
-        stream: RecordedPlace(path, named[stream]) if stream in named else guessed.get(stream, RecordedPlace(path))
-        for stream in Stream
-        if stream in wanted
-    }, others
 
 
 def _import(

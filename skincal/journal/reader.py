@@ -16,7 +16,6 @@ from typing import BinaryIO, TypeAlias
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import Writer
 
-from skincal import __version__
 from skincal.journal import ros_messages
 from skincal.journal.documents import (
     DetectorResult,
@@ -34,6 +33,7 @@ from skincal.journal.writer import DIGEST_OF_ALL_FILES, SCENE_FILE, SCENE_FOLDER
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Scene, load_scene
+from skincal.version import __version__
 
 LogItem: TypeAlias = Chunk | SessionEvent
 LogState: TypeAlias = SessionEvent | Result

@@ -34,7 +34,6 @@ from typing import Any, Concatenate, NoReturn, ParamSpec
 import numpy as np
 from mcap.writer import Writer
 
-from skincal import __version__
 from skincal.geometry import FloatArray
 from skincal.journal import ros_messages
 from skincal.journal.documents import (
@@ -58,6 +57,7 @@ from skincal.model.readings import Chunk, Sample
 from skincal.model.scene import Scene, load_scene
 from skincal.model.tables import read_text
 from skincal.streams.links import LinkSpec
+from skincal.version import __version__
 
 FLUSH_PERIOD_NS = 500_000_000
 """ns. Longest time in the buffer: the most that a crash may cost."""

@@ -101,7 +101,11 @@ def write_report(folder: Path, path: Path, method: Method | None = None, *, corr
     InputError
         The folder is no session, the scene lacks the method, no correction is offered, or the file cannot be written.
     """
-    facts = gather_facts(folder, method, correct=correct)
+    return write_facts(path, gather_facts(folder, method, correct=correct))
+
+
+def write_facts(path: Path, facts: SessionFacts) -> str:
+    """Write the report of gathered facts, as `write_report`."""
     write_atomically(path, report_page(facts).encode("utf-8"))
     return verdict_sentence(facts.verdict)
 
@@ -354,6 +358,8 @@ def _lint(facts: SessionFacts) -> ReportSection:
 
 
 def _devices(facts: SessionFacts) -> ReportSection:
+    if not facts.results.pipeline.links:
+        return ReportSection("Devices", ("The pokes are from arrays of a script, without devices and recording.",))
     totals = {link.link: link for link in facts.results.pipeline.totals().links}
     rows: list[tuple[str, ...]] = []
     for link in facts.results.pipeline.links:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal import __version__
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.files.export import calibration_file
 from skincal.files.formats import ExportFormat
@@ -32,6 +31,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import PredictedError, known_error, predicted_error
+from skincal.version import __version__
 
 PACKAGES = ("numpy", "scipy", "wasmtime", "mcap", "zstandard", "matplotlib", "jinja2")
 """Packages whose versions a report shows, since its numbers, files or pictures depend on them."""
@@ -112,24 +112,29 @@ def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = 
     if correct:
         use_offered(pipeline.session)
     results = SessionResults(pipeline)
-    session, snapshot, chosen = results.session, results.snapshot, results.choose_method(method)
     truth = find_truth(folder, pipeline.scene.link, results.part.channels.tolist())
-    calibration, errors = session.calibration(), errors_of(snapshot.estimates[chosen], truth, snapshot.part_size)
+    return facts_of(results, folder.resolve().name, truth, results.choose_method(method))
+
+
+def facts_of(results: SessionResults, name: str, truth: TaxelPositions | None, method: Method) -> SessionFacts:
+    """Gather what a report shows of results; the parameters are fields of `SessionFacts`."""
+    session, snapshot = results.session, results.snapshot
+    calibration, errors = session.calibration(), errors_of(snapshot.estimates[method], truth, snapshot.part_size)
     names = [mark.name for mark in session.decisions.landmarks]
     return SessionFacts(
-        name=folder.resolve().name,
+        name=name,
         made=datetime.now(UTC),
         results=results,
-        method=chosen,
+        method=method,
         methods=tuple(_method_facts(session, snapshot, each, truth) for each in session.methods),
         errors=errors,
-        module_spreads=_module_spreads(pipeline, errors),
-        gains=calibration.gains(chosen),
+        module_spreads=_module_spreads(results.pipeline, errors),
+        gains=calibration.gains(method),
         truth=truth,
         series=_series(results.part, snapshot, truth),
-        misses={name: tuple(poke.miss for poke in session.landmark_pokes if poke.name == name) for name in names},
+        misses={mark: tuple(poke.miss for poke in session.landmark_pokes if poke.name == mark) for mark in names},
         rejected=_rejected(snapshot),
-        lint=calibration_file(calibration, ExportFormat.ICUB, chosen)[1],
+        lint=calibration_file(calibration, ExportFormat.ICUB, method)[1],
         versions=_versions(),
     )
 

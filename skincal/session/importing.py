@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from skincal.contacts.outcome import Contact, Rejection
-from skincal.files.importers.preview import RecordingFiles
-from skincal.files.importers.registry import StoppedError
+from skincal.files.importers.preview import RecordingFiles, guess_streams
+from skincal.files.importers.registry import RecordedPlace, StoppedError
 from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME, describe_lock_holder
 from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
+from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.session.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
@@ -182,3 +183,27 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         frames = frame_sentences(pipeline.session.wrench_frames, pipeline.session.contacts)
         findings = (*frames, *stream_findings(pipeline), *warnings)
     return Imported(request.folder, len(outcomes), accepted, unpoked, findings)
+
+
+def find_topics(
+    path: Path, named: Mapping[Stream, str], scene: Scene, pose: str | None
+) -> tuple[dict[Stream, RecordedPlace], list[str]]:
+    """Complete the named topics by likely ones; name the other likely ones in sentences.
+
+    A stream without a likely topic gets an empty one, which the importer refuses with the topics that there are. Joints are
+    read only where the scene has an arm and no pose is given.
+    """
+    wanted = {Stream.WRENCH, Stream.SKIN, *named}
+    needs_joints = scene.arm is not None and pose is None
+    guessed, others = dict[Stream, RecordedPlace](), list[str]()
+    if wanted - named.keys() or (needs_joints and Stream.JOINTS not in named):
+        found = guess_streams([path], scene.skin.channels, joint_columns(scene))
+        guessed = found.places
+        if needs_joints and Stream.JOINTS in guessed:
+            wanted.add(Stream.JOINTS)
+        others = found.sentences_on_others(wanted - named.keys())
+    return {
+        stream: RecordedPlace(path, named[stream]) if stream in named else guessed.get(stream, RecordedPlace(path))
+        for stream in Stream
+        if stream in wanted
+    }, others

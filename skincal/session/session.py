@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.geometry import IntArray
 from skincal.journal.documents import WallClock
@@ -34,6 +33,7 @@ from skincal.session.solving import Solving
 from skincal.session.undo import ActionEntry, History
 from skincal.taxels.result import POSITION_MAX_SD_M, Estimate, Method
 from skincal.taxels.shared_errors import SharedRows
+from skincal.version import __version__
 
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration

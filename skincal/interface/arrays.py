@@ -1,0 +1,127 @@
+"""Pokes from a user's own arrays: the paper's experiment in one call, judged by the rules of a recorded session."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from skincal.contacts.gates import answer_limit, judge
+from skincal.contacts.press import FinishedPress, StillMean
+from skincal.contacts.tare import Tare
+from skincal.model.errors import InputError
+from skincal.session.arm_poses import SAME_POSE_COSINE, SAME_POSE_SHIFT_M
+from skincal.session.pipeline import Pipeline
+
+if TYPE_CHECKING:
+    from skincal.contacts.outcome import Outcome
+    from skincal.geometry import FloatArray
+    from skincal.model.scene import Scene
+    from skincal.session.part import Part
+
+POSE_TOLERANCE = 1e-6
+"""Largest difference of a rotation's R'R from the identity: single precision passes, a scaled or mirrored matrix does not."""
+
+
+def pipeline_of_arrays(part: Part, wrenches: Any, responses: Any, poses: Any = None, times: Any = None) -> Pipeline:
+    """Make a session's pipeline, without devices and recording, from arrays; see `skincal.solve`."""
+    scene = part.scene
+    forces = _array(wrenches, "wrenches", (None, 6), "a row a poke, force in N and moment in N m")
+    count = len(forces)
+    answers = _array(responses, "responses", (count, scene.skin.channels), "a row a poke, a column a channel of the scene")
+    sensors = _sensor_poses(scene, poses, count)
+    ends = np.zeros(count) if times is None else _array(times, "times", (count,), "seconds, a number a poke")
+    if (lacking := np.flatnonzero(~np.isfinite(forces).all(axis=1))).size:
+        raise InputError(f"wrenches: row {lacking[0]} has a value that is no number; leave such pokes out.")
+    names = _pose_names(sensors)
+    pipeline = Pipeline(scene, (), part.surface, laid=part.laid)
+    for row in range(count):
+        pipeline.session.add(
+            _outcome(scene, row + 1, forces[row] * scene.wrench_sign, answers[row], sensors[row], names[row], float(ends[row]))
+        )
+    return pipeline
+
+
+def _outcome(
+    scene: Scene, number: int, wrench: FloatArray, answers: FloatArray, sensor: FloatArray, name: str, end_s: float
+) -> Outcome:
+    """Judge one poke; its values are tared, so that the tare is zero."""
+    limit = answer_limit(scene.contacts, np.zeros(scene.skin.channels))
+    candidates = np.arange(scene.skin.channels) if scene.skin.layout is None else scene.skin.layout.channels
+    response = scene.skin.polarity * answers
+    with np.errstate(invalid="ignore"):
+        channels = candidates[(response > limit)[candidates]]
+    largest = response[candidates]
+    best = int(np.nanargmax(largest)) if np.isfinite(largest).any() else -1
+    press = FinishedPress(
+        number=number,
+        start_s=end_s,
+        end_s=end_s,
+        period_s=0.0,
+        peak=float(np.linalg.norm(wrench[:3])),
+        saturated=0,
+        gap_s=0.0,
+        moved=0.0,
+        before=Tare(end_s, end_s, end_s, np.zeros(6)),
+        still=StillMean(end_s, end_s, end_s, wrench, sensor, name, 0.0, 0.0),
+        channels=channels,
+        responses=response[channels],
+        largest=float("nan") if len(channels) or best < 0 else float(largest[best]),
+        needed=float("nan") if len(channels) or best < 0 else float(limit[candidates[best]]),
+    )
+    return judge(press, scene, after=None, final=True, ignored=frozenset())
+
+
+def _sensor_poses(scene: Scene, poses: Any, count: int) -> FloatArray:
+    """Return (count, 4, 4) poses of the sensor in the link frame, metres."""
+    if poses is None:
+        if scene.arm is not None:
+            raise InputError(
+                f"{scene.path.name}: the arm moves between sensor and {scene.link}; expected poses, (n, 4, 4): the sensor in "
+                "the frame of the link at each poke."
+            )
+        return np.broadcast_to(scene.sensor_pose, (count, 4, 4))
+    given = _array(poses, "poses", (count, 4, 4), "the sensor in the frame of the link at each poke, metres")
+    turns = given[:, :3, :3]
+    off = np.abs(turns.transpose(0, 2, 1) @ turns - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    last = np.abs(given[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1, initial=0.0)
+    wrong = (off > POSE_TOLERANCE) | (np.linalg.det(turns) < 0) | (last > 0) | ~np.isfinite(given).all(axis=(1, 2))
+    if wrong.any():
+        raise InputError(
+            f"poses: row {int(wrong.argmax())} is no pose; expected a rotation (determinant 1) and a shift in metres, with the "
+            "last row 0 0 0 1."
+        )
+    return given
+
+
+def _pose_names(sensors: FloatArray) -> list[str]:
+    """Name each pose; nearly equal ones share a name, as those of a streamed arm do."""
+    used: list[FloatArray] = []
+    names: list[str] = []
+    for sensor in sensors:
+        number = next((at for at, other in enumerate(used) if _is_same(other, sensor)), len(used))
+        if number == len(used):
+            used.append(sensor)
+        names.append(f"pose {number + 1}")
+    return names if len(used) > 1 else [""] * len(names)
+
+
+def _is_same(first: FloatArray, second: FloatArray) -> bool:
+    cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0
+    return bool(cosine >= SAME_POSE_COSINE and np.linalg.norm(first[:3, 3] - second[:3, 3]) <= SAME_POSE_SHIFT_M)
+
+
+def _array(values: Any, name: str, shape: tuple[int | None, ...], meaning: str) -> FloatArray:
+    try:
+        found = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: is no array of numbers; expected {_words(shape)}, {meaning}.") from None
+    if len(found.shape) != len(shape) or any(
+        want is not None and have != want for have, want in zip(found.shape, shape, strict=True)
+    ):
+        raise InputError(f"{name}: has the shape {found.shape}; expected {_words(shape)}, {meaning}.")
+    return found
+
+
+def _words(shape: tuple[int | None, ...]) -> str:
+    return f"({', '.join('n' if size is None else str(size) for size in shape)}{',' if len(shape) == 1 else ''})"

@@ -1,0 +1,294 @@
+"""A session as a script uses it: recorded, imported, simulated, or made from the user's own arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from skincal.contacts.outcome import Outcome, Rejection
+from skincal.files.export import write_calibration
+from skincal.files.formats import ExportFormat, ExportOptions, Inertia
+from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace
+from skincal.files.reference import TaxelPositions, find_truth
+from skincal.interface.arrays import pipeline_of_arrays
+from skincal.interface.scene import Scene
+from skincal.interface.taxels import Taxels, taxels_at, taxels_of
+from skincal.model.errors import InputError
+from skincal.model.readings import Stream
+from skincal.session.importing import find_topics, joint_columns, play_recording, stream_findings
+from skincal.session.pipeline import Pipeline
+from skincal.session.replay import load, replay
+from skincal.session.results import SessionResults, use_offered
+from skincal.taxels.result import Method
+from skincal.words.poke_words import rejection_words
+from skincal.words.verdict_words import verdict_sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Verdict on the estimates of one method."""
+
+    sentence: str
+    enough: bool
+    """Every taxel is finished, or could not be determined."""
+    believed: bool
+    """Test pokes or landmarks confirm the predicted errors."""
+    doubted: bool
+    """Something contradicts the predicted errors: do not use the positions."""
+
+    def __str__(self) -> str:
+        """Return the sentence."""
+        return self.sentence
+
+
+class Session:
+    """Pokes on a part and the estimates from them. Make one with `load`, `simulate`, `skincal.solve` or a reader."""
+
+    def __init__(
+        self, pipeline: Pipeline, name: str, truth: TaxelPositions | None = None, findings: tuple[str, ...] = ()
+    ) -> None:
+        self._results, self.name, self._truth = SessionResults(pipeline), name, truth
+        self._findings = findings
+
+    @classmethod
+    def load(
+        cls, folder: str | Path, *, layout: str | Path | None = None, replayed: bool = False, correct: bool = False
+    ) -> Session:
+        """Load a recorded session; nothing in its folder changes.
+
+        Parameters
+        ----------
+        layout : layout file in place of the session's own
+        replayed : decode and judge the recorded bytes again, in place of the recorded pokes
+        correct : use the corrections of sensor and arm that landmark pokes support
+
+        Raises
+        ------
+        InputError
+            The folder is no session, or no correction is supported.
+        """
+        path = Path(folder)
+        pipeline = (replay if replayed else load)(path, None if layout is None else Path(layout))
+        if correct:
+            use_offered(pipeline.session)
+        channels = pipeline.session.channels
+        return cls(pipeline, path.resolve().name, find_truth(path, pipeline.scene.link, list(channels)))
+
+    @classmethod
+    def simulate(
+        cls, scene: Scene, pokes: int = 252, seed: int = 1, errors: str = "noise", folder: str | Path | None = None
+    ) -> Session:
+        """Simulate a session of random pokes on a rig with known taxels (`Session.truth`).
+
+        Parameters
+        ----------
+        errors : of the rig: `none`, `noise` (a good rig), or `paper` (those of the paper's rig)
+        folder : for the recording; `None` to keep none
+
+        Raises
+        ------
+        InputError
+            The scene's layout has no place on the part, or the folder cannot be used.
+        """
+        from skincal.simulate.rig_errors import RigErrors
+        from skincal.simulate.virtual_session import simulate_session
+
+        if errors not in ("none", "noise", "paper"):
+            raise InputError(f"errors: is {errors!r}; expected 'none', 'noise' or 'paper'.")
+        part = scene.part
+        rig: RigErrors = getattr(RigErrors, errors)()
+        with TemporaryDirectory() as temporary:
+            place = Path(temporary) / "simulated" if folder is None else Path(folder)
+            pipeline = simulate_session(part.scene, part.surface, place, pokes, seed, rig)
+            return cls(pipeline, place.name, find_truth(place, scene.link, part.channels.tolist()))
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The part that was calibrated."""
+        return Scene(self._results.part)
+
+    @property
+    def method(self) -> str:
+        """Leading method: the one with the smallest predicted error among the nearly complete ones."""
+        return self._results.choose_method(None).value
+
+    @property
+    def pokes(self) -> tuple[Outcome, ...]:
+        """Every poke in order: a `Contact`, or a `Rejection` that does not count."""
+        return tuple(record.outcome for record in self._results.snapshot.pokes)
+
+    @property
+    def rejections(self) -> Mapping[int, str]:
+        """By the number of each rejected poke, the reason in words."""
+        return {each.poke: rejection_words(each) for each in self.pokes if isinstance(each, Rejection)}
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Sentences on the recording: what was lost, paused or unusual."""
+        return (*self._results.pipeline.findings, *self._findings)
+
+    @property
+    def truth(self) -> Taxels | None:
+        """True taxels of a simulated session; `None` for a real one."""
+        return None if self._truth is None else taxels_at(self._truth, self._results.session.scene.link)
+
+    def taxels(self, method: str | None = None) -> Taxels:
+        """Return the estimates of `free`, `surface` or `modules`; `None` for the leading method.
+
+        Raises InputError: the scene lacks what the method needs.
+        """
+        chosen, snapshot = self._method(method), self._results.snapshot
+        return taxels_of(snapshot.estimates[chosen], self._results.session.scene, chosen, snapshot.part_size)
+
+    def verdict(self, method: str | None = None) -> Judgement:
+        """Judge the estimates of a method; `None` for the leading one. Raises InputError: as for `taxels`."""
+        found = self._results.verdict(self._method(method))
+        return Judgement(verdict_sentence(found), found.enough, found.believed, found.doubted)
+
+    def export(
+        self,
+        path: str | Path,
+        format: str,  # noqa: A002 - as in the command
+        method: str | None = None,
+        *,
+        part: str | None = None,
+        prefix: str | None = None,
+        inertia: str = "none",
+        into: str | Path | None = None,
+    ) -> tuple[str, ...]:
+        """Write the calibration file; an older one is kept as `.bak`.
+
+        Parameters
+        ----------
+        format : such as `"icub"`, `"urdf"`, `"json"`; `skincal export --help` lists all
+        method : whose positions are written; `None` for the leading one
+        part, prefix, inertia, into : as the options of `skincal export`
+
+        Returns
+        -------
+        Sentences on faults of the positions and on what the format leaves out.
+
+        Raises
+        ------
+        InputError
+            An option does not fit the format, or the file cannot be written.
+        """
+        written = _member(ExportFormat, format, "format")
+        options = ExportOptions(part, prefix, _member(Inertia, inertia, "inertia"), None if into is None else Path(into))
+        options.require_use(written)
+        return write_calibration(self._results.calibration(), written, Path(path), self._method(method), options)
+
+    def report(self, path: str | Path, method: str | None = None) -> None:
+        """Write the report, a page for the browser; an older one is kept as `.bak`.
+
+        Raises InputError: the scene lacks what the method needs, or the file cannot be written.
+        """
+        from skincal.reporting.page import write_facts
+        from skincal.reporting.session_facts import facts_of
+
+        write_facts(Path(path), facts_of(self._results, self.name, self._truth, self._method(method)))
+
+    def __repr__(self) -> str:
+        """Count the pokes in a line."""
+        return f"Session({self.name}: {len(self.pokes)} pokes, {len(self.rejections)} of them rejected)"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}. {escape(str(self.verdict()))}</p>{self.taxels().html()}"
+
+    def _method(self, asked: str | None) -> Method:
+        return self._results.choose_method(None if asked is None else _member(Method, asked, "method"))
+
+
+def solve(scene: Scene, wrenches: Any, responses: Any, poses: Any = None, times: Any = None) -> Session:
+    """Estimate the taxels from arrays, a row a poke: the experiment of Del Prete et al. (2011) in one call.
+
+    Parameters
+    ----------
+    wrenches : (n, 6) float, N and N m, sensor frame, about its origin: the mean of each poke without that at rest, with the
+        sign that the scene's sensor has
+    responses : (n, channels) float, raw units: change of each channel from its rest, as the skin reports it; NaN if unknown
+    poses : (n, 4, 4) float, metres: the sensor in the frame of the link; `None` if nothing moves between them
+    times : (n,) float, seconds; `None` if unknown: the work's duration is 0 then
+
+    Returns
+    -------
+    A session without recording. Pokes that the scene's limits reject do not count; `rejections` has the reasons.
+
+    Raises
+    ------
+    InputError
+        An array has another shape, a wrench or a pose is none, or the scene's arm moves and `poses` are missing.
+    """
+    return Session(pipeline_of_arrays(scene.part, wrenches, responses, poses, times), "arrays")
+
+
+def read_csv(
+    scene: Scene, wrench: str | Path, skin: str | Path, joints: str | Path | None = None, pose: str | None = None
+) -> Session:
+    """Read tables of readings over time, which may be the same file; see `skincal import csv`.
+
+    Parameters
+    ----------
+    pose : name of the scene's arm pose, if joints were not recorded
+
+    Raises
+    ------
+    InputError
+        A file is no such table, or its columns do not fit the scene.
+    """
+    paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+    places = {stream: RecordedPlace.parse(str(path)) for stream, path in paths.items() if path is not None}
+    return _read("csv", scene, places, pose)
+
+
+def read_bag(
+    scene: Scene,
+    path: str | Path,
+    wrench: str = "",
+    skin: str = "",
+    joints: str = "",
+    pose: str | None = None,
+) -> Session:
+    """Read a recording of ROS (rosbag2, MCAP, ROS 1); see `skincal import rosbag`.
+
+    Parameters
+    ----------
+    wrench, skin, joints : topics; empty for the likely one
+    pose : name of the scene's arm pose, if joints were not recorded
+
+    Raises
+    ------
+    InputError
+        The file is no such recording, or has no such topic.
+    """
+    named = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+    asked = {stream: topic for stream, topic in named.items() if topic}
+    places, others = find_topics(Path(path), asked, scene.part.scene, pose)
+    return _read("rosbag", scene, places, pose, tuple(others))
+
+
+def _read(
+    name: str, scene: Scene, places: Mapping[Stream, RecordedPlace], pose: str | None, findings: tuple[str, ...] = ()
+) -> Session:
+    importer = next(each for each in RECORDING_IMPORTERS if each.name == name)
+    part = scene.part
+    recording = importer.open_recording(places, joint_columns(part.scene), channels=part.scene.skin.channels)
+    pipeline = Pipeline(part.scene, recording.links, part.surface, laid=part.laid)
+    play_recording(pipeline, recording, pose)
+    first = next(iter(places.values())).path
+    return Session(pipeline, first.stem, findings=(*findings, *recording.findings, *stream_findings(pipeline)))
+
+
+def _member(kind: Any, name: str, what: str) -> Any:
+    try:
+        return kind(name)
+    except ValueError:
+        known = ", ".join(each.value for each in kind)
+        raise InputError(f"{what}: is {name!r}; expected one of {known}.") from None

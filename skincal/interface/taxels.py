@@ -1,0 +1,236 @@
+"""Taxels as a frozen table of arrays, from estimates, a file, a plan or a truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from skincal.files.reference import TaxelPositions, compare_sets
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene as SceneFile
+from skincal.session.named_places import find_places
+from skincal.taxels.result import Estimate, Method
+from skincal.taxels.shared_errors import known_error
+
+if TYPE_CHECKING:
+    from skincal.geometry import FloatArray, IntArray
+    from skincal.session.part import Part
+    from skincal.taxels.differences import CommonMotion
+
+ROWS_SHOWN_IN_NOTEBOOK = 12
+"""A longer table is cut in the middle, as pandas does it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Distances between two sets of positions of the same taxels."""
+
+    channel: IntArray
+    """(n,) channels known in both sets, ascending."""
+    distance: FloatArray
+    """(n,) float, metres."""
+    motion: CommonMotion | None
+    """Rigid motion from the first set to the second (turn in rad, shift in metres), and what it leaves; `None` if fewer than
+    three taxels, or taxels on one line, do not determine it."""
+
+    @property
+    def mean(self) -> float:
+        """Mean distance, metres; NaN without a common taxel."""
+        return float(self.distance.mean()) if len(self.distance) else float("nan")
+
+    @property
+    def worst(self) -> float:
+        """Largest distance, metres; NaN without a common taxel."""
+        return float(self.distance.max()) if len(self.distance) else float("nan")
+
+    def __repr__(self) -> str:
+        """Mean and largest distance in a line."""
+        return f"Comparison({len(self.channel)} taxels: {self.mean * 1e3:.2f} mm mean, {self.worst * 1e3:.2f} mm at most)"
+
+
+@dataclass(frozen=True, eq=False)
+class Taxels:
+    """Positions of taxels in the frame of a link, a row a taxel, by channel. Arrays cannot be written to."""
+
+    link: str
+    """Frame of the positions; empty if their source names none."""
+    source: str
+    """Such as `"modules method"`, for people."""
+    channel: IntArray
+    """(n,) channels of the skin's frame, ascending."""
+    position: FloatArray
+    """(n, 3) float, metres; NaN if unknown."""
+    normal: FloatArray
+    """(n, 3) float, unit, outward; NaN if unknown."""
+    covariance: FloatArray
+    """(n, 3, 3) float, m^2, of the position; NaN if unknown."""
+    error: FloatArray
+    """(n,) float, metres: predicted error, square root of the covariance's trace; NaN if unknown or above the part's size."""
+    state: Sequence[str]
+    """n words: `estimated`, `blind`, `unseen` or `dead` (`skincal.taxels.result.State`); `known` in a file, plan or truth."""
+    contacts: IntArray
+    """(n,) pokes that the taxel answered and that count."""
+    module: IntArray
+    """(n,) id of the taxel's module; -1 if there is none."""
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for values in vars(self).values():
+            if isinstance(values, np.ndarray):
+                values.flags.writeable = False
+
+    @classmethod
+    def load(cls, named: str | Path) -> Taxels:
+        """Read positions: of a file, or of a recorded session's method, plan or truth, such as `"monday:plan"`.
+
+        Raises InputError: as for `skincal compare`.
+        """
+        return taxels_at(find_places(str(named)))
+
+    def __len__(self) -> int:
+        """Return the number of taxels, known or not."""
+        return len(self.channel)
+
+    def __repr__(self) -> str:
+        """Count the taxels in a line."""
+        return f"Taxels({self.source}: {self.is_known.sum()} of {len(self)} known, link {self.link!r})"
+
+    @cached_property
+    def is_known(self) -> Any:
+        """(n,) bool: whether the position is known."""
+        return np.isfinite(self.position).all(axis=1)
+
+    def to_pandas(self) -> Any:
+        """Return a `pandas.DataFrame` with a row a taxel, metres; pandas must be installed."""
+        try:
+            pandas: Any = import_module("pandas")
+        except ImportError:
+            raise InputError("to_pandas needs the package pandas; install it: pip install pandas.") from None
+        return pandas.DataFrame(self._columns()).set_index("channel")
+
+    def compare(self, other: Taxels | str | Path) -> Comparison:
+        """Compare with other positions of the same taxels: a table, or what `load` reads.
+
+        Raises InputError: the frames have different names, or `other` cannot be read.
+        """
+        there = other if isinstance(other, Taxels) else Taxels.load(other)
+        channels, _, found = compare_sets(self.places(), there.places())
+        known = np.isfinite(found.lengths)
+        return Comparison(channels[known], found.lengths[known], found.motion)
+
+    def plot(self) -> Any:
+        """Draw the taxels from three sides with matplotlib, coloured by module; return the figure."""
+        from skincal.interface.drawing import draw_three_sides
+
+        known = self.is_known
+        title = f"{self.source}, frame {self.link}: {known.sum()} of {len(self)} taxels known"
+        return draw_three_sides(self.position[known], self.covariance[known], self.module[known], title)
+
+    def plot_3d(self, part: Part | None = None) -> Any:
+        """Draw the taxels with pyvista; return the plotter: `show()` in a notebook, `screenshot(path)` for a file.
+
+        Parameters
+        ----------
+        part : of the scene (`Scene.part`), whose mesh is drawn, too
+        """
+        from skincal.interface.drawing import draw_in_space
+
+        known, surface = self.is_known, None if part is None else part.surface
+        return draw_in_space(self.position[known], self.normal[known], self.module[known], surface)
+
+    def _repr_html_(self) -> str:
+        return self.html()
+
+    def html(self) -> str:
+        """Return the table as notebooks show it, in millimetres."""
+        half = ROWS_SHOWN_IN_NOTEBOOK // 2
+        rows = list(range(len(self)))
+        if len(rows) > ROWS_SHOWN_IN_NOTEBOOK:
+            rows = [*rows[:half], -1, *rows[-half:]]
+        head = "".join(f"<th>{name}</th>" for name in ("channel", "module", "state", "contacts", "x", "y", "z", "error"))
+        body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in self._cells(row))}</tr>" for row in rows)
+        return f"<p>{escape(repr(self))}; millimetres</p><table><tr>{head}</tr>{body}</table>"
+
+    def _cells(self, row: int) -> list[str]:
+        if row < 0:
+            return ["..."] * 8
+        module = self.module[row]
+        numbers = [*self.position[row], self.error[row]]
+        lengths = ["" if np.isnan(number) else f"{number * 1e3:.2f}" for number in numbers]
+        whole = [str(self.channel[row]), "" if module < 0 else str(module), escape(self.state[row]), str(self.contacts[row])]
+        return [*whole, *lengths]
+
+    def _columns(self) -> dict[str, Any]:
+        vectors = {"": self.position, "n": self.normal}
+        return {
+            "channel": self.channel,
+            "module": self.module,
+            "state": list(self.state),
+            "contacts": self.contacts,
+            **{prefix + axis: values[:, column] for prefix, values in vectors.items() for column, axis in enumerate("xyz")},
+            "error": self.error,
+        }
+
+    def places(self) -> TaxelPositions:
+        """Return the known positions by channel, as the program's own functions compare them."""
+        rows = np.flatnonzero(self.is_known).tolist()
+        channels = self.channel.tolist()
+        modules = {channels[row]: int(self.module[row]) for row in rows if self.module[row] >= 0}
+        return TaxelPositions(self.source, self.link, {channels[row]: self.position[row] for row in rows}, modules)
+
+
+def taxels_of(estimates: Sequence[Estimate], scene: SceneFile, method: Method, part_size: float) -> Taxels:
+    """Gather the estimates of one method; `part_size` is as for `known_error`."""
+    layout = scene.skin.layout
+    channels = np.array([each.channel for each in estimates], dtype=np.int64)
+    ids = np.full(len(channels), -1)
+    if layout is not None:
+        numbers = np.array([module.id for module in layout.modules])
+        inside = channels < layout.width
+        owners = layout.module_of[channels[inside]]
+        ids[inside] = np.where(owners >= 0, numbers[owners], -1)
+    errors = [known_error(each, part_size) for each in estimates]
+    return Taxels(
+        link=scene.link,
+        source=f"{method.value} method",
+        channel=channels,
+        position=_vectors([each.position for each in estimates]),
+        normal=_vectors([each.normal for each in estimates]),
+        covariance=_vectors([None if each.covariance is None else each.covariance.ravel() for each in estimates], 9).reshape(
+            -1, 3, 3
+        ),
+        error=np.array([np.nan if error is None or not np.isfinite(error) else error for error in errors], dtype=float),
+        state=tuple(each.state.value for each in estimates),
+        contacts=np.array([each.contacts for each in estimates], dtype=np.int64),
+        module=ids.astype(np.int64),
+    )
+
+
+def taxels_at(read: TaxelPositions, link: str = "") -> Taxels:
+    """Make a table of known positions; `link` is the frame if their source names none."""
+    channels = sorted(read.places)
+    count = len(channels)
+    return Taxels(
+        link=read.link or link,
+        source=read.name,
+        channel=np.array(channels, dtype=np.int64),
+        position=_vectors([read.places[channel] for channel in channels]),
+        normal=np.full((count, 3), np.nan),
+        covariance=np.full((count, 3, 3), np.nan),
+        error=np.full(count, np.nan),
+        state=("known",) * count,
+        contacts=np.zeros(count, dtype=np.int64),
+        module=np.array([read.modules.get(channel, -1) for channel in channels], dtype=np.int64),
+    )
+
+
+def _vectors(values: Sequence[Any], width: int = 3) -> FloatArray:
+    unknown = np.full(width, np.nan)
+    return np.array([unknown if value is None else value for value in values], dtype=float).reshape(-1, width)
