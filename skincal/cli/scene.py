@@ -155,7 +155,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
 
     from skincal.geometry import Arm
     from skincal.session.robot_mesh import describe_shapes
-    from skincal.words.layout_words import unsaid_kind_finding
+    from skincal.words.layout_words import kind_findings
 
     scene, findings = part.scene, list(part.findings)
     arm = scene.arm
@@ -186,8 +186,8 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
     findings += _placement_findings(part, pose[:3, 3] if is_placed else None)
     if scene.skin.layout is None:
         findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
-    elif finding := unsaid_kind_finding(scene.skin.layout):
-        findings.append(finding)
+    else:
+        findings += kind_findings(scene.skin.layout, is_on_mesh=part.surface is not None)
     if not scene.landmarks:
         findings.append("no landmarks: a shift that all taxels share would go unnoticed")
     return {

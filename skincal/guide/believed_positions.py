@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
+from skincal.guide.progress import GuideSettings
 from skincal.guide.taxel_statistics import solve_each
 from skincal.mesh.lay import PlacedLayout
-from skincal.model.skin import Layout
+from skincal.model.scene import NoiseSettings
+from skincal.model.skin import Layout, SkinKind
 from skincal.taxels.result import Estimate
 
 DEFAULT_TAXEL_SPACING_M = 0.005
@@ -44,6 +46,8 @@ class PlannedPlaces:
     """(n, 3) float, unit, outward; NaN without a position."""
     modules: IntArray
     """(n,) index of the module, from 0."""
+    sheet: FloatArray | None = None
+    """(n, 2) float, metres: positions in the plane of the layout if it is of soft sheets; `None` for boards."""
 
 
 def plan_from_layout(layout: Layout, laid: PlacedLayout) -> PlannedPlaces | None:
@@ -52,7 +56,19 @@ def plan_from_layout(layout: Layout, laid: PlacedLayout) -> PlannedPlaces | None
     channels = channels[np.isfinite(laid.places[channels]).all(axis=1)]
     if not len(channels):
         return None
-    return PlannedPlaces(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
+    flat = layout.places[channels] if layout.kind is SkinKind.SHEET else None
+    return PlannedPlaces(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels], flat)
+
+
+def planned_sheet_pokes(plan: PlannedPlaces, noise: NoiseSettings, settings: GuideSettings) -> int | None:
+    """Count the pokes that the soft sheets of a plan need; `None` for boards."""
+    if plan.sheet is None:
+        return None
+    # Imported only for sheets.
+    from skincal.modules.sheet_plan import count_sheet_pokes
+
+    sheets = [plan.sheet[plan.modules == module] for module in np.unique(plan.modules)]
+    return sum(max(count_sheet_pokes(flat, noise, settings.module_wanted), settings.module_pokes) for flat in sheets)
 
 
 def plan_without_positions(channels: IntArray, modules: IntArray | None = None) -> PlannedPlaces:

@@ -7,13 +7,14 @@ reasons (`guidance.py`); the sentences are made in `skincal.words` and by the wi
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.geometry import FloatArray, IntArray
-from skincal.guide.believed_positions import PlannedPlaces, believed_positions
+from skincal.geometry import FloatArray, IntArray, orthonormal_pair
+from skincal.guide.believed_positions import PlannedPlaces, believed_positions, planned_sheet_pokes
 from skincal.guide.candidates import (
     PUSH_AZIMUTHS_TRIED,
     PUSHES_PER_TAXEL,
@@ -38,6 +39,7 @@ from skincal.guide.progress import (
     Why,
     count_module_pokes_left,
     count_pokes_left,
+    count_sheet_pokes_left,
     find_needs,
     give_up_reason,
     improvable_error,
@@ -47,6 +49,7 @@ from skincal.guide.robot_order import RobotPace, nearest_open_taxel, travel_seco
 from skincal.guide.surroundings import Surroundings
 from skincal.guide.taxel_statistics import TaxelStatistics
 from skincal.model.scene import NoiseSettings
+from skincal.modules.pose_fit import CONTACT_TO_PAD_CENTRE_SD_FACTOR
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
@@ -60,6 +63,11 @@ NEIGHBOUR_GAIN_WEIGHT_IN_OWN_POKES = 0.3
 """The same in the phase of own pokes: with 0 it takes 6 % more pokes to 3 mm, with 1 neighbours are pulled together."""
 TARGET_MAX_OFFSET_FROM_TAXEL_M = 0.002
 """Largest distance of a target from its taxel; beyond, a neighbour would answer most."""
+TARGET_MAX_CELL_SHARE = 0.45
+"""On a sheet, largest distance of a target from its taxel in each direction, over the spacing: to the edge of its cell. With
+targets on the taxels 67 % of them were inside their predicted regions (8 sheets of 48 taxels, 48 pokes), with this 90 %."""
+CELL_SEQUENCE_STEPS = 0.7548776662466927, 0.5698402909980532
+"""Steps of an even sequence over a square: powers of the inverse of the plastic number (Roberts 2018)."""
 MAX_CANDIDATE_TAXELS_COMPARED = 150
 """The free method's number of candidates for the next target: two thirds those nearest to the hand, one third the neediest."""
 SAME_SIDE_COSINE = float(np.cos(np.radians(25.0)))
@@ -97,6 +105,7 @@ class Guide:
         count = len(plan.channels)
         self.plan, self.method, self.settings = plan, method, settings or GuideSettings()
         self._noise, self._spacing, self._search = noise, spacing, search
+        self._is_sheet = method is Method.MODULES and plan.sheet is not None
         self._in_plane, self._tilted = method is not Method.FREE, method is Method.MODULES and not on_surface
         self._statistics = TaxelStatistics(plan.channels, noise, self.settings.unknown, self._in_plane)
         self._pokes = PokeHistory(plan.channels, self.settings)
@@ -269,6 +278,11 @@ class Guide:
             return counts
         return np.bincount(self.plan.modules, counts).astype(np.int64)[self.plan.modules]
 
+    @cached_property
+    def _planned_pokes(self) -> int:
+        """Pokes that the sheets need by their plan."""
+        return planned_sheet_pokes(self.plan, self._noise, self.settings) or 0
+
     def _lopsidedness(self) -> tuple[FloatArray, FloatArray]:
         """Lengths (n,) of the contacts' offsets, and depth biases (n,), metres."""
         return np.sqrt(np.sum(self._statistics.offset**2, axis=1)), self._statistics.depth_bias
@@ -292,7 +306,13 @@ class Guide:
         if self.method is Method.MODULES:
             errors = np.array([improvable_error(each, self._noise.skin) for each in estimates])
             modules, uncovered = self.plan.modules, ~self._covered
-            count = count_module_pokes_left(open_, modules, self._own(), errors, self.settings, uncovered, self._surroundings)
+            if self._is_sheet:
+                touches = 0 if self._surroundings is None else self._surroundings.count_touches(open_ & uncovered)
+                pokes = int(know.own.sum())
+                count = count_sheet_pokes_left(self._planned_pokes, pokes, open_, errors, self.settings, touches)
+            else:
+                own, around = self._own(), self._surroundings
+                count = count_module_pokes_left(open_, modules, own, errors, self.settings, uncovered, around)
         else:
             offset, depth_bias = self._lopsidedness()
             lopsided = np.maximum(offset, np.abs(depth_bias))
@@ -318,9 +338,11 @@ class Guide:
     def _given_up(self) -> dict[int, Why]:
         """Find the taxels that the guide gives up although they need pokes, by their index."""
         know, settings, unanswered = self._statistics, self.settings, self._pokes.unanswered
-        patience = settings.module_patience if self.method is Method.MODULES else settings.patience
-        # Pokes that are aimed at a taxel, and answered by another module, must have an end, too.
-        exhausted = np.maximum(self._own(), self._of_module(self._pokes.asked)) >= patience
+        if self.method is Method.MODULES and not self._is_sheet:
+            # Pokes that are aimed at a taxel, and answered by another module, must have an end, too.
+            exhausted = np.maximum(self._own(), self._of_module(self._pokes.asked)) >= settings.module_patience
+        else:
+            exhausted = np.maximum(know.own, self._pokes.asked) >= settings.patience
         if self._surroundings is not None:
             # On a large module more taxels need a touch than a pose needs pokes: here each taxel has its own patience.
             touch_alone = np.array([needs == (Need.TOUCH,) for needs in self._needs], dtype=bool)
@@ -435,6 +457,9 @@ class Guide:
         which the push leans, one biased outward on the other.
         """
         know, normal, off = self._statistics, self._normals[row], np.zeros(3)
+        if self._is_sheet:
+            # A taxel that lacks a touch alone is to answer, and not a neighbour.
+            return self._places[row] + (np.zeros(3) if tuple(missing) == (Need.TOUCH,) else self._off_taxel(row))
         # A poke that corrects the depth moves the taxel: it settles afterwards.
         balancing = {Need.BALANCE, Need.DEPTH, Need.SETTLED} if Need.DEPTH in missing else {Need.BALANCE}
         if not balancing.issuperset(missing):
@@ -446,9 +471,25 @@ class Guide:
         size = float(np.sqrt(off @ off))
         return self._places[row] + off * min(1.0, TARGET_MAX_OFFSET_FROM_TAXEL_M / size if size > 0 else 0.0)
 
+    def _off_taxel(self, row: int) -> FloatArray:
+        """Choose how far off a sheet's taxel to press, (3,) metres: all over its cell, and at its middle if it did not answer.
+
+        Presses at the believed position confirm it, right or wrong, while no neighbour is near enough to answer in its place.
+        """
+        unanswered = self._pokes.unanswered
+        if unanswered[row]:
+            return np.zeros(3)
+        number = len(self._pokes.contacts) + int(unanswered.sum())
+        shares = (0.5 + number * np.array(CELL_SEQUENCE_STEPS)) % 1.0 - 0.5
+        return 2.0 * TARGET_MAX_CELL_SHARE * self._spacing * shares @ orthonormal_pair(self._normals[row][None])[0]
+
     def _make_target(self, state: ChoiceState, row: int, push: int) -> Target:
         direction = state.pushes[row, push]
-        if self.method is Method.MODULES:
+        if self._is_sheet:
+            # A poke tells where the taxel is to the contact's noise; the rest of the sheet tells the error before.
+            before, poke = float(self._solved[row]), 2.0 * (CONTACT_TO_PAD_CENTRE_SD_FACTOR * self._noise.contact) ** 2
+            after = float(np.sqrt(1.0 / (1.0 / before**2 + 1.0 / poke)))
+        elif self.method is Method.MODULES:
             # A module is known from all its pokes alike: the variance falls as one over them.
             before, pokes = float(self._solved[row]), int(self._own()[row])
             after = before * float(np.sqrt(pokes / (pokes + 1.0))) if pokes else self.settings.wanted_by(self.method)

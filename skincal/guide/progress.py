@@ -253,8 +253,34 @@ def count_module_pokes_left(
     return max(count, touches)
 
 
+def count_sheet_pokes_left(
+    planned: int, pokes: int, open_: BoolArray, errors: FloatArray, settings: GuideSettings, touches: int
+) -> int:
+    """Predict the number of pokes until no taxel of soft sheets is open, by the modules method.
+
+    Parameters
+    ----------
+    planned : pokes that the sheets need by their plan (`sheet_plan.py`)
+    pokes : so far, on the sheets
+    open_, errors : (n,) as for `count_module_pokes_left`
+    touches : that cover the taxels without a touch on or around them
+    """
+    if not open_.any():
+        return 0
+    error = float(np.max(np.where(np.isfinite(errors[open_]), errors[open_], 0.0)))
+    # Beyond the plan the worst open taxel counts: each poke at it, and at its neighbours, helps the others little.
+    more = min(int(open_.sum()), int(np.ceil(pokes * ((error / settings.module_wanted) ** 3 - 1.0))))
+    return max(planned - pokes, more, touches, 1)
+
+
 def count_pokes_from_start(
-    method: Method, modules: IntArray, settings: GuideSettings, surroundings: Surroundings | None = None, *, on_mesh: bool
+    method: Method,
+    modules: IntArray,
+    settings: GuideSettings,
+    surroundings: Surroundings | None = None,
+    *,
+    on_mesh: bool,
+    on_sheets: int | None = None,
 ) -> int:
     """Predict the number of pokes of a whole session.
 
@@ -263,7 +289,10 @@ def count_pokes_from_start(
     modules : (n,) of each taxel
     surroundings : neighbours of the taxels; `None` without a layout
     on_mesh : whether there is a mesh
+    on_sheets : pokes that soft sheets need by their plan; `None` for boards
     """
+    if method is Method.MODULES and on_sheets is not None:
+        return max(on_sheets, MIN_CHECKED_POKES)
     return max(_count_from_start(method, modules, settings, surroundings, on_mesh=on_mesh), MIN_CHECKED_POKES)
 
 

@@ -31,6 +31,7 @@ from skincal.guide.guidance import Guidance
 from skincal.guide.plan_check import find_pads_off_plan
 from skincal.guide.progress import MIN_CHECKED_POKES, GuideSettings, Need, Why, working_time
 from skincal.model.scene import NoiseSettings
+from skincal.model.skin import SkinKind
 from skincal.modules.estimate import predicted_misses
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_modules_from_pokes
@@ -191,6 +192,13 @@ def _check_modules(
     by_channel = {estimate.channel: estimate for estimate in estimates}
     weights = {contact.poke: float(contact.responses.sum() / contact.responses.max()) for contact in contacts}
     totals = np.array([weights[poke] for poke in answers.pokes.tolist()])
+    if model.layout.kind is SkinKind.SHEET:
+        # Imported only for sheets.
+        from skincal.modules.sheet_estimate import predict_sheet_pokes
+        from skincal.modules.sheet_fit import fit_sheets
+
+        found = predict_sheet_pokes(fit_sheets(answers, totals, model, noise, [by_channel]))
+        return _check_misses(contacts, answers, found.rows, found.levers, found.misses, found.covariances, found.own)
     fit = fit_modules_from_pokes(answers, totals, model, noise, [by_channel])
     if fit is None:
         return Check(0, 0)

@@ -25,6 +25,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
+from skincal.model.skin import SkinKind
 from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO, Fitted, Touches, fit_modules_from_pokes, whitened_rows
@@ -97,6 +98,15 @@ def estimate_modules(
     fitted_modules : receives the modules that have a pose, by index, and loses the others
     """
     channels = model.channels_of(sorted(modules))
+    if model.layout.kind is SkinKind.SHEET:
+        # Imported only for sheets: boards do not need them.
+        from skincal.modules.sheet_estimate import estimate_sheets
+
+        contacts = table.evidence(channels)
+        answered = dict(zip(contacts.channels.tolist(), contacts.counts.tolist(), strict=True))
+        found = {channel: _without_pose(channel, answered.get(channel, 0), dead) for channel in channels}
+        laid = estimate_sheets(table, model, channels, noise, others, dead, doubting, shared)
+        return found | {estimate.channel: estimate for estimate in laid}
     evidence = table.evidence([channel for channel in channels if channel not in dead])
     counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
     found = {channel: _without_pose(channel, counts.get(channel, 0), dead) for channel in channels}

@@ -21,12 +21,13 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, cross_matrix, crossed, tangent_axes
 from skincal.model.errors import InputError
-from skincal.model.skin import Anchor, Layout, Module
+from skincal.model.skin import Anchor, Layout, Module, SkinKind
 
 if TYPE_CHECKING:
     from skincal.mesh.geodesics import MeshPoints
     from skincal.mesh.surface import Surface
     from skincal.model.scene import KnownDistance
+    from skincal.modules.sheet_basis import SheetBasis
 
 MODULE_TURN_TO_LENGTH_RADIUS_M = 0.010
 """Distance from a module's origin at which turns are counted as metres: about that of its outer pads."""
@@ -159,7 +160,13 @@ class ModuleModel:
         self.distances = tuple(distances)
         self.ground: ModuleGround = ModulesInSpace() if surface is None else ModulesOnSurface(surface)
         self.pads: list[FloatArray] = [module_pads(module) for module in layout.modules]
-        """Of each module, `module_pads`."""
+        """Of each module, `module_pads`; of a sheet about the middle of its taxels, where its pose is."""
+        self._middles = [np.zeros(2) for _ in layout.modules]
+        if layout.kind is SkinKind.SHEET:
+            self._middles = [pads.mean(axis=0) for pads in self.pads]
+            self.pads = [pads - middle for pads, middle in zip(self.pads, self._middles, strict=True)]
+        self.bases: dict[int, SheetBasis] = {}
+        """Of sheets, by module, once they are needed (`sheet_fit.basis_of`)."""
         self.place_of: IntArray = np.full(layout.width, -1, dtype=np.int64)
         """(width,) index of a channel among its module's pads; -1 for no taxel."""
         for module in layout.modules:
@@ -184,7 +191,7 @@ class ModuleModel:
         if module not in self._plans:
             own = self.layout.modules[module]
             try:
-                self._plans[module] = _planned(own, own.anchor or self._anchor, self.ground)
+                self._plans[module] = _planned(own, own.anchor or self._anchor, self.ground, self._middles[module])
             except InputError:
                 # Reported when the layout is placed.
                 self._plans[module] = None
@@ -213,11 +220,12 @@ def _same_plan(module: Module, other: Module) -> bool:
     return same_place and (module.angle, module.mirror) == (other.angle, other.mirror)
 
 
-def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> ModulePoses | None:
-    """Compute the planned pose of a module; `None` without an anchor."""
+def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround, middle: FloatArray) -> ModulePoses | None:
+    """Compute the planned pose of a module at the point `middle`, (2,) metres, of its plane; `None` without an anchor."""
     if anchor is None:
         return None
-    way = module.place - anchor.at
+    c, s = np.cos(module.angle), np.sin(module.angle)
+    way = module.place - anchor.at + np.array([c * middle[0] - s * middle[1], s * middle[0] + c * middle[1]])
     if isinstance(ground, ModulesOnSurface):
         from skincal.mesh.lay import place_anchor
 

@@ -25,6 +25,7 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
 from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings, Scene
+from skincal.model.skin import SkinKind
 from skincal.modules.pose import ModuleModel, ModulePoses
 from skincal.modules.pose_fit import Touches, fit_modules_from_pokes, trust_from_squares
 from skincal.rig.correction import (
@@ -547,7 +548,7 @@ def _rigid_groups(request: RigRequest) -> RigidGroups | None:
     channels = answered if layout is None else [channel for channel in answered if layout.module_of[channel] >= 0]
     method = Method.FREE if surface is None else Method.SURFACE
     estimates = estimate_from(table, channels, [method], scene.noise, surface)[method]
-    if layout is None:
+    if layout is None or layout.kind is SkinKind.SHEET:
         return taxel_groups(table, estimates, scene.noise, channels)
     return module_groups(table, ModuleModel(layout, scene.skin.anchor, surface), estimates, scene.noise, channels)
 

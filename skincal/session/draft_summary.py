@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from skincal.model.errors import plural
+from skincal.model.skin import SkinKind
 from skincal.session.draft_preview import PartPreview
-from skincal.words.layout_words import SKIN_KIND_WORDS, unsaid_kind_finding
+from skincal.words.layout_words import SHEET_WITHOUT_MESH, SKIN_KIND_WORDS, unsaid_kind_finding
 
 
 class State(Enum):
@@ -95,6 +96,8 @@ def _skin(preview: PartPreview) -> tuple[SummaryLine, ...]:
     parts += SKIN_KIND_WORDS[layout.kind]
     if unsaid_kind_finding(layout):
         return frame, SummaryLine("skin", State.OPTIONAL, f"{parts}, since the layout does not say what the skin is")
+    if layout.kind is SkinKind.SHEET and preview.surface is None:
+        return frame, SummaryLine("skin", State.OPTIONAL, f"{parts}; {SHEET_WITHOUT_MESH}")
     return frame, SummaryLine("skin", State.COMPLETE, parts)
 
 

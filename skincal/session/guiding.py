@@ -15,7 +15,13 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.believed_positions import DEFAULT_TAXEL_SPACING_M, PlannedPlaces, plan_from_layout, plan_without_positions
+from skincal.guide.believed_positions import (
+    DEFAULT_TAXEL_SPACING_M,
+    PlannedPlaces,
+    plan_from_layout,
+    plan_without_positions,
+    planned_sheet_pokes,
+)
 from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_error_sd
 from skincal.guide.guide import MAX_SKIPS_PER_TAXEL_SIDE, Guide
 from skincal.guide.progress import (
@@ -89,7 +95,7 @@ class SessionGuide:
         self.surroundings = None if layout is None else Surroundings(layout, self.plan.channels)
         """Neighbours of the taxels; `None` without a layout."""
         methods, on_mesh = methods_of(part.scene, part.surface), part.surface is not None
-        self.costs = costs_of(self.plan, methods, self.surroundings, on_mesh=on_mesh)
+        self.costs = costs_of(self.plan, methods, part.scene.noise, self.surroundings, on_mesh=on_mesh)
         """Approximate pokes that each method takes until it is enough; empty if no layout places the taxels."""
 
     def next_target(
@@ -544,13 +550,20 @@ class ModulesEnough:
 
 
 def costs_of(
-    plan: PlannedPlaces, methods: Iterable[Method], surroundings: Surroundings | None, *, on_mesh: bool
+    plan: PlannedPlaces,
+    methods: Iterable[Method],
+    noise: NoiseSettings,
+    surroundings: Surroundings | None = None,
+    *,
+    on_mesh: bool,
 ) -> Mapping[Method, int]:
     """Estimate how many pokes each method takes until it is enough, the cheapest first; see `SessionGuide.costs`."""
     if not len(plan.channels) or not np.isfinite(plan.places).all():
         return {}
+    settings = GuideSettings()
+    on_sheets = planned_sheet_pokes(plan, noise, settings)
     pokes = {
-        method: count_pokes_from_start(method, plan.modules, GuideSettings(), surroundings, on_mesh=on_mesh)
+        method: count_pokes_from_start(method, plan.modules, settings, surroundings, on_mesh=on_mesh, on_sheets=on_sheets)
         for method in methods
     }
     return dict(sorted(pokes.items(), key=lambda item: item[1]))

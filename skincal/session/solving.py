@@ -13,6 +13,7 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import IntArray
 from skincal.methods import estimate_from
 from skincal.model.scene import Scene
+from skincal.model.skin import SkinKind
 from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.pose import ModuleModel
 from skincal.rig.tip_fusion import TipFusion
@@ -31,7 +32,10 @@ MODULES_AT_ONCE, TAXELS_AT_ONCE = 4, 64
 
 def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
     """List the methods that a scene allows."""
-    there = {Method.SURFACE: surface is not None, Method.MODULES: scene.skin.layout is not None}
+    layout = scene.skin.layout
+    # The shape of a sheet is that of the part: without a mesh it is not known.
+    laid = layout is not None and (layout.kind is SkinKind.BOARD or surface is not None)
+    there = {Method.SURFACE: surface is not None, Method.MODULES: laid}
     return tuple(method for method in Method if there.get(method, True))
 
 

@@ -8,6 +8,7 @@ believes a wrong prediction.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import islice
 from typing import Any, TypeAlias
 
@@ -27,6 +28,7 @@ from skincal.rig.correction_fit import LandmarkAgreement, LandmarkPoke, RigReque
 from skincal.simulate.example_parts import forearm
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.studies.independent_simulator import CASES, SimulatedSession, simulate_session
+from skincal.studies.unmodelled_sheet import AS_BOARD, AT_END, SHEET_CASE, SHEET_COUNTS, run_sheet
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import SharedRows
@@ -34,6 +36,7 @@ from skincal.taxels.shared_errors import SharedRows
 LANDMARK_COUNTS = (0, 21, 70)
 """Landmark pokes: none, those that the guide asks for, and ten in each arm pose."""
 RANDOM_SEEDS_PER_CASE = 12
+SHEET_SEEDS, QUICK_SHEET_SEEDS = 24, 8
 EXTRA_SEEDS = {"gaussian": 48, "mesh_inflated": 48}
 """More seeds for cases near their limit: with twelve seeds, chance moves the share inside by 0.8 % and the error by 1.5 %."""
 SPREAD_CASES = tuple(case for case in CASES if "_taxels_aim_" in case)
@@ -79,7 +82,8 @@ def run(
 
     Returns
     -------
-    JSON: `seeds` (rigs of most cases), `unmodelled` (a row for each case, see `unmodelled`) and `bars`
+    JSON: `seeds` (rigs of most cases), `unmodelled` (a row for each case, see `unmodelled`), `sheet` (see `sheet_row`; `None`
+    if `cases` are given) and `bars`
     """
     seeds = seeds or (QUICK_SEEDS if quick else RANDOM_SEEDS_PER_CASE)
     rows: list[dict[str, Any]] = []
@@ -87,15 +91,18 @@ def run(
         for case in cases or (QUICK_CASES if quick else tuple(CASES)):
             rows += unmodelled(seeds, [case], each=pool.map)
             progress(_row_text(rows[-1]).strip())
+        sheet = None if cases else sheet_row(QUICK_SHEET_SEEDS if quick else SHEET_SEEDS, each=pool.map)
+    limits = unmodelled_limits(rows) | ({} if sheet is None else sheet_limits(sheet))
     return {
-        "study": "unmodelled", "quick": quick, "seeds": seeds, "unmodelled": rows,
-        "bars": check_limits(unmodelled_limits(rows)),
+        "study": "unmodelled", "quick": quick, "seeds": seeds, "unmodelled": rows, "sheet": sheet,
+        "bars": check_limits(limits),
     }  # fmt: skip
 
 
 def summary(result: Mapping[str, Any]) -> list[str]:
     """Describe each case and each limit."""
-    return [*unmodelled_lines(result["unmodelled"]), *limit_lines(result["bars"])]
+    of_sheet = [] if result["sheet"] is None else sheet_lines(result["sheet"])
+    return [*unmodelled_lines(result["unmodelled"]), *of_sheet, *limit_lines(result["bars"])]
 
 
 def in_known_directions(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -188,6 +195,61 @@ def error_numbers(estimates: Sequence[Estimate], places: FloatArray) -> dict[str
         "true_along": 1e3 * float(np.sqrt(np.mean(along))),
         "missing": len(estimates) - len(both),
     }
+
+
+def sheet_row(
+    seeds: int, each: Callable[[Callable[[int], dict[str, Any]], Iterable[int]], Iterable[dict[str, Any]]] = map, first: int = 1
+) -> dict[str, Any]:
+    """Measure the case "sheet" (`unmodelled_sheet`), seeds from `first` on; `each` is `map`, or that of a pool.
+
+    Returns
+    -------
+    JSON: `pokes` until the guide asks no more (of each seed), `planned` by the layout alone, and by number of pokes and method
+    the means over seeds, with `ratio`, predicted over true error along the surface
+    """
+    found = list(each(partial(run_sheet, compare=error_numbers), range(first, first + seeds)))
+    row: dict[str, Any] = {"planned": found[0]["planned"], "pokes": [session["pokes"] for session in found]}
+    for count in (*map(str, SHEET_COUNTS), AT_END):
+        own = [session[count] for session in found if count in session]
+        row[count] = {name: mean_over_seeds([numbers[name] for numbers in own]) for name in own[0]}
+        for numbers in row[count].values():
+            known = numbers["predicted"] is not None and numbers["true_along"]
+            numbers["ratio"] = numbers["predicted"] / numbers["true_along"] if known else None
+    return row
+
+
+def sheet_limits(row: Mapping[str, Any]) -> dict[str, tuple[float, str, float]]:
+    """Return the limits of the case "sheet", as `unmodelled_limits`."""
+    own = [row[count][SHEET_CASE] for count in (*map(str, SHEET_COUNTS), AT_END)]
+    board = [row[count][AS_BOARD] for count in map(str, SHEET_COUNTS)]
+    pokes = [row["planned"] / count for count in row["pokes"] if count is not None]
+    return {
+        "unmodelled_sheet_inside": (min(each["inside"] for each in own), ">=", 0.90),
+        "unmodelled_sheet_ratio_least": (min(each["ratio"] for each in own), ">=", 0.7),
+        "unmodelled_sheet_ratio_most": (max(each["ratio"] for each in own), "<=", 1.5),
+        "unmodelled_sheet_over_board_error": (
+            max(each["mean"] / other["mean"] for each, other in zip(own, board, strict=False)), "<=", 1.0,
+        ),
+        "unmodelled_sheet_finished_share": (len(pokes) / len(row["pokes"]), ">=", 1.0),
+        "unmodelled_sheet_planned_over_pokes": (float(np.median(pokes)), "<=", 1.5),
+    }  # fmt: skip
+
+
+def sheet_lines(row: Mapping[str, Any]) -> list[str]:
+    """Describe the case "sheet"."""
+    counts = [count for count in row["pokes"] if count is not None]
+    lines = [
+        "a sheet of 48 taxels, stretched by 3 %, sheared by 2 degrees, folded by 2 mm: "
+        f"finished after {np.median(counts):.0f} pokes ({min(counts)} to {max(counts)}), {row['planned']} planned"
+    ]
+    for count in (*map(str, SHEET_COUNTS), AT_END):
+        texts = [
+            f"{name} {own['mean']:.2f} mm, inside {own['inside']:.2f}, predicted {own['ratio']:.2f} x true, "
+            f"{own['missing']:.1f} missing"
+            for name, own in row[count].items() if own["mean"] is not None
+        ]  # fmt: skip
+        lines.append(f"  {count}{' pokes' if count.isdecimal() else ''}: {'; '.join(texts)}")
+    return lines
 
 
 Each: TypeAlias = Callable[[Callable[[str, int], Session], Iterable[str], Iterable[int]], Iterable[Session]]

@@ -29,6 +29,18 @@ def unsaid_kind_finding(layout: Layout) -> str:
     )
 
 
+SHEET_WITHOUT_MESH = (
+    "no mesh: a soft sheet has the shape of its part, so each taxel is placed by its own pokes alone (free method)"
+)
+
+
+def kind_findings(layout: Layout, *, is_on_mesh: bool) -> list[str]:
+    """List what is unusual about the kind of a skin: it is not given, or a soft sheet lacks a mesh."""
+    unsaid = unsaid_kind_finding(layout)
+    lacks_mesh = layout.kind is SkinKind.SHEET and not is_on_mesh
+    return [*filter(None, [unsaid]), *([SHEET_WITHOUT_MESH] if lacks_mesh else [])]
+
+
 MAX_NAMED_MODULES = 4
 """One sentence names at most the first four modules."""
 

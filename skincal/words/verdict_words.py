@@ -162,8 +162,8 @@ def done_words(method: Method, wanted: float) -> str:
     error = f"an expected error of {1e3 * wanted:g} mm or less"
     if method is Method.MODULES:
         return (
-            f"{error} relative to the other taxels, {settings.module_pokes} pokes on its module, and a poke on the taxel or on "
-            f"taxels on all its sides within {SURROUNDING_MAX_SPACINGS:g} spacings"
+            f"{error} relative to the other taxels, {settings.module_pokes} pokes on its module or sheet, and a poke on the "
+            f"taxel or on taxels on all its sides within {SURROUNDING_MAX_SPACINGS:g} spacings"
         )
     sides = " and leaning to several sides" if method is Method.FREE else ""
     return f"{error}, {settings.own_pokes} own pokes evenly around it{sides}, and a stable position"

@@ -19,6 +19,9 @@ from skincal.studies.unmodelled import (
     inside_95_ellipsoid,
     off_by_factor,
     run_session,
+    sheet_limits,
+    sheet_lines,
+    sheet_row,
     unmodelled,
     unmodelled_limits,
     unmodelled_lines,
@@ -210,3 +213,13 @@ def test_lines_give_factor_and_belief():
     assert "75%" in lines[-1]
     assert "12.5%" in lines[-1]
     assert "2 rigs" in lines[0]
+
+
+def test_a_sheet_is_as_predicted_and_better_than_the_board_it_is_not():
+    row = sheet_row(6)
+    json.dumps(row, allow_nan=False)
+    assert {name: kept for name, kept in check_limits(sheet_limits(row)).items() if not kept["holds"]} == {}
+    assert row["48"]["sheet"]["inside"] > row["48"]["board"]["inside"] + 0.2
+    assert row["48"]["sheet"]["mean"] < row["48"]["surface"]["mean"] / 2.0
+    assert all(20 < count < 120 for count in row["pokes"])
+    assert f"{row['planned']} planned" in sheet_lines(row)[0]

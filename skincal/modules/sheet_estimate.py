@@ -1,0 +1,200 @@
+"""Estimates of the taxels of soft sheets, from the fits of `sheet_fit.py`, with the errors that all pokes share.
+
+Errors that pokes share enter as for boards (`skincal.taxels.shared_errors`, `off_surface.py`), with the information of the
+pokes and the prior of the sheet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.geometry import FloatArray, IntArray, dots
+from skincal.model.scene import NoiseSettings
+from skincal.modules.off_surface import off_surface_variances
+from skincal.modules.pose import ModuleModel
+from skincal.modules.sheet_fit import SheetFit, fit_sheets
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import (
+    FORCE_AXIS_MAX_MISS_M,
+    POSITION_MAX_SD_M,
+    Cause,
+    Estimate,
+    Method,
+    State,
+    StateReason,
+    placed_state,
+)
+from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances
+
+SHEET_SEARCH_MAX_LAST_STEP_M = 2e-4
+"""A sheet whose search still moves by more is not known."""
+
+
+MIN_OTHER_POKES_TO_PREDICT = 2
+"""Other pokes of its sheet for a prediction: a single one does not determine the sheet's turn."""
+
+
+COMMON_AIM_SD_FACTOR = 0.4
+"""sd of the mean offset of all pokes of a sheet from its taxels, in units of `NoiseSettings.contact`, each direction. Taxels
+are poked at their believed positions, and those of a sheet are often too far apart for a neighbour to answer. So no number of
+pokes shows this shift. In the study it is 0.6 mm for targets on the taxels, and 0.4 mm for targets all over their cells."""
+
+
+class _PositiveEquations(NormalEquations):
+    """Equations whose information has no undetermined direction, because of a prior."""
+
+    def inverse(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+
+
+def estimate_sheets(
+    table: ContactTable,
+    model: ModuleModel,
+    channels: Sequence[int],
+    noise: NoiseSettings,
+    others: Sequence[Mapping[int, Estimate]],
+    dead: Mapping[int, str],
+    doubting: bool,
+    shared: SharedRows | None,
+) -> Iterator[Estimate]:
+    """Yield the estimates of the taxels of all sheets that pokes touched; `channels` are those of whole sheets."""
+    evidence = table.evidence([channel for channel in channels if channel not in dead])
+    counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
+    for fit in fit_sheets(evidence, table.totals(evidence.pokes), model, noise, others, doubting):
+        estimates = [estimate for estimate in _estimates(fit, counts) if estimate.channel not in dead]
+        yield from _with_shared_errors(fit, estimates, noise, shared)
+
+
+def _estimates(fit: SheetFit, counts: Mapping[int, int]) -> Iterator[Estimate]:
+    """Yield the estimates of the taxels of a sheet, without the errors that pokes share."""
+    trouble = _trouble(fit)
+    covariances = _of_pads(fit, fit.covariance)
+    across = fit.pads.gradients[:, :, :2]
+    covariances = covariances + fit.left_out[:, None, None] * (across @ across.transpose(0, 2, 1))
+    values, axes = np.linalg.eigh(covariances)
+    sds, rms = np.sqrt(values[:, 2]).tolist(), np.sqrt(np.trace(covariances, axis1=1, axis2=2)).tolist()
+    doubted, none = _doubted(fit), dict[int, float]()
+    for pad, channel in enumerate(fit.touches.channels.tolist()):
+        contacts, of_poke = counts.get(channel, 0), doubted.get(channel, none)
+        reason = trouble
+        if reason is None and sds[pad] > POSITION_MAX_SD_M:
+            pokes = len(fit.trust)
+            reason = StateReason(Cause.MODULE_ONE_POKE) if pokes == 1 else StateReason(Cause.MODULE_LOOSE, pokes, size=sds[pad])
+        if reason is not None:
+            yield Estimate(
+                channel, Method.MODULES, State.BLIND, contacts, normal=fit.pads.normals[pad],
+                worst_direction=axes[pad, :, 2], sd=sds[pad], reason=reason, doubted=of_poke,
+            )  # fmt: skip
+        else:
+            yield Estimate(
+                channel, Method.MODULES, placed_state(contacts), contacts, position=fit.pads.points[pad],
+                normal=fit.pads.normals[pad], covariance=covariances[pad], worst_direction=axes[pad, :, 2],
+                sd=sds[pad], rms=rms[pad], triangle=int(fit.pads.triangles[pad]),
+                reason=None if contacts else StateReason(Cause.BY_MODULE), doubted=of_poke,
+            )  # fmt: skip
+
+
+def _of_pads(fit: SheetFit, covariance: FloatArray) -> FloatArray:
+    """Compute (n, 3, 3) the covariances of the pads' positions by that of the unknowns, m^2."""
+    gradients = fit.pads.gradients
+    moved = (gradients.reshape(-1, len(covariance)) @ covariance).reshape(gradients.shape)
+    return moved @ gradients.transpose(0, 2, 1)
+
+
+def _trouble(fit: SheetFit) -> StateReason | None:
+    """Find the reason why a sheet has no place; `None` if it has one."""
+    if fit.miss > FORCE_AXIS_MAX_MISS_M:
+        return StateReason(Cause.MODULE_OFF, size=fit.miss)
+    if fit.moving > SHEET_SEARCH_MAX_LAST_STEP_M:
+        return StateReason(Cause.MODULE_MOVING, size=fit.moving)
+    pushes = fit.touches.evidence.directions[fit.touches.rows]
+    # A sheet may go round the part: each push is compared with the skin where it lands.
+    inward = float(fit.trust @ dots(pushes, fit.rows.normals))
+    return StateReason(Cause.MODULE_BEHIND) if inward >= 0 else None
+
+
+def _doubted(fit: SheetFit) -> dict[int, dict[int, float]]:
+    """List by channel the pokes whose trust is below 1: number to trust."""
+    doubted: dict[int, dict[int, float]] = {}
+    for at in np.flatnonzero(fit.trust < 1.0).tolist():
+        poke = int(fit.touches.evidence.pokes[fit.touches.rows[at]])
+        for channel in fit.touches.channels_of(at).tolist():
+            doubted.setdefault(channel, {})[poke] = float(fit.trust[at])
+    return doubted
+
+
+def _with_shared_errors(
+    fit: SheetFit, estimates: Sequence[Estimate], noise: NoiseSettings, shared: SharedRows | None
+) -> list[Estimate]:
+    """Add the errors that all pokes share to the covariances."""
+    known = [estimate for estimate in estimates if estimate.position is not None]
+    if not known:
+        return list(estimates)
+    evidence, at, trust, rows = fit.touches.evidence, fit.touches.rows, fit.trust, fit.rows
+    pairs, places = evidence.pairs[at], fit.touches.contact_centres(fit.pads)[0]
+    equations = _PositiveEquations(
+        starts=np.zeros(1, dtype=np.int64),
+        pokes=evidence.pokes[at],
+        poses=evidence.poses[at],
+        pairs=pairs,
+        misses=trust[:, None] * dots(pairs, (evidence.nearest[at] - places)[:, None]),
+        row_weights=trust[:, None, None] * rows.slopes.transpose(0, 2, 1) @ rows.whiten,
+        information=fit.information[None],
+        normals=rows.normals,
+        corrected=shared is not None,
+    )
+    added = equations.covariances(noise.skin)
+    # A shift of the whole is the same in the first two unknowns.
+    moves = COMMON_AIM_SD_FACTOR * noise.contact * np.eye(fit.information.shape[0], 2)
+    errors = None if shared is None else shared(equations.pokes, places, pairs)
+    if errors is not None:
+        more_moves, of_poses = equations.moves(*errors)
+        moves, added = np.concatenate([moves, more_moves[0]], axis=1), added + of_poses
+    pad_of = {channel: pad for pad, channel in enumerate(fit.touches.channels.tolist())}
+    pads = np.array([pad_of[estimate.channel] for estimate in known], dtype=np.int64)
+    height = float(off_surface_variances(equations, rows, trust, np.ones(1), noise.skin, errors)[0])
+    outward = fit.pads.normals[pads]
+    more = _of_pads(fit, added[0])[pads] + height * outward[:, :, None] * outward[:, None]
+    found = add_covariances(known, np.ones(len(known)), more, fit.pads.gradients[pads] @ moves)
+    return [*found, *(estimate for estimate in estimates if estimate.position is None)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetPredictions:
+    """Pokes on sheets, each predicted by the others of its sheet."""
+
+    rows: IntArray
+    """(n,) an answer of each poke in the evidence."""
+    levers: FloatArray
+    """(n, 3) float, metres, from the sensor's origin to the centre of the pads that answered."""
+    misses: FloatArray
+    """(n, 2) float, metres, along the pairs of the pokes; NaN where the prediction's sd is beyond `POSITION_MAX_SD_M`."""
+    covariances: FloatArray
+    """(n, 2, 2) float, m^2, of the misses."""
+    own: FloatArray
+    """(n, 2, 2) float, m^2, of each poke's own noise."""
+
+
+def predict_sheet_pokes(fits: Sequence[SheetFit]) -> SheetPredictions:
+    """Predict each poke on sheets from the other pokes of its sheet."""
+    found: list[tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
+    for fit in fits:
+        if fit.miss > FORCE_AXIS_MAX_MISS_M or len(fit.trust) <= MIN_OTHER_POKES_TO_PREDICT:
+            continue
+        at = fit.touches.rows
+        misses, covariances = fit.without_each()
+        scale = np.asarray(np.linalg.inv(fit.rows.whiten), dtype=np.float64)
+        to_metres = scale.transpose(0, 2, 1)
+        predicted = scale @ (covariances - np.eye(2)) @ to_metres
+        known = np.linalg.eigvalsh(predicted)[:, -1] <= POSITION_MAX_SD_M**2
+        own = scale @ to_metres
+        levers = fit.touches.contact_centres(fit.pads)[0] - fit.touches.evidence.sensors[at]
+        off = np.where(known[:, None], (scale @ misses[:, :, None])[:, :, 0], np.nan)
+        found.append((at, levers, off, predicted + own, own))
+    if not found:
+        none = np.empty((0, 2, 2))
+        return SheetPredictions(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 2)), none, none)
+    return SheetPredictions(*(np.concatenate(each) for each in zip(*found, strict=True)))
