@@ -114,7 +114,9 @@ class TextDecoder(FrameDecoder):
             return Loss.UNREADABLE
         text = line.decode()
         fields, numbers = _parse(text)
-        if self._brackets.is_open or (opens_brackets(text) > 0 and not self._first and not self._is_all_plain):
+        if self._brackets.is_open or (
+            ("[" in text or "{" in text) and opens_brackets(text) > 0 and not self._first and not self._is_all_plain
+        ):
             is_frame = numbers is not None and self._stream_of(len(numbers)) is not None and not opens_brackets(text)
             whole = self._brackets.close() if is_frame else self._brackets.add(text)
             if self._brackets.is_open:
@@ -164,8 +166,8 @@ class TextDecoder(FrameDecoder):
         if not self._is_plain(stream, is_sure=is_sure):
             return Loss.UNREADABLE
         if not lead:
-            self._watch_plain(stream, numbers, fields)
-        if stream is Stream.SKIN and not lead and len(numbers) > 6 and counts_lines([numbers]):
+            self._watch_plain(stream, line, numbers, fields)
+        if stream is Stream.SKIN and not lead and len(numbers) > 6 and numbers[0] in (0, 1) and counts_lines([numbers]):
             half = len(numbers) // 2
             self._problem = f"Every second value is the number of a channel (0, 1, 2, ...): set [skin] channels to {half}"
             return Loss.UNREADABLE
@@ -186,9 +188,10 @@ class TextDecoder(FrameDecoder):
         self._problem = f"Lines of numbers alone are left out, since lines of another form ({agreed.name}) came before"
         return False
 
-    def _watch_plain(self, stream: Stream, numbers: list[float], fields: list[str]) -> None:
+    def _watch_plain(self, stream: Stream, line: str, numbers: list[float], fields: list[str]) -> None:
         """Look for signs that plain numbers are something else: hexadecimal digits, or a clock as the first value."""
-        if len(fields) > 1 and has_hex_letters(fields):
+        # Of the hexadecimal letters a number has an E alone.
+        if ("e" in line or "E" in line) and len(fields) > 1 and has_hex_letters(fields):
             self._count_hex_line()
         else:
             self._lines_since_hex += 1
@@ -201,9 +204,10 @@ class TextDecoder(FrameDecoder):
             self._status = MAY_BE_HEX if any(field[0] == "0" for field in fields) else self._status
         lines = self._cyclic.add(numbers[0]) if stream is Stream.SKIN and len(numbers) > 1 else 0
         if lines:
+            count = len(numbers) - 1
             self._status = (
-                f"The first of {len(numbers)} values a line counts again and again: if it is the number of a channel or a row, "
-                f"set [skin] channels to {lines * (len(numbers) - 1)}"
+                f"The first of {count + 1} values a line counts again and again and is no value: set [skin] channels to "
+                f"{lines * count} if it is the number of a channel or a row, to {count} if it is a counter"
             )
         elif stream in (Stream.SKIN, Stream.WRENCH) and len(numbers) > 2:
             values = self._rising_inside.add(numbers)

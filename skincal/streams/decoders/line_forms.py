@@ -26,6 +26,8 @@ from skincal.devices.netft import FORCE_UNITS
 
 HEXADECIMAL_FORM = "hexadecimal without 0x"
 LINE_SHOWN_MAX_CHARS = 60
+PAIRS_MIN = 6
+"""Fields such as `0,200` that are a number and a value each: fewer may be decimals whose digits happen to count."""
 CLEAN_TEXT_MIN_BYTES = 4
 """Bytes of a line that is shown. A shorter one may be chance."""
 CHANNEL_UNITS = (
@@ -40,6 +42,7 @@ _LABEL_END = (
 )
 _LABEL_RE = re.compile(rf"\s*{_LABEL_NAME}\s*[:=]\s*(?P<value>{NUMBER_PATTERN})(?![\d.]){_LABEL_END}", re.IGNORECASE)
 """A label, its number, its value and a unit, up to the separator."""
+_COMMA_NUMBER_RE = re.compile(_COMMA_NUMBER_PATTERN)
 _COMMA_LABEL_RE = re.compile(
     rf"\s*{_LABEL_NAME}\s*[:=]\s*(?P<value>{_COMMA_NUMBER_PATTERN})(?![\d.,]){_LABEL_END}", re.IGNORECASE
 )
@@ -89,6 +92,7 @@ _HEX_LETTER_RE, _HEX_DIGIT_RE = re.compile(r"[A-Fa-f]"), re.compile(r"\d")
 _ROW_RE, _ROWS_RE = re.compile(r"\[([^\[\]]*)\]"), re.compile(r"(?:\[[^\[\]]+\][\s,;]*)+")
 _CHANNEL_UNIT_RE = re.compile(CHANNEL_UNITS, re.IGNORECASE)
 _COLOUR_RE = re.compile(rb"\x1b\[[\d;]*m")
+_PAIRS_RE = re.compile(rf"\d+,(?:{NUMBER_PATTERN})(?:(?:\s*;\s*|\s+)\d+,(?:{NUMBER_PATTERN}))+[; \t]*")
 _COMMA_LIST_RE = re.compile(r"\d+,\d+(?:[\s|]+[-+]?\d+,\d+)+")
 _CLOSING_BRACKETS = {"[": "]", "(": ")", "{": "}", "<": ">"}
 
@@ -148,11 +152,26 @@ def split_fields(line: str) -> list[str]:
     # A semicolon that ends a list is no separator; after one comma it may be.
     if line.endswith(";") and line.count(";") == 1 and (line.count(",") > 1 or ("," not in line and " " in line)):
         line = line[:-1]
+    if "," not in line:
+        return line.removesuffix(";").split(";") if ";" in line else line.split()
+    if (";" in line or " " in line or "\t" in line) and (pairs := _split_pairs(line)):
+        return pairs
     if ";" in line:
         return line.replace(",", ".").removesuffix(";").split(";")
-    if "," in line:
-        return line.removesuffix(",").split(",")
-    return line.split()
+    return line.removesuffix(",").split(",")
+
+
+def _split_pairs(line: str) -> list[str]:
+    """Split `0,200;1,201;2,202`, a number and a value each; empty for other lines.
+
+    Numbers that count from 0 or 1 through many fields are no values with a decimal comma.
+    """
+    if not _PAIRS_RE.fullmatch(line):
+        return []
+    words = re.split(r"[,;\s]+", line.rstrip("; \t"))
+    numbers = [int(word) for word in words[::2]]
+    counts = numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    return words if counts and len(numbers) >= PAIRS_MIN else []
 
 
 def to_numbers(fields: list[str]) -> list[float] | None:
@@ -243,13 +262,27 @@ def _read_comma_labels(text: str) -> LineReading | None:
     whole, decimals = zip(*(each["value"].split(",") for each in named), strict=True)
     if len({*map(len, decimals)}) > 1:
         return None
-    is_sure = (
-        any(each["unit"] for each in named)
-        or any(part in ("-0", "+0") for part in whole)
-        or (len(decimals[0]) > 1 and any(part.startswith("0") for part in decimals))
-    )
+    is_sure = any(each["unit"] for each in named) or _are_decimals(whole, decimals)
     found = _sort_labels("labels with a decimal comma", [_label_of(each) for each in named])
     return None if found is None else replace(found, is_sure=is_sure)
+
+
+def _read_comma_list(text: str) -> LineReading | None:
+    """Read numbers with a decimal comma between spaces, tabs or bars. `0,51 0,52` may also be pairs, as with labels."""
+    fields = re.split(r"\s*\|\s*|\s+", text)
+    if len(fields) < 2 or not all(map(_COMMA_NUMBER_RE.fullmatch, fields)):
+        return None
+    whole, decimals = zip(*(field.split(",") for field in fields), strict=True)
+    if len({*map(len, decimals)}) > 1:
+        return None
+    values = [float(field.replace(",", ".")) for field in fields]
+    return LineReading("decimal comma", lists={"": values}, is_sure=_are_decimals(whole, decimals))
+
+
+def _are_decimals(whole: Sequence[str], decimals: Sequence[str]) -> bool:
+    """Check whether the digits behind commas cannot be whole numbers: `-0,5`, `1,05`."""
+    has_zero = len(decimals[0]) > 1 and any(part.startswith("0") for part in decimals)
+    return has_zero or any(part in ("-0", "+0") for part in whole)
 
 
 def _read_bare_labels(text: str) -> LineReading | None:
@@ -524,6 +557,12 @@ LINE_FORMS = (
         _read_comma_labels,
         lambda line: re.search(r"[:=]\s*-?\d+,\d+\s*[;\s|]", line) is not None,
     ),
+    LineForm(
+        "decimal comma",
+        b"1,00 2,00 3,00 4,00\n5,00 6,00 7,00 8,00\n",
+        _read_comma_list,
+        lambda line: _COMMA_LIST_RE.fullmatch(line) is not None,
+    ),
     LineForm("labels", b"T0:1,T1:2,T2:3,T3:4\nT0:5,T1:6,T2:7,T3:8\n", _read_labels, _has_any(":=")),
     LineForm(
         "labels without a colon",
@@ -548,7 +587,7 @@ LINE_FORMS = (
     LineForm("word in front", b"SKIN,1,2,3,4\nSKIN,5,6,7,8\n", _read_word, lambda line: _WORD_RE.fullmatch(line) is not None),
     LineForm(HEXADECIMAL_FORM, b"1F 02 0A 04\n1A 06 0B 08\n", _read_hex, lambda line: _read_hex(line) is not None),
 )
-PLAIN_EXAMPLE, DECIMAL_COMMA_EXAMPLE = "1,2,3,4", "0,5;0,6;0,7;0,8"
+PLAIN_EXAMPLE = "1,2,3,4"
 
 
 def read_line(text: str) -> LineReading | None:
@@ -559,8 +598,6 @@ def read_line(text: str) -> LineReading | None:
 
 def nearest_form(line: str) -> str:
     """Return an example line of the form that is read and is the nearest to `line`."""
-    if _COMMA_LIST_RE.fullmatch(line):
-        return DECIMAL_COMMA_EXAMPLE
     found = (form.example.split(b"\n")[0].decode() for form in LINE_FORMS if form.is_shown_for(line))
     return next(found, PLAIN_EXAMPLE)
 

@@ -63,6 +63,7 @@ def read_link(address, channels, count, carries=SKIN, send=None):
         ("tcp://192.168.1.5:7000", "socket://192.168.1.5:7000"),
         ("tcp:192.168.1.5:7000", "socket://192.168.1.5:7000"),
         ("telnet://esp32.local:23", "socket://esp32.local:23"),
+        ("tcp:7000", "socket://127.0.0.1:7000"),
         ("192.168.1.5:7000", "socket://192.168.1.5:7000"),
         ("localhost:7000", "socket://localhost:7000"),
         ("[::1]:7000", "socket://[::1]:7000"),
@@ -86,6 +87,8 @@ def test_a_protocol_that_needs_a_program_names_it_and_the_manual_has_it(scheme):
     with pytest.raises(InputError) as error:
         parse_address(f"{scheme}://127.0.0.1:9000/skin")
     assert f'type "run:python3 {scheme}_lines.py"' in str(error.value)
+    with pytest.raises(InputError, match=f"run:python3 {scheme}_lines.py"):
+        parse_address(f"{scheme}:9000")
     assert program(scheme)
 
 
@@ -353,7 +356,7 @@ def test_part_of_a_board_is_read(place, of, clock):
 
 
 def test_a_part_that_does_not_fit_gives_no_reading_and_says_why():
-    lines = [f"{k % 9},2,3,4\n" for k in range(80)]
+    lines = [f"{7 * k % 9},2,3,4\n" for k in range(80)]
     for query, channels in (("channels=0-7", 8), ("channels=0-1", 3)):
         rows, intake = feed_lines(f"/dev/ttyUSB0?{query}", lines, channels)
         assert rows == []

@@ -85,6 +85,9 @@ FORMS = {
     "units": lambda _, v: " ".join(f"{each} mV" for each in v) + "\n",
     "units and no space": lambda _, v: ",".join(f"{each}.25kPa" for each in v) + "\n",
     "decimal comma": lambda _, v: ";".join(f"T{n}:{each},{(7 * each + n) % 9:02d}" for n, each in enumerate(v)) + "\n",
+    "decimal comma and tabs": lambda _, v: "\t".join(f"{each},{(7 * each + n) % 9:02d}" for n, each in enumerate(v)) + "\n",
+    "number and value with semicolons": lambda _, v: ";".join(f"{n},{each}" for n, each in enumerate(v)) + "\n",
+    "number and value with spaces": lambda _, v: " ".join(f"{n},{each}.5" for n, each in enumerate(v, 1)) + "\n",
     "decimal comma and a unit": lambda _, v: " ".join(f"T{n}: {each},5 V" for n, each in enumerate(v)) + "\n",
     "labels without a colon": lambda _, v: " ".join(f"T{n} {each}" for n, each in enumerate(v)) + "\n",
     "labels and bars": lambda _, v: " | ".join(f"T{n}: {each}" for n, each in enumerate(v)) + "\n",
@@ -357,7 +360,8 @@ def test_one_channel_or_row_more_than_the_scene_ends_the_readings(line):
 
 def test_a_scene_with_two_channels_hears_that_the_first_value_is_the_number_of_a_channel():
     lines = "".join(f"{n},{200 + n + k}\n" for k in range(9) for n in range(4))
-    assert decoded(lines, 2)[1].device_message.endswith("set [skin] channels to 4")
+    words = "set [skin] channels to 4 if it is the number of a channel or a row, to 1 if it is a counter"
+    assert decoded(lines, 2)[1].device_message.endswith(words)
     # The advice followed.
     assert decoded(lines, 4)[0][-1] == [208, 209, 210, 211]
     rng = np.random.default_rng(7)
@@ -391,6 +395,11 @@ def test_labels_with_a_decimal_comma_are_read_once_a_line_shows_that_these_are_d
     assert decoded(whole * 9)[0] == []
     found, _ = decoded(whole * 3 + "T0:1,05;T1:2,25;T2:3,75;T3:4,50\n" + whole)
     assert found == [[1.05, 2.25, 3.75, 4.5], [1.5, 2.25, 3.75, 4.5]]
+
+
+def test_decimals_whose_digits_before_the_comma_count_are_decimals_if_they_are_few():
+    assert decoded("0,51;1,52;2,53;3,54\n" * 3)[0] == [[0.51, 1.52, 2.53, 3.54]] * 3
+    assert decoded("0,51 1,52 2,53 3,54\n" * 3)[0] == []
 
 
 def test_a_device_clock_among_labels_has_its_unit():
@@ -576,7 +585,7 @@ def verdict_of(raw, channels=WIDTH, carries=SKIN):
         ("x0y0=12 x0y1=13 x1y0=14", "T0:1,T1:2,T2:3,T3:4"),
         ("$SKIN;1;2;3;4*ZZ", "$SKIN,1,2,3,4*1B"),
         ("T0: 1,5 T1: 2,5", "T0:1,00;T1:2,00;T2:3,00;T3:4,00"),
-        ("0,51 0,52 0,53", "0,5;0,6;0,7;0,8"),
+        ("0,51 0,52 0,53", "1,00 2,00 3,00 4,00"),
         ('{"skin": "1 2 3 4"}', '{"skin":[1,2,3,4]}'),
         ("waiting for the sensor", "1,2,3,4"),
         ("[1, 2, 3, 4", "[1, 2, 3, 4]"),
