@@ -142,6 +142,7 @@ def solve(
         "methods": methods,
         "leads": leads,
         "verdict": verdict,
+        "skin": results.skin,
         "setup": setup,
         **({"rig": rig} if rig else {}),
         **({"tip": tip} if tip else {}),
@@ -153,7 +154,7 @@ def solve(
         "files": files,
         "findings": findings,
     }
-    text = [*output.poke_lines(counts), *output.method_lines(methods, leads), *setup, *rig_lines, *tip_lines]
+    text = [*output.poke_lines(counts), *output.method_lines(methods, leads), *results.skin, *setup, *rig_lines, *tip_lines]
     text += [
         *output.unchecked_lines(results, unchecked),
         *_session_lines(results),

@@ -5,12 +5,14 @@ A channel is dead while its cause lasts: one that moves again, or gives numbers 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from enum import Enum
 from types import MappingProxyType
 
 import numpy as np
 
+from skincal.contacts.press import FinishedPress
 from skincal.contacts.tare import TARE_AGE_MAX_S
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import Scene
@@ -34,6 +36,9 @@ ALWAYS_ON_MIN_POKES_WITHOUT_LAYOUT = 10
 """Pokes before a channel may be called always on without a layout: then no poke is known to be far."""
 ALWAYS_ON_MIN_PEAK_TAXELS_WITHOUT_LAYOUT = 5
 """Different strongest taxels that these pokes must have."""
+ALWAYS_ON_MAX_MEDIAN_SHARE_WITHOUT_LAYOUT = 0.5
+"""Share of all pokes that the median channel may have answered: on a small skin that spreads a press the inner taxels answer
+nearly all, and are right."""
 ALWAYS_ON_MIN_SHARE_OF_POKES_WITHOUT_LAYOUT = 0.8
 """Share of all pokes that a channel must have answered to be always on, without a layout."""
 MAX_ANSWERING_CHANNELS_PER_POKE = 32
@@ -71,7 +76,7 @@ class ChannelHealth:
         self._varied = np.zeros(channels, dtype=bool)
         # Pokes: all, on a neighbour, answered; far ones, and those of them that were answered.
         self._pokes = 0
-        self._peaks: set[int] = set()
+        self._peaks: Counter[int] = Counter()
         self._near_pokes = np.zeros(channels, dtype=np.int64)
         self._answered, self._far_pokes, self._far_answered = np.zeros((3, len(candidates)), dtype=np.int64)
         self._judged_s = 0.0
@@ -95,22 +100,39 @@ class ChannelHealth:
         self._last = skin
         return host_s - self._judged_s >= 1.0 and self._judge(host_s)
 
-    def on_poke(self, host_s: float, channels: IntArray, responses: FloatArray) -> bool:
+    def on_poke(self, press: FinishedPress) -> bool:
         """Process the responses to one poke, accepted or not; return whether `dead` changed."""
+        return self._count(press, 1) and self._judge(press.end_s)
+
+    def on_other_answers(self, before: FinishedPress, after: FinishedPress) -> bool:
+        """Process other responses to a poke in place of those before; return whether `dead` changed."""
+        counted = self._count(before, -1) | self._count(after, 1)
+        return counted and self._judge(max(self._judged_s, after.end_s))
+
+    def _count(self, press: FinishedPress, by: int) -> bool:
+        """Add a poke to the counts, or take it out again (`by` -1); return whether it says something about channels."""
+        channels, responses = press.channels, press.responses
         if not 0 < len(channels) <= MAX_ANSWERING_CHANNELS_PER_POKE:
             return False
         peak = int(channels[np.argmax(responses)])
         answered = np.isin(self._candidates, channels)
-        self._pokes += 1
-        self._peaks.add(peak)
-        self._answered += answered
+        self._pokes += by
+        self._peaks[peak] += by
+        self._answered += by * answered
         if self._positions is not None:
             is_far = _distance_to_others(self._positions, answered) > self._far
-            self._far_pokes += is_far
-            self._far_answered += is_far & answered
+            self._far_pokes += by * is_far
+            self._far_answered += by * (is_far & answered)
             distance = np.linalg.norm(self._positions - self._positions[self._candidates == peak], axis=1)
-            self._near_pokes[self._candidates[(distance <= self._near) & ~answered]] += 1
-        return self._judge(host_s)
+            near = self._candidates[(distance <= self._near) & ~answered]
+            # A change since the poke has set the number to zero.
+            self._near_pokes[near] = np.maximum(self._near_pokes[near] + by, 0)
+        return True
+
+    @property
+    def _peak_count(self) -> int:
+        """Number of different strongest taxels."""
+        return sum(count > 0 for count in self._peaks.values())
 
     def _judge(self, host_s: float) -> bool:
         """Judge every channel; return whether `dead` changed."""
@@ -135,7 +157,7 @@ class ChannelHealth:
             return not self._varied[channel]
         if self._positions is None:
             return (
-                self._pokes < ALWAYS_ON_MIN_POKES_WITHOUT_LAYOUT or len(self._peaks) < ALWAYS_ON_MIN_PEAK_TAXELS_WITHOUT_LAYOUT
+                self._pokes < ALWAYS_ON_MIN_POKES_WITHOUT_LAYOUT or self._peak_count < ALWAYS_ON_MIN_PEAK_TAXELS_WITHOUT_LAYOUT
             )
         return bool((self._far_pokes[self._candidates == channel] < ALWAYS_ON_MIN_FAR_POKES_ANSWERED).any())
 
@@ -167,9 +189,10 @@ class ChannelHealth:
         if self._positions is not None:
             answered, of, where = self._far_answered, self._far_pokes, "that lie elsewhere"
             always = (answered >= ALWAYS_ON_MIN_FAR_POKES_ANSWERED) & (answered >= ALWAYS_ON_MIN_SHARE_OF_FAR_POKES * of)
-        elif self._pokes >= ALWAYS_ON_MIN_POKES_WITHOUT_LAYOUT and len(self._peaks) >= ALWAYS_ON_MIN_PEAK_TAXELS_WITHOUT_LAYOUT:
-            answered, of, where = self._answered, np.full(len(self._answered), self._pokes), f"at {len(self._peaks)} places"
+        elif self._pokes >= ALWAYS_ON_MIN_POKES_WITHOUT_LAYOUT and self._peak_count >= ALWAYS_ON_MIN_PEAK_TAXELS_WITHOUT_LAYOUT:
+            answered, of, where = self._answered, np.full(len(self._answered), self._pokes), f"at {self._peak_count} places"
             always = answered >= ALWAYS_ON_MIN_SHARE_OF_POKES_WITHOUT_LAYOUT * self._pokes
+            always &= np.median(answered) <= ALWAYS_ON_MAX_MEDIAN_SHARE_WITHOUT_LAYOUT * self._pokes
         else:
             return {}
         return {

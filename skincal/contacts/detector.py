@@ -38,8 +38,10 @@ import numpy as np
 
 from skincal.contacts.channel_health import ChannelHealth
 from skincal.contacts.gates import MAX_SAMPLE_GAP_IN_SKIN_PERIODS, answer_limit, finish, judge
-from skincal.contacts.outcome import CROWDED_REASONS, BeforePokes, Outcome, PressPhase, Progress, Reason, Rejection
+from skincal.contacts.outcome import CROWDED_REASONS, BeforePokes, Contact, Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, FinishedPress, Press, arm_turn_between
+from skincal.contacts.skin_condition import SkinCondition, SkinWatch
+from skincal.contacts.skin_drift import SkinDrift
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
 from skincal.geometry import FloatArray, IntArray, axis_point, length_of, move_wrench
 from skincal.model.readings import Sample
@@ -60,6 +62,7 @@ class ContactDetector:
     last_poke : number of the last poke before the break
     dead : channels found to be dead before it, with the reason
     outcomes : pokes before it; those with a `press` are judged again when a dead channel is found
+    range_end : raw value that was found before it to be the end of the skin's range; NaN for none
     """
 
     def __init__(
@@ -68,6 +71,7 @@ class ContactDetector:
         last_poke: int = 0,
         dead: Mapping[int, str] = MappingProxyType({}),
         outcomes: Iterable[Outcome] = (),
+        range_end: float = math.nan,
     ) -> None:
         layout = scene.skin.layout
         self._scene = scene
@@ -75,6 +79,10 @@ class ContactDetector:
         self._candidates: IntArray = np.arange(scene.skin.channels) if layout is None else layout.channels
         self._tares = TareKeeper(scene.contacts, scene.skin.channels)
         self._health = ChannelHealth(scene, self._candidates, dead)
+        self._drift = SkinDrift(self._candidates, scene.skin.channels, scene.skin.polarity)
+        self._watch = SkinWatch(scene, self._candidates, range_end)
+        self._at_top: dict[int, Contact] = {}
+        """Contacts with taxels that may be at the end of the range."""
         self._ignored: Set[int] | None = None
         self._spacings: deque[float] = deque(maxlen=SAMPLES_FOR_MEDIAN_PERIOD)
         self._period_s, self._group_interval_s = 0.0, 0.0
@@ -101,12 +109,17 @@ class ContactDetector:
         return self._health.dead
 
     @property
+    def condition(self) -> SkinCondition:
+        """Condition of the skin so far."""
+        return self._watch.condition(self._drift)
+
+    @property
     def responses(self) -> FloatArray:
         """(channels,) float, raw units: the last frame above its baseline; NaN before the first tare."""
         tare = self._tares.tare
         if self._last is None or tare is None:
             return np.full(self._scene.skin.channels, np.nan)
-        return self._scene.skin.polarity * (self._last.skin - tare.skin)
+        return self._scene.skin.polarity * (self._last.skin - self._drift.rest_at(tare, self._last.host_s))
 
     @property
     def last_s(self) -> float:
@@ -121,6 +134,7 @@ class ContactDetector:
         if not all(map(math.isfinite, sample.wrench.tolist())):
             # NaN would spoil every mean; a saturated sample is counted, and its poke is rejected.
             sample = replace(sample, wrench=np.zeros(6), saturated=True)
+        self._watch.on_frame(sample.skin)
         arm_pose = self._arm_pose = self._pose_now(sample, link_from_sensor, pose)
         gap_s = self._gap_before(sample)
         self._last = sample
@@ -311,7 +325,8 @@ class ContactDetector:
 
     def _beyond_limit(self, sample: Sample, tare: Tare) -> tuple[np.ndarray, np.ndarray]:
         """(c,) bool each: candidates that are above and below their baseline by more than their limit."""
-        response = (self._scene.skin.polarity * (sample.skin - tare.skin))[self._candidates]
+        rest = self._drift.rest_at(tare, sample.host_s)
+        response = (self._scene.skin.polarity * (sample.skin - rest))[self._candidates]
         limit = answer_limit(self._thresholds, self._tares.noise)[self._candidates]
         return response > limit, response < -limit
 
@@ -337,27 +352,51 @@ class ContactDetector:
     def _end(self, press: Press) -> list[Outcome]:
         self._press = None
         self._pokes += 1
-        poke = finish(self._pokes, press, self._scene, self._candidates, self._tares.noise, self._period_s)
+        poke = finish(self._pokes, press, self._scene, self._candidates, self._tares.noise, self._period_s, self._drift)
         self._pending.append(poke)
         self._has_answer = self._has_answer or len(poke.channels) > 0
-        changed = self._health.on_poke(press.end_s, poke.channels, poke.responses)
+        changed = self._health.on_poke(poke)
         outcomes = self._rejudge() if changed and self._ignored is None else []
+        if self._watch.on_press(poke, self._tares.noise):
+            outcomes += self._mark_clipped()
         return [*outcomes, self._judge(poke, None, final=False)]
 
     def _finalize_pending(self, after: Tare | None) -> list[Outcome]:
         """Make the pending pokes final, with the tare after them or without one."""
         pending, self._pending = self._pending, []
-        return [self._judge(poke, after, final=True) for poke in pending]
+        outcomes: list[Outcome] = []
+        for place, press in enumerate(pending):
+            pending[place] = judged = self._drift.judge(press, after)
+            if judged is not press and self._health.on_other_answers(press, judged) and self._ignored is None:
+                outcomes += self._rejudge()
+        return [*outcomes, *(self._judge(poke, after, final=True) for poke in pending)]
 
     def _judge(self, press: FinishedPress, after: Tare | None, *, final: bool) -> Outcome:
         if press.late is not None and not press.late.moved and final:
             self._with_late_angles[press.number] = press, after
         outcome = judge(press, self._scene, after, final, self._ignored_now())
+        if isinstance(outcome, Contact) and len(press.at_top):
+            outcome = self._at_top[press.number] = self._with_clipped(outcome)
         if _is_crowded(outcome):
-            outcome = replace(outcome, press=press, tare_after=after)
+            outcome = replace(outcome, press=press.without_frames(), tare_after=after)
             if final:
                 self._rejudged[press.number] = outcome
         return outcome
+
+    def _with_clipped(self, contact: Contact) -> Contact:
+        """Mark the answers of a contact that are at the end of the skin's range."""
+        found = self._watch.clipped(contact.poke)
+        clipped = None if found is None else found[np.isin(found, contact.channels)]
+        return replace(contact, clipped=None if clipped is None or not len(clipped) else clipped)
+
+    def _mark_clipped(self) -> list[Outcome]:
+        """Mark earlier contacts after the end of the range became known, or another value; return those that change."""
+        changed: list[Outcome] = []
+        for poke, before in self._at_top.items():
+            now = self._at_top[poke] = self._with_clipped(before)
+            if (now.clipped is None) != (before.clipped is None):
+                changed.append(now)
+        return changed
 
     def _rejudge_late_angles(self, sample: Sample, pose: ArmPose) -> list[Outcome]:
         """Judge pokes with late angles by the first angles after them; return those that now count."""

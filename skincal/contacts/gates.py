@@ -7,14 +7,15 @@ release (`finish`) and judged from the summary (`judge`). It is judged again whe
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Set
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from skincal.contacts.outcome import RAW_UNIT, Contact, Outcome, Reason, Rejection
-from skincal.contacts.press import FinishedPress, Press
+from skincal.contacts.press import FinishedPress, Press, taxels_at_top
+from skincal.contacts.skin_drift import SkinDrift
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, wrench_baseline
 from skincal.geometry import FloatArray, IntArray, pitch
 from skincal.model.scene import ContactSettings, Scene
@@ -96,20 +97,15 @@ def widest_gap(places: FloatArray) -> float:
     return widest
 
 
-def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise: FloatArray, period_s: float) -> FinishedPress:
+def finish(
+    number: int, press: Press, scene: Scene, candidates: IntArray, noise: FloatArray, period_s: float, drift: SkinDrift
+) -> FinishedPress:
     """Summarize a press at its release.
 
     `candidates` are the (c,) channels that are taxels; `noise` is (channels,), raw units, the sd of each channel at rest.
     """
     best = press.best
-    channels, responses, largest, needed = np.empty(0, dtype=np.int64), np.empty(0), math.nan, math.nan
-    if best is not None:
-        response, limit = scene.skin.polarity * (press.best_skin - press.tare.skin), answer_limit(press.settings, noise)
-        channels = candidates[(response > limit)[candidates]]  # NaN is not above
-        responses = response[channels]
-        if not len(channels):
-            largest, needed = _closest_to_limit(response[candidates], limit[candidates])
-    return FinishedPress(
+    finished = FinishedPress(
         number=number,
         start_s=press.start_s,
         end_s=press.end_s,
@@ -120,30 +116,25 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
         moved=press.moved,
         before=press.tare,
         still=best,
-        channels=channels,
-        responses=responses,
-        largest=largest,
-        needed=needed,
+        channels=np.empty(0, dtype=np.int64),
+        responses=np.empty(0),
         thresholds=None if press.settings == scene.contacts else press.settings,
         late=press.late,
+        skin=press.best_skin,
+        limit=np.empty(0) if best is None else answer_limit(press.settings, noise),
+        drifted=bool(drift.rate.any()),
     )
+    if best is None:
+        return finished
+    response = scene.skin.polarity * (press.best_skin - drift.rest_at(press.tare, best.time_s))
+    finished = finished.with_answers(response, candidates)
+    top, at_top = taxels_at_top(press.best_frames, finished.channels, scene.skin.polarity)
+    return replace(finished, top=top, at_top=at_top)
 
 
 def answer_limit(contacts: ContactSettings, noise: FloatArray) -> FloatArray:
     """Compute the response above which each channel answers, raw units: the threshold delta."""
     return np.maximum(contacts.response_min, contacts.response_noises * noise)
-
-
-def _closest_to_limit(response: FloatArray, limit: FloatArray) -> tuple[float, float]:
-    """Find the channel closest to its limit, of (c,) raw units each: its response and limit, NaN if all are unknown.
-
-    If one fell by more than its limit, it is the one that fell most: the skin's polarity may be wrong.
-    """
-    share = np.where(np.isfinite(response), response / limit, np.nan)
-    if np.isnan(share).all():
-        return math.nan, math.nan
-    nearest = int(np.nanargmin(share) if np.nanmin(share) < -1.0 else np.nanargmax(share))
-    return float(response[nearest]), float(limit[nearest])
 
 
 def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, ignored: Set[int]) -> Outcome:
@@ -156,6 +147,9 @@ def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, i
     ignored : channels whose answers do not count
     """
     used = np.array([int(channel) not in ignored for channel in press.channels], dtype=bool)
+    share = (press.thresholds or scene.contacts).response_share
+    if share and used.any():
+        used &= press.responses >= share * press.responses[used].max()
     mean, channels, tare_change = press.still, press.channels[used], force_change(press.before, after)
     wrench = None if mean is None else mean.wrench - wrench_baseline(press.before, after, mean.time_s)
     gates = _failed_gates(press, scene, wrench, channels, tare_change)

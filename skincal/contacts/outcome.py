@@ -82,6 +82,8 @@ class Contact:
     """The tare after the poke is known, or will not come."""
     tip: FloatArray | None = field(default=None, metadata=OPTIONAL_FIELD)
     """(3,) float, metres, fixed frame: position of the tip; `None` without a tip stream."""
+    clipped: IntArray | None = field(default=None, metadata=OPTIONAL_FIELD)
+    """Those of `channels` at the end of the skin's range, so that their responses are lower bounds; `None` without any."""
     press: FinishedPress | None = field(default=None, repr=False, metadata=NOT_STORED)
     """The press, to judge it again with other dead channels. `None` if these cannot change the result."""
     tare_after: Tare | None = field(default=None, repr=False, metadata=NOT_STORED)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -55,6 +55,8 @@ def arm_turn_between(before: ArmPose, now: ArmPose) -> float:
 MAX_CONTACT_DISTANCE_ALONG_AXIS_M = 0.1
 """m. Largest distance of the contact, along the force axis, from the axis point nearest to the sensor's origin: more than the
 radius of a robot's limb."""
+AT_TOP_MIN_SHARE_OF_SAMPLES = 0.5
+"""A taxel whose noise reaches the end of the range now and then is below it."""
 _TRAVEL_NOISE_STD_ERRORS = 2.0
 """Standard errors that are subtracted from a travel, so that noise alone exceeds the limit in few still presses."""
 
@@ -151,6 +153,19 @@ class LateAngles:
     """The next angles differ."""
 
 
+def taxels_at_top(frames: FloatArray, answering: IntArray, polarity: int) -> tuple[float, IntArray]:
+    """Find the value of the `answering` taxels in `frames` (n, channels) that is farthest in the direction of a press.
+
+    Returns it, NaN without a taxel, and the taxels that keep it.
+    """
+    values = polarity * frames[:, answering]
+    top = float(np.fmax.reduce(values, axis=None, initial=-math.inf))
+    if not math.isfinite(top):
+        return math.nan, answering[:0]
+    share = np.count_nonzero(values == top, axis=0) / len(values)
+    return polarity * top, answering[share >= AT_TOP_MIN_SHARE_OF_SAMPLES]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FinishedPress:
     """Summary of a press after its release: small, and enough to judge it again."""
@@ -183,6 +198,41 @@ class FinishedPress:
     """Thresholds at the touch; `None` for the scene's."""
     late: LateAngles | None = field(default=None, metadata={"stored": False})
     """Angles that are too old; `None` if they came in time, or are those that came after the poke as well."""
+    skin: FloatArray = field(default_factory=lambda: np.empty(0), metadata={"stored": False})
+    """(channels,) float, raw, mean of the still window; empty without one, and in a press that was read from a journal."""
+    limit: FloatArray = field(default_factory=lambda: np.empty(0), metadata={"stored": False})
+    """(channels,) float, raw units: response above which each channel answers; empty as `skin`."""
+    top: float = field(default=math.nan, metadata={"stored": False})
+    """Raw, value of the still window that is farthest in the direction of a press; NaN if no taxel answered."""
+    at_top: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64), metadata={"stored": False})
+    """Taxels that answered and had this value in `AT_TOP_MIN_SHARE_OF_SAMPLES` of the window."""
+    drifted: bool = field(default=False, metadata={"stored": False})
+    """Its answers are measured from rest values that drift."""
+
+    def with_answers(self, responses: FloatArray, candidates: IntArray) -> FinishedPress:
+        """Replace the answers by the (channels,) `responses`, raw units; `candidates` are the (c,) channels that are taxels."""
+        channels = candidates[(responses > self.limit)[candidates]]  # NaN is not above
+        largest, needed = math.nan, math.nan
+        if not len(channels):
+            largest, needed = _closest_to_limit(responses[candidates], self.limit[candidates])
+        at_top = self.at_top[np.isin(self.at_top, channels)]
+        return replace(self, channels=channels, responses=responses[channels], largest=largest, needed=needed, at_top=at_top)
+
+    def without_frames(self) -> FinishedPress:
+        """Leave out the frames: a session may keep thousands of presses."""
+        return replace(self, skin=np.empty(0), limit=np.empty(0))
+
+
+def _closest_to_limit(response: FloatArray, limit: FloatArray) -> tuple[float, float]:
+    """Find the channel closest to its limit, of (c,) raw units each: its response and limit, NaN if all are unknown.
+
+    If one fell by more than its limit, it is the one that fell most: the skin's polarity may be wrong.
+    """
+    share = np.where(np.isfinite(response), response / limit, np.nan)
+    if np.isnan(share).all():
+        return math.nan, math.nan
+    nearest = int(np.nanargmin(share) if np.nanmin(share) < -1.0 else np.nanargmax(share))
+    return float(response[nearest]), float(limit[nearest])
 
 
 class Press:
@@ -209,6 +259,8 @@ class Press:
         """The stillest window so far."""
         self.best_skin: FloatArray = np.empty(0)
         """(channels,) float, raw, its mean skin frame."""
+        self.best_frames: FloatArray = np.empty((0, 0))
+        """(n, channels) float, raw, its skin frames."""
         self.late: LateAngles | None = None
         """Angles of the stillest window, if they came long before it."""
         # Sort key, smaller is better: 1 if the force is outside its range; spread/limit if above 1; distance to the force range
@@ -280,7 +332,8 @@ class Press:
         self._best_rank = rank
         samples, poses = zip(*self._window, strict=True)
         middle: ArmPose = poses[len(poses) // 2]  # the arm hardly moves within the window
-        self.best_skin = np.stack([sample.skin for sample in samples]).mean(axis=0)
+        self.best_frames = np.stack([sample.skin for sample in samples])
+        self.best_skin = self.best_frames.mean(axis=0)
         self.late = _late_angles(samples, poses)
         self.best = StillMean(
             start_s=samples[0].host_s,

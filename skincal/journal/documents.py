@@ -15,6 +15,7 @@ from typing import Any, TypeAlias, cast
 
 from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.contacts.press import FinishedPress
+from skincal.contacts.skin_condition import SkinCondition
 from skincal.contacts.tare import Tare
 from skincal.devices.plain import address_for_journal
 from skincal.journal.line_file import TOTALS_KEY
@@ -72,8 +73,10 @@ class Totals:
     links: tuple[LinkTotals, ...] = ()
     unpaired: int = 0
     """Skin frames without a wrench."""
+    skin: SkinCondition = field(default_factory=SkinCondition)
+    """Condition of the skin; without pokes in sessions that do not tell it."""
 
-    def plus(self, health: Sequence[LinkHealth], unpaired: int) -> Totals:
+    def plus(self, health: Sequence[LinkHealth], unpaired: int, skin: SkinCondition) -> Totals:
         """Add the counts of one more segment."""
         links = {link.link: link for link in self.links}
         for new in health:
@@ -83,7 +86,7 @@ class Totals:
             counts = old.readings + new.readings, losses, beside
             frames = tuple(dict.fromkeys((*old.frames, *new.frames)))
             links[new.link] = LinkTotals(new.link, new.format or old.format, *counts, frames)
-        return Totals(tuple(links.values()), self.unpaired + unpaired)
+        return Totals(tuple(links.values()), self.unpaired + unpaired, self.skin.plus(skin))
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +154,8 @@ def result_to_json(result: Result) -> dict[str, Any]:
             }
             for link in result.links
         }
-        return {"type": "totals", "links": counts, "unpaired": result.unpaired}
+        skin = {"skin": to_json(result.skin)} if result.skin.is_known else {}
+        return {"type": "totals", "links": counts, "unpaired": result.unpaired, **skin}
     dead = {} if result.dead is None else {"dead": {str(channel): why for channel, why in result.dead.items()}}
     return {"type": "taken", "outcomes": [_outcome_to_json(outcome) for outcome in result.outcomes], **dead}
 
@@ -212,7 +216,8 @@ def _from_body(kind: object, body: dict[str, Any], path: Path) -> SessionEvent |
                 dead=None if dead is None else {int(channel): str(why) for channel, why in dead.items()},
             )
         case "totals":
-            return Totals(tuple(_read_totals(name, link) for name, link in body["links"].items()), body["unpaired"])
+            links = tuple(_read_totals(name, link) for name, link in body["links"].items())
+            return Totals(links, body["unpaired"], from_json(SkinCondition, body.get("skin", {})))
         case _:
             raise InputError(
                 f"{path}: has an event or result {shown(kind)}, which this version does not know; open it with a newer skincal."

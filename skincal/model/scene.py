@@ -93,6 +93,9 @@ class ContactSettings:
     """Raw units. The threshold delta: the authors' own module uses 10 of 255."""
     response_noises: float = 5.0
     """A taxel must also answer this many standard deviations of its own noise above its baseline."""
+    response_share: float = 0.0
+    """A taxel must also answer at least this share of the strongest answer: above the ghosts of a matrix without diodes. 0: any
+    share counts."""
     quiet_s: float = 0.20
     """s. Length of a quiet window for the tare: 10 skin frames at 50 Hz."""
     tare_change_max: float = 1.0

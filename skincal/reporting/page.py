@@ -182,6 +182,8 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
         yield "Sensor's frame", frame_sentence(frame), AGREES if frame.right else AGAINST
     if frames := frame_sentences(facts.results.session.wrench_frames, facts.results.snapshot.contacts):
         yield "Wrench's frame", " ".join(frames), AGAINST if facts.verdict.frame_in_doubt else OPEN
+    if skin := facts.results.skin:
+        yield "Skin", " ".join(skin), AGAINST
     if setup := setup_sentences(facts.results.setup):
         yield "Scene and pokes", " ".join(setup), AGAINST
     yield "Modules as planned", *_module_evidence(facts)

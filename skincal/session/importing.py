@@ -20,6 +20,7 @@ from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.session.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
+from skincal.session.skin_findings import session_skin_sentences
 from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_sentences
 from skincal.words.link_words import silent_links
@@ -115,10 +116,11 @@ def play_recording(
 
 
 def stream_findings(pipeline: Pipeline) -> list[str]:
-    """List sentences on streams that paused or repeated one reading, after the last reading."""
+    """List sentences on streams that paused or repeated one reading, and on faults of the skin, after the last reading."""
     outcomes = [record.outcome for record in pipeline.snapshot().pokes]
     late = late_angles_sentence([each for each in outcomes if isinstance(each, Rejection)])
-    return [*([late] if late else []), *pipeline.freeze_findings()]
+    skin = session_skin_sentences(pipeline.snapshot(), pipeline.skin_condition, pipeline.scene)
+    return [*([late] if late else []), *pipeline.freeze_findings(), *skin]
 
 
 def joint_columns(scene: Scene) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ import numpy as np
 
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import BeforePokes, Contact, Outcome, PressPhase
+from skincal.contacts.skin_condition import SkinCondition
 from skincal.geometry import FloatArray
 from skincal.journal.documents import DetectorResult, Item, Result, SessionClosed, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
@@ -245,7 +246,12 @@ class Pipeline:
 
     def totals(self) -> Totals:
         """Count the readings and losses of the whole session."""
-        return self._earlier.plus(self._intake.health(0), self._intake.unpaired)
+        return self._earlier.plus(self._intake.health(0), self._intake.unpaired, self._detector.condition)
+
+    @property
+    def skin_condition(self) -> SkinCondition:
+        """Condition of the skin over the whole session."""
+        return self._earlier.skin.plus(self._detector.condition)
 
     def require_intact_journal(self) -> None:
         """Raise `InputError` after a journal failure: the pipeline holds data that is on no disk, so no segment may follow."""
@@ -281,7 +287,9 @@ class Pipeline:
     def renew_detector(self) -> None:
         """Replace the detector by a new one that knows the session."""
         session = self.session
-        self._detector = ContactDetector(self.scene, session.last_poke, session.found_dead, session.reported)
+        self._detector = ContactDetector(
+            self.scene, session.last_poke, session.found_dead, session.reported, self._earlier.skin.range_end
+        )
         self._dead = self._detector.dead
         self._detector.use_thresholds(session.decisions.thresholds)
         for outcome in self._detector.ignore_channels(session.dead.keys()):

@@ -21,6 +21,7 @@ from skincal.session.part import Part, lay_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.review import ReviewRequest, diagnose_rig
 from skincal.session.session import Session
+from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
@@ -85,6 +86,11 @@ class SessionResults:
         """Mistakes of the scene that pokes on the skin show; `None` without a laid layout or with too few pokes."""
         session = self.session
         return check_setup(self.snapshot.contacts, session.scene, self.part.laid, session.surface, session.wrench_frames)
+
+    @cached_property
+    def skin(self) -> tuple[str, ...]:
+        """Sentences on faults of the skin; empty without one."""
+        return session_skin_sentences(self.snapshot, self.pipeline.skin_condition, self.session.scene)
 
     @cached_property
     def leading(self) -> Method | None:

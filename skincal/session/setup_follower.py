@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 
+from skincal.contacts.skin_condition import SkinCondition
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.rig.setup_check import MistakeKind, SetupDiagnosis, check_setup
 from skincal.session.background import BackgroundJob, Run
 from skincal.session.part import Part
+from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
 from skincal.words.frame_words import frame_sentences
 from skincal.words.setup_words import setup_sentences
 
+SKIN_CHECK_EACH_POKES = 6
+"""New pokes from which the skin is judged again."""
 CHECK_AT_POKES = (6, 8, 10, 13, 16, 20, 26, 32, 40)
 """Numbers of accepted pokes on the skin."""
 
@@ -29,11 +34,23 @@ class SetupFollower:
         self._frames: Sequence[WrenchFrame] = ()
         self._of_frames: tuple[str, ...] = ()
         self._of_pokes: tuple[str, ...] = ()
+        self._of_skin: tuple[str, ...] = ()
+        self._skin_at = 0
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """On the wrench's frame, then of the last check."""
-        return self._of_frames + self._of_pokes
+        """On the wrench's frame, the skin, then of the last check."""
+        return self._of_frames + self._of_skin + self._of_pokes
+
+    def check_skin(self, snapshot: Snapshot, read_condition: Callable[[], SkinCondition]) -> None:
+        """Look for faults of the skin after each few pokes, and in a session that was opened."""
+        pokes = len(snapshot.pokes)
+        if pokes < self._skin_at + SKIN_CHECK_EACH_POKES:
+            return
+        self._skin_at = pokes
+        before = {_first_words(sentence) for sentence in self._of_skin}
+        self._of_skin = session_skin_sentences(snapshot, read_condition(), self._part.scene)
+        self._news += [sentence for sentence in self._of_skin if _first_words(sentence) not in before]
 
     def check_snapshot(self, snapshot: Snapshot, frames: Sequence[WrenchFrame] = ()) -> None:
         """Check a snapshot if enough pokes were added since the last check; `frames` are those of the wrench's messages."""
@@ -60,3 +77,8 @@ class SetupFollower:
         """Return new sentences for the operator, once."""
         news, self._news = self._news, []
         return news
+
+
+def _first_words(sentence: str) -> str:
+    """Beginning of a sentence without its numbers: the same fault is named once."""
+    return re.sub("[-0-9.,]+", "", sentence)[:40]

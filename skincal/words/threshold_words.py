@@ -62,6 +62,11 @@ THRESHOLD_GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
         "response_noises": ThresholdWords(
             "and above its noise times", DisplayUnit(1.0, "", 1), "Keeps a noisy taxel from answering without a touch."
         ),
+        "response_share": ThresholdWords(
+            "and above its share of the strongest",
+            UNITS["1"],
+            "0 counts all. Above the share of the ghosts, it leaves out those of a matrix without diodes.",
+        ),
         "gap_factor": ThresholdWords(
             "Neighbours lie within", DisplayUnit(1.0, "spacings", 1), "Taxels farther apart cannot answer the same tip."
         ),
@@ -108,7 +113,8 @@ def objections(values: Mapping[str, float]) -> dict[str, str]:
 
 def _objection(name: str, value: float) -> str:
     unit = THRESHOLD_WORDS[name].unit
-    if not 0 < value <= setting_limit(name):
+    may_be_0 = getattr(ContactSettings(), name) == 0
+    if not (0 < value <= setting_limit(name) or (may_be_0 and value == 0)):
         most = f" and at most {with_unit(name, setting_limit(name))}" if name.endswith("_s") else ""
         return f"Expected a number above 0{most}, {f'in {unit.text}' if unit.text else 'without a unit'}."
     whole = isinstance(getattr(ContactSettings(), name), int)

@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.cli import main
-from skincal.contacts.gates import _closest_to_limit
 from skincal.contacts.outcome import Reason, Rejection
+from skincal.contacts.press import _closest_to_limit
 from skincal.files.layout_sources import read_layout_file
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import load_scene, resource
