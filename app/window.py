@@ -27,7 +27,7 @@ from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.start_page import StartPage
 from app.panels.widgets import ElidedLabel, mix
 from app.session.controller import OPERATOR_PACES, Controller
-from app.session.opening import OpenRequest, dated_folder, find_scene, is_shipped
+from app.session.opening import OpenRequest, dated_folder, find_scene, is_shipped, server_command
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
@@ -505,6 +505,7 @@ class Window(QMainWindow):
         page.failed.connect(self.tell_failure)
         page.left.connect(lambda: self._confirm_unsaved(self._leave_builder))
         page.start_wanted.connect(self._ask_devices)
+        page.try_wanted.connect(self.try_scene)
         self.setWindowTitle("New part \N{EN DASH} skincal")
         self.stack.addWidget(page)
         self.stack.setCurrentWidget(page)
@@ -521,6 +522,10 @@ class Window(QMainWindow):
             self.stack.removeWidget(page)
             page.deleteLater()
             self.setWindowTitle("skincal")
+
+    def try_scene(self, scene: Path) -> None:
+        """Start a session of a scene with a simulated hand."""
+        self.open(OpenRequest(scene=scene, server=server_command(scene)))
 
     def _ask_devices(self, scene: Path | None, addresses: Addresses | None = None, *, paused: bool = False) -> None:
         """Ask for scene and devices, and start; `paused` if devices are lent to the dialog."""
@@ -588,6 +593,22 @@ class Window(QMainWindow):
         request = OpenRequest(session=folder, read_only=True)
         self._offer("Being recorded", look_words(sentence), "View", lambda: self.open(request))
 
+    def _ask_part(self, page: BuilderPage, then: Callable[[], object]) -> None:
+        """Ask whether to save a part; call `then` after the answer, unless it is Cancel or the part cannot be saved."""
+        box = QMessageBox(QMessageBox.Icon.Question, "Part not saved", PART_NOT_SAVED, parent=self)
+        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        save = box.addButton("Save", QMessageBox.ButtonRole.AcceptRole)
+        drop = box.addButton("Do not save", QMessageBox.ButtonRole.DestructiveRole)
+        box.addButton(QMessageBox.StandardButton.Cancel)
+        box.setDefaultButton(QMessageBox.StandardButton.Cancel)
+        save.clicked.connect(lambda: page.save_then(lambda path: self._leave_saved(path, then)))
+        drop.clicked.connect(lambda: then())
+        box.open()
+
+    def _leave_saved(self, path: Path, then: Callable[[], object]) -> None:
+        self.tell(Message(f"The part is saved in {path.parent}."))
+        then()
+
     # Opening and closing
 
     def open(self, request: OpenRequest) -> None:
@@ -610,7 +631,7 @@ class Window(QMainWindow):
     def _confirm_unsaved(self, then: Callable[[], object]) -> None:
         """Ask whether to keep an unsaved session or part; call `then` after the answer, unless it is Cancel."""
         if self.builder is not None and self.builder.is_changed:
-            self._offer("Part not saved", PART_NOT_SAVED, "Do not save", then)
+            self._ask_part(self.builder, then)
             return
         pokes = self.controller.unsaved_pokes
         if not pokes:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtWidgets import QCheckBox, QFileDialog, QLabel, QLineEdit, QListWidget, QListWidgetItem, QWidget
 
 from app.builder.fields import VectorField, button, row_of
@@ -14,20 +14,22 @@ from app.builder.step import Step
 from app.dialogs.form_widgets import path_row
 from app.dialogs.landmark_dialog import free_name, name_problem
 from app.panels.layouts import make_column, make_form
-from app.panels.widgets import set_bold
+from app.panels.widgets import secondary_label, set_bold
 from app.scene3d.draft_view import Mode
 from app.session.opening import is_shipped
 from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray
+from skincal.mesh.laid_check import LANDMARK_OFF_MESH_MIN_DISTANCE_M, off_mesh_words
 from skincal.mesh.search import nearest_points
 from skincal.session.draft_preview import PartPreview, completed_draft
-from skincal.session.draft_summary import State, summarize
+from skincal.session.draft_summary import State, summarize, why_not_simulated
 from skincal.session.part_draft import METRE_DIGITS, LandmarkDraft, free_scene_path, rounded
 from skincal.session.robot_copy import is_with_robot, size_words
 
 LANDMARK_NORMAL_DECIMALS = 3
 STATE_SIGNS = {State.COMPLETE: "\N{CHECK MARK}", State.OPTIONAL: "\N{BLACK UP-POINTING TRIANGLE}", State.NEEDED: "\N{BALLOT X}"}
 LANDMARK_LIST_MAX_HEIGHT_PX = 110
+TRY_HINT = "Saves the part, and starts a session: a simulated hand follows the guide. No device is needed."
 
 
 class CheckStep(Step):
@@ -41,10 +43,13 @@ class CheckStep(Step):
         "frame and joint errors."
     )
 
+    try_wanted = Signal()
+    """Save the part, and poke it with a simulated hand."""
+
     def __init__(self, scenes: Path) -> None:
         super().__init__()
         self._scenes = scenes
-        self._is_typed_folder = False
+        self._is_typed_folder = self._is_typed_place = False
         self._summary_labels: list[QLabel] = []
         self.mode = Mode.POINT
         self.list = QListWidget()
@@ -54,10 +59,18 @@ class CheckStep(Step):
         self.mark_name = QLineEdit()
         self.mark_name.setAccessibleName("name of the landmark")
         self.mark_name.editingFinished.connect(self._rename)
+        self.mark_name.returnPressed.connect(self._end_naming)
         self.place = VectorField("position of the landmark")
         self.place.edited.connect(self._move)
         self.add, self.remove = button("&Add at the position", run=self._add), button("&Remove", run=self._remove)
-        rows = self.list, ("&Name", self.mark_name), ("Pos&ition", self.place), ("", row_of(self.add, self.remove))
+        self.add_other = button("&Another landmark", run=self._describe_another)
+        self.distance = secondary_label(wrap=True)
+        self.distance.setAccessibleName("distance of the landmark from the mesh")
+        self.nearest = button("Use the nearest point of the mesh", run=self._use_nearest)
+        rows = (
+            self.list, ("&Name", self.mark_name), ("Pos&ition", self.place), self.distance, ("", row_of(self.nearest)),
+            ("", row_of(self.add, self.add_other, self.remove)),
+        )  # fmt: skip
         head, summary = QLabel("Summary"), QWidget()
         set_bold(head)
         summary.setAccessibleName("summary")
@@ -68,7 +81,10 @@ class CheckStep(Step):
         self.copies.setToolTip("The folder can then be moved to another computer")
         self.copies.clicked.connect(lambda on: self.change(replace(self.draft, copies_robot=on)))
         where = make_form(path_row("&Folder", self.folder, self._choose_folder), ("", self.copies))
-        self.fill(make_form(*rows), head, summary, where)
+        self.attempt = button("Try it with a simulated &hand", run=self.try_wanted.emit)
+        self.attempt_note = secondary_label(wrap=True)
+        self.form = make_form(*rows)
+        self.fill(self.form, head, summary, where, row_of(self.attempt), self.attempt_note)
 
     def scene_path(self) -> Path:
         source = self.draft.source
@@ -82,7 +98,7 @@ class CheckStep(Step):
 
     def update_fields(self, preview: PartPreview) -> None:
         marks = preview.draft.landmarks
-        row = min(max(self.list.currentRow(), 0), len(marks) - 1)
+        row = min(self.list.currentRow(), len(marks) - 1)
         with QSignalBlocker(self.list):
             self.list.clear()
             for mark in marks:
@@ -90,6 +106,9 @@ class CheckStep(Step):
             self.list.setCurrentRow(row)
         self._show_chosen(row)
         self._show_summary(preview)
+        why = why_not_simulated(preview)
+        self.attempt.setEnabled(not why)
+        self.attempt_note.setText(why or TRY_HINT)
         if not self._is_typed_folder:
             source = None if preview.draft.source is None or is_shipped(preview.draft.source) else preview.draft.source
             name = completed_draft(preview).name
@@ -119,20 +138,59 @@ class CheckStep(Step):
             self._summary_labels.append(label)
 
     def _show_chosen(self, row: int) -> None:
+        """Show the chosen landmark; without one the fields keep what was typed for the next."""
         marks = self.draft.landmarks
         has_mark = 0 <= row < len(marks)
-        name = marks[row].name if has_mark else ""
-        if name != self.mark_name.text() and not self.mark_name.hasFocus():
-            self.mark_name.setText(name)
         if has_mark:
+            if marks[row].name != self.mark_name.text() and not self.mark_name.hasFocus():
+                self.mark_name.setText(marks[row].name)
             self.place.show_value([1e3 * value for value in marks[row].place])
-        self.mark_name.setEnabled(has_mark)
+        self.add.setVisible(not has_mark)
+        self.add_other.setVisible(has_mark)
         self.remove.setEnabled(has_mark)
+        self.remove.setToolTip("" if has_mark else "Choose a landmark in the list first.")
+        self._show_distance()
+
+    def _show_distance(self) -> None:
+        """Show the distance of a landmark from the mesh, and offer the nearest point."""
+        found = None if self.list.currentRow() < 0 and not self._is_typed_place else self._nearest()
+        is_off = found is not None and float(np.linalg.norm(found[0] - found[1])) > LANDMARK_OFF_MESH_MIN_DISTANCE_M
+        self.distance.setText(off_mesh_words("This point", *found) if found is not None and is_off else "")
+        for each in (self.distance, self.nearest):
+            each.setVisible(is_off)
+
+    def _nearest(self) -> tuple[FloatArray, FloatArray] | None:
+        """Return the point in the fields and the nearest one of the mesh, (3,) metres; `None` without a mesh."""
+        surface = None if self.preview is None else self.preview.surface
+        if surface is None:
+            return None
+        point = np.array(self.place.value()) * 1e-3
+        return point, nearest_points(surface, point[None])[0][0]
+
+    def _use_nearest(self) -> None:
+        found = self._nearest()
+        if found is not None:
+            self.place.show_value((1e3 * found[1]).tolist())
+            self._move(self.place.value())
+
+    def _describe_another(self) -> None:
+        """Leave the chosen landmark: the fields then describe the next one."""
+        self.list.setCurrentRow(-1)
+        self.mark_name.clear()
+        self._is_typed_place = False
+        self._show_chosen(-1)
+        self.mark_name.setFocus()
 
     def take_point(self, point: FloatArray, *, on_mesh: bool = True) -> None:
-        """Add a landmark at a point, (3,) float, metres, link frame."""
+        """Add a landmark at a point, (3,) float, metres, link frame; a name that was typed before is its name."""
         marks = self.draft.landmarks
-        name = free_name({mark.name for mark in marks})
+        taken = {mark.name for mark in marks}
+        typed = self.mark_name.text().strip() if self.list.currentRow() < 0 else ""
+        problem = name_problem(typed, taken) if typed else ""
+        if problem:
+            self.failed.emit(problem)
+            return
+        name = typed or free_name(taken)
         surface = None if self.preview is None else self.preview.surface
         normal = None
         if surface is not None:
@@ -144,8 +202,8 @@ class CheckStep(Step):
         with QSignalBlocker(self.list):
             self.list.addItem(QListWidgetItem(name))
             self.list.setCurrentRow(len(marks))
-        self.mark_name.setEnabled(True)
         self.mark_name.setText(name)
+        self._show_chosen(len(marks))
         self.mark_name.setFocus()
         self.mark_name.selectAll()
 
@@ -163,11 +221,20 @@ class CheckStep(Step):
             return
         self._replace(row, replace(marks[row], name=name), "")
 
+    def _end_naming(self) -> None:
+        """After Enter the fields describe the next landmark: a name that is typed now is its name."""
+        row, marks = self.list.currentRow(), self.draft.landmarks
+        self._rename()
+        if 0 <= row < len(marks) and self.draft.landmarks[row].name == self.mark_name.text().strip():
+            self._describe_another()
+
     def _move(self, millimetres: tuple[float, float, float]) -> None:
         row = self.list.currentRow()
         if 0 <= row < len(self.draft.landmarks):
             place = rounded(np.array(millimetres) * 1e-3, METRE_DIGITS)
             self._replace(row, replace(self.draft.landmarks[row], place=place), f"landmark {row}")
+        self._is_typed_place = True
+        self._show_distance()
 
     def _replace(self, row: int, mark: LandmarkDraft, merge: str) -> None:
         marks = list(self.draft.landmarks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
 from PySide6.QtCore import QSignalBlocker, Signal
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QPushButton, QSpinBox, QWidget
@@ -36,7 +37,10 @@ def set_silently(box: QDoubleSpinBox | QSpinBox, value: float) -> None:
 
 
 class VectorField(QWidget):
-    """Three numbers in a row: a point in millimetres, or a direction."""
+    """Three numbers in a row: a point in millimetres, or a direction.
+
+    They are reported together: after Enter, an arrow key, or when the focus leaves all three.
+    """
 
     edited = Signal(object)  # Tuple of three numbers
 
@@ -49,8 +53,22 @@ class VectorField(QWidget):
         for box in self.boxes:
             box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
             box.setMinimumWidth(1)
-            box.valueChanged.connect(lambda _: self.edited.emit(self.value()))
+            box.valueChanged.connect(partial(self._on_change, box))
+            box.editingFinished.connect(partial(self._report, box))
+        self._is_changed = False
         self.setFocusProxy(self.boxes[0])
+
+    def _on_change(self, box: QDoubleSpinBox, _: float) -> None:
+        self._is_changed = True
+        # A typed number waits for Enter or for the end of the editing.
+        if not box.hasFocus() or not box.lineEdit().isModified():
+            self._report(box)
+
+    def _report(self, box: QDoubleSpinBox) -> None:
+        """Report a change in one box, unless the focus went on to another of the three."""
+        if self._is_changed and not any(each.hasFocus() for each in self.boxes if each is not box):
+            self._is_changed = False
+            self.edited.emit(self.value())
 
     def value(self) -> tuple[float, float, float]:
         x, y, z = (box.value() for box in self.boxes)

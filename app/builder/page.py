@@ -6,7 +6,7 @@ and the newest result is shown. Widgets decide nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from app.builder.sensor_step import SensorStep
 from app.builder.skin_step import SkinStep
 from app.builder.step import Step
 from app.panels.layouts import make_column, make_row, scrolled
-from app.panels.widgets import theme_colours
+from app.panels.widgets import escape_tooltip, theme_colours
 from app.scene3d.draft_state import DraftPicture, DraftStatic
 from app.scene3d.draft_view import DraftView3D
 from app.session.opening import Addresses
@@ -32,7 +32,7 @@ from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft
-from skincal.session.draft_summary import State, can_start, summarize
+from skincal.session.draft_summary import State, can_start, summarize, why_not_simulated
 from skincal.session.part_changes import with_part_file
 from skincal.session.part_draft import DraftHistory, PartDraft, open_draft, save_draft
 
@@ -46,6 +46,7 @@ class BuilderPage(QWidget):
 
     start_wanted = Signal(object, object)
     """`Path` of the saved scene, and the `Addresses` that were named on the page."""
+    try_wanted = Signal(object)  # `Path` of the saved scene, to be poked by a simulated hand
     failed = Signal(str)  # Sentence on what cannot be done
     left = Signal()
 
@@ -59,7 +60,8 @@ class BuilderPage(QWidget):
         self.steps: tuple[Step, ...] = (PartStep(), SensorStep(), self.joints, self.skin, self.place, self.check)
         self._saved = self.history.now
         self._previewer, self._threads = PartPreviewer(), ThreadService("draft", self)
-        self._is_busy = self._must_repeat = self._is_start_due = False
+        self._is_busy = self._must_repeat = False
+        self._when_settled: Callable[[], object] | None = None  # Waits until the newest change is previewed
         self._arrange()
         self._connect()
         self.show_step(self.steps[0])
@@ -115,6 +117,8 @@ class BuilderPage(QWidget):
         view.drag_started.connect(place.start_drag)
         view.layout_dragged.connect(place.drag_to)
         view.turn_started.connect(place.start_turn)
+        view.missed.connect(place.show_missed)
+        self.check.try_wanted.connect(self.save_and_try)
         view.layout_turned.connect(place.turn)
         for keys, run in (("Ctrl+Z", self.undo), ("Ctrl+Y", self.redo), ("Ctrl+Shift+Z", self.redo)):
             QShortcut(QKeySequence(keys), self, run)
@@ -183,8 +187,9 @@ class BuilderPage(QWidget):
         self._is_busy = False
         if self._must_repeat:
             self._request()
-        elif self._is_start_due:
-            self.save_and_start()
+        elif self._when_settled is not None:
+            run, self._when_settled = self._when_settled, None
+            run()
 
     @property
     def is_settled(self) -> bool:
@@ -259,6 +264,8 @@ class BuilderPage(QWidget):
         self.next.setVisible(not is_last)
         self.start.setVisible(is_last)
         self.start.setEnabled(preview is not None and can_start(preview))
+        needed = [] if preview is None else [line.text for line in summarize(preview) if line.state is State.NEEDED]
+        self.start.setToolTip(escape_tooltip(needed[0]) if needed else "")
 
     def _show_findings(self) -> None:
         preview = self.preview
@@ -287,15 +294,27 @@ class BuilderPage(QWidget):
         self._set_history(self.history.saved_as(saved))
         return saved.source
 
-    def save_and_start(self) -> None:
-        """Save and ask for the devices, as soon as the newest change is previewed."""
-        self._is_start_due = not self.is_settled
-        if self._is_start_due or self.preview is None or not can_start(self.preview):
+    def save_then(self, then: Callable[[Path], object]) -> None:
+        """Save as soon as the newest change is previewed; call `then` with the scene's path unless that failed."""
+        if not self.is_settled:
+            self._when_settled = partial(self.save_then, then)
             return
         path = self.save()
         if path is not None:
+            then(path)
+
+    def save_and_start(self) -> None:
+        """Save, and ask for the devices."""
+        self._when_settled = None if self.is_settled else self.save_and_start
+        if self.is_settled and self.preview is not None and can_start(self.preview):
             addresses = Addresses(skin=self.skin.live.row.named, joints=self.joints.live.row.named)
-            self.start_wanted.emit(path, addresses)
+            self.save_then(lambda path: self.start_wanted.emit(path, addresses))
+
+    def save_and_try(self) -> None:
+        """Save, and start a session with a simulated hand."""
+        self._when_settled = None if self.is_settled else self.save_and_try
+        if self.is_settled and self.preview is not None and not why_not_simulated(self.preview):
+            self.save_then(self.try_wanted.emit)
 
     def recolour(self) -> None:
         self.view.set_dark(theme_colours().dark)

@@ -9,18 +9,25 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker
 from PySide6.QtWidgets import QGridLayout, QWidget
 
-from app.builder.fields import VectorField, button, row_of
+from app.builder.fields import VectorField, button, row_of, set_silently
 from app.builder.step import Step
 from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_form
-from app.panels.widgets import compact_combo
+from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_state import TurnHandle
 from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
 from skincal.session.draft_preview import PartPreview
-from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
+from skincal.session.layout_placing import (
+    anchor_at,
+    anchor_of_module,
+    nudged_anchor,
+    turn_of,
+    turned_anchor,
+    with_module_anchor,
+)
 from skincal.session.part_draft import AnchorDraft, PartDraft
 
 WHOLE_LAYOUT = -1  # Data of the entry for the whole layout
@@ -30,6 +37,24 @@ TURN_RING_RADIUS_OVER_LAYOUT = 1.15  # Radius of the ring that turns the layout,
 ARROW_BUTTONS = (("\N{LEFTWARDS ARROW}", -1, 0, 1, 0), ("\N{RIGHTWARDS ARROW}", 1, 0, 1, 2), ("\N{UPWARDS ARROW}", 0, 1, 0, 1),
           ("\N{DOWNWARDS ARROW}", 0, -1, 2, 1))  # fmt: skip
 """Sign, step along the layout's x and y, row and column of the button."""
+
+
+ANGLE_HELP = (
+    "0: upright, the layout's x axis is level and its y axis as near to the link's z axis as the part allows. "
+    "Counter-clockwise seen from outside."
+)
+NOT_ON_PART = "First click the part where the layout lies."
+TYPED_POINT_MIN_DISTANCE_MM = 0.05
+"""mm. A typed point nearer to the mesh is on it."""
+
+
+def typed_point_words(typed: FloatArray, taken: FloatArray) -> str:
+    """Give the distance of a typed point from the mesh, and the point that is used, both (3,) mm."""
+    distance = float(np.linalg.norm(typed - taken))
+    if distance < TYPED_POINT_MIN_DISTANCE_MM:
+        return "This point is on the mesh."
+    point = ", ".join(f"{round(value, 1) + 0.0:.1f}" for value in taken.tolist())
+    return f"This point is {distance:.1f} mm from the mesh; the nearest point is used: {point} mm."
 
 
 class PlaceStep(Step):
@@ -49,7 +74,7 @@ class PlaceStep(Step):
         self.moved = compact_combo("what moves")
         self.moved.activated.connect(lambda _: self._choose_moved())
         self.point = VectorField("position on the part")
-        self.point.edited.connect(lambda millimetres: self.take_point(np.array(millimetres) * 1e-3))
+        self.point.edited.connect(self._take_typed)
         self.step = number_field("step of the arrows", " mm", 1000.0)
         self.step.setMinimum(0.1)
         self.step.setValue(ARROW_BUTTON_STEP_MM)
@@ -67,11 +92,19 @@ class PlaceStep(Step):
             each.clicked.connect(lambda _=False, x=x, y=y: self.nudge(x * self.step.value(), y * self.step.value()))
             grid.addWidget(each, row, column)
         self.back = button("Let this module &follow the layout again", run=self._let_follow)
-        turns = ("Turn", row_of(*self.turns))
-        moves = ("&Move", self.moved), ("Pos&ition", self.point), turns, ("Slide", row_of(pad)), ("by", row_of(self.step))
-        self.fill(make_form(*moves, self.back))
+        self.angle = number_field("turn of the layout", "\N{DEGREE SIGN}", 180.0)
+        self.angle.setWrapping(True)
+        self.angle.setToolTip(ANGLE_HELP)
+        self.angle.valueChanged.connect(self._turn_to)
+        turns = ("T&urn", self.angle), ("by", row_of(*self.turns))
+        self.note = secondary_label(wrap=True)
+        self.note.setAccessibleName("note on the position")
+        slides = ("Slide by", row_of(self.step)), ("", row_of(pad))
+        self.fill(make_form(("&Move", self.moved), ("Pos&ition", self.point), self.note, *turns, *slides, self.back))
         self._grip: FloatArray | None = None  # From the anchor's point to the point where a drag began, (3,) metres
         self._drag = 0
+        self._typed: tuple[PartDraft, FloatArray, Anchor | None] | None = None
+        """The draft after a position was typed, that position, (3,) mm, and the anchor before."""
         self._newest: tuple[PartDraft, int | None, Anchor] | None = None
         """The draft of the last move, what moved, and its anchor: the preview of that draft comes later."""
 
@@ -92,11 +125,48 @@ class PlaceStep(Step):
                 self.moved.addItem(f"module {name} alone", index)
             self.moved.setCurrentIndex(self.moved.findData(WHOLE_LAYOUT if self.module is None else self.module))
         anchor = self._anchor()
-        self.point.show_value(np.zeros(3) if anchor is None else anchor.point * 1e3)
-        for widget in (*self.turns, *self.arrows):
+        self._show_point(preview, anchor)
+        set_silently(self.angle, 0.0 if anchor is None else turn_of(anchor))
+        for widget in (*self.turns, *self.arrows, self.angle):
             widget.setEnabled(anchor is not None)
+            if widget is not self.angle:
+                widget.setToolTip(widget.accessibleName() if anchor is not None else NOT_ON_PART)
         is_alone = layout is not None and self.module is not None and layout.modules[self.module].anchor is not None
         self.back.setVisible(is_alone and self.draft.anchor is not None)
+
+    def _show_point(self, preview: PartPreview, anchor: Anchor | None) -> None:
+        """Show the position; one that was typed stays, with its distance to the mesh."""
+        typed = None if self._typed is None or self._typed[0] is not self.draft else self._typed[1]
+        self.note.setText("")
+        if anchor is None:
+            self.point.show_value(np.zeros(3))
+        elif typed is None:
+            self.point.show_value(anchor.point * 1e3)
+        else:
+            self.point.show_value(typed)
+            if preview.surface is not None:
+                self.note.setText(typed_point_words(typed, anchor.point * 1e3))
+
+    def show_missed(self, words: str) -> None:
+        """Explain a click that placed nothing."""
+        self.note.setText(words)
+
+    def _turn_to(self, degrees: float) -> None:
+        anchor = self._anchor()
+        if anchor is not None:
+            self._move_to(turned_anchor(anchor, degrees - turn_of(anchor)), "turn to")
+
+    def _take_typed(self, millimetres: tuple[float, float, float]) -> None:
+        """Place the layout at the point of the mesh that is nearest to a typed one."""
+        preview, typed = self.preview, np.array(millimetres)
+        if preview is None or preview.layout is None:
+            return
+        # A number after another one starts where the layout was before both.
+        is_next = self._typed is not None and self._typed[0] is self.draft
+        before = self._typed[2] if self._typed is not None and is_next else self._anchor()
+        self._move_to(anchor_at(preview.surface, preview.layout, typed * 1e-3, before), "typed")
+        self._typed = self.draft, typed, before
+        self._show_point(preview, self._anchor())
 
     def _choose_moved(self) -> None:
         index = int(self.moved.currentData())

@@ -16,6 +16,7 @@ from PySide6.QtGui import QKeyEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QComboBox,
     QCompleter,
+    QDialogButtonBox,
     QGridLayout,
     QHBoxLayout,
     QLabel,
@@ -43,6 +44,7 @@ from skincal.model.errors import InputError, plain_text, plural, shortened
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.session.importing import joint_columns
+from skincal.session.part import why_not_simulated
 from skincal.streams.decoders.line_parts import PartKind, split_parts
 from skincal.streams.links import parse_address
 from skincal.streams.ros_topics import FoundTopic, propose_topics
@@ -61,6 +63,10 @@ RECORDING_PAUSED_HERE = (
 )
 RECORDING_PAUSED = (
     "The recording of the open session is paused while this dialog is open. Cancel continues it in a new segment."
+)
+TRY_HELP = (
+    "Starts a session of this scene at once, without devices: a simulated hand follows the guide. Its folder is asked about "
+    "when it closes."
 )
 NEEDS_CONFIRMATION = "named by the session file: press Enter to connect"
 POSE_ASKED_LATER = "choose later, before the first poke"
@@ -310,6 +316,11 @@ class NewSessionDialog(Dialog):
         form.setRowStretch(form.rowCount(), 1)
         self.area = scrolled(inner)
         self.area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        if is_new:
+            self.attempt = self.buttons.addButton("Try it with a simulated &hand", QDialogButtonBox.ButtonRole.ActionRole)
+            self.attempt.setToolTip(TRY_HELP)
+            self.attempt.setAutoDefault(False)
+            self.attempt.clicked.connect(self._try_simulated)
         start = self.button(StandardButton.Ok)
         start.setText("St&art" if is_new else "&Use these")
         self.fill((self.area, 1))
@@ -472,6 +483,24 @@ class NewSessionDialog(Dialog):
                 self.request_chosen.emit(chosen)
             else:
                 self.addresses_chosen.emit(chosen, agreed)
+
+        self._close_links(finish)
+
+    def _try_simulated(self) -> None:
+        """Start a session of the scene without devices, in a folder that is asked about when it closes."""
+        try:
+            scene = self.scene.file()
+            why = why_not_simulated(load_scene(scene))
+            if why:
+                raise InputError(why)
+        except InputError as error:
+            self._show_problem(str(error))
+            return
+        request = OpenRequest(scene=scene, server=server_command(scene))
+
+        def finish() -> None:
+            self.accept()
+            self.request_chosen.emit(request)
 
         self._close_links(finish)
 

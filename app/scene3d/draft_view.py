@@ -23,6 +23,10 @@ HOVER_REST_MS = 80  # The pointer rests on a link for so long until its name is 
 LAYOUT_TURN_PER_WHEEL_NOTCH_DEG = 5.0  # Turn of the layout for one notch of the wheel over it
 
 
+RING_CLICKED = "That is the ring: drag it to turn the layout. To place the layout, click the part next to the ring."
+CLICKED_BESIDE = "That click is not on the part: click the part itself."
+
+
 class Mode(Enum):
     """Meaning of a click."""
 
@@ -41,6 +45,7 @@ class DraftView3D(View3D):
     drag_started = Signal(int, object)  # Index of the module under the pointer, and the point (3,) there
     layout_dragged = Signal(object)  # (3,) float, metres, link frame: the point of the part under the pointer
     layout_turned = Signal(float)  # Degrees, counter-clockwise seen from outside
+    missed = Signal(str)  # Why a click did nothing, and what does
     turn_started = Signal()  # The ring around the layout was gripped; its turns follow
 
     def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
@@ -128,6 +133,12 @@ class DraftView3D(View3D):
         """Whether the ring that turns the layout is at a pixel."""
         return self._draft_renderer is not None and self._draft_renderer.handle.is_at(x, y)
 
+    @property
+    def _is_proposed(self) -> bool:
+        """Whether the layout is not placed yet: then a click on its ring places it, too."""
+        picture: DraftPicture | None = self._state
+        return picture is not None and picture.preview.proposed_anchor is not None
+
     def _ring_angle(self, x: float, y: float) -> float | None:
         """Return the angle of a pixel about the middle of that ring, degrees; `None` without a ring."""
         return None if self._draft_renderer is None else self._draft_renderer.handle.angle_at(x, y)
@@ -143,10 +154,14 @@ class DraftView3D(View3D):
             link = None if self._draft_renderer is None else self._draft_renderer.links.pick(x, y)
             if link is not None:
                 self.link_picked.emit(link)
-        elif self.mode is Mode.POINT or (self.mode is Mode.LAYOUT and not self._is_on_ring(x, y)):
+        elif self.mode is Mode.LAYOUT and self._is_on_ring(x, y) and not self._is_proposed:
+            self.missed.emit(RING_CLICKED)
+        elif self.mode in (Mode.POINT, Mode.LAYOUT):
             point = self._point_at(x, y)
             if point is not None:
                 self.point_picked.emit(point)
+            else:
+                self.missed.emit(CLICKED_BESIDE)
 
 
 def nearest_module(picture: DraftPicture, point: FloatArray) -> int | None:

@@ -154,6 +154,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
     import numpy as np
 
     from skincal.geometry import Arm
+    from skincal.mesh.laid_check import landmark_findings
     from skincal.session.robot_mesh import describe_shapes
     from skincal.words.layout_words import kind_findings
 
@@ -188,6 +189,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
     else:
         findings += kind_findings(scene.skin.layout, is_on_mesh=part.surface is not None)
+    findings += landmark_findings({mark.name: mark.place for mark in scene.landmarks}, part.surface)
     if not scene.landmarks:
         findings.append("no landmarks: a shift that all taxels share would go unnoticed")
     return {

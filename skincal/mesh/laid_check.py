@@ -5,7 +5,7 @@ The window's page for parts and `scene show` say the same sentences. A skin that
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,8 @@ CONVEX_MIN_SLOPE = 0.02
 """Mean slope from a taxel down to its neighbours on a convex face: 0.07 at a radius of 70 mm and a spacing of 10 mm."""
 WALL_BEHIND_MAX_M = 0.02
 """m. A thicker part has no other face that the operator may have meant."""
+LANDMARK_OFF_MESH_MIN_DISTANCE_M = 0.002
+"""m. Heads of screws that a mesh leaves out are no higher; the tip of a tool is no sharper."""
 TORN_OUTLINE_MIN_STRETCH = 1.5
 """Distance of successive outline points on the part over that in the layout: a hole sends them different ways."""
 RIM_REACH_SHARE = 0.5
@@ -327,6 +329,26 @@ def _inner_face(skin: _Laid, sensor: FloatArray) -> list[str]:
         f"The layout is on the face towards the force/torque sensor; the other face is {behind.min() * 1e3:.1f} mm behind "
         "it. If the skin is on the other face, place the layout there."
     ]
+
+
+def landmark_findings(places: Mapping[str, FloatArray], surface: Surface | None) -> tuple[str, ...]:
+    """Find landmarks that are off the mesh; `places` (3,) metres, by name, in the mesh's frame."""
+    if surface is None or not places:
+        return ()
+    points = np.array(list(places.values()))
+    near, _ = nearest_points(surface, points)
+    return tuple(
+        off_mesh_words(f"Landmark {name}", point, found)
+        for name, point, found in zip(places, points, near, strict=True)
+        if np.linalg.norm(found - point) > LANDMARK_OFF_MESH_MIN_DISTANCE_M
+    )
+
+
+def off_mesh_words(what: str, point: FloatArray, nearest: FloatArray) -> str:
+    """Give the distance of a point from the mesh, and the nearest point of the mesh, both (3,) metres."""
+    text = ", ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in nearest.tolist())
+    distance = 1e3 * float(np.linalg.norm(nearest - point))
+    return f"{what} is {distance:.1f} mm from the mesh; the nearest point of the mesh is {text} mm. Check its position."
 
 
 def _modules_of(layout: Layout, channels: IntArray) -> str:

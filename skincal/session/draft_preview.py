@@ -15,7 +15,7 @@ import numpy as np
 from skincal.files.layout_sources import parse_layout
 from skincal.geometry import Arm, FloatArray
 from skincal.mesh.findings import FindingKind
-from skincal.mesh.laid_check import LaidFindings, examine_layout
+from skincal.mesh.laid_check import LaidFindings, examine_layout, landmark_findings
 from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface, entry_points
@@ -118,7 +118,7 @@ class PartPreviewer:
         angles : rad, shown angles of joints, by name; others are at 0 or their nearest limit
         """
         work = _Work(self, draft, angles)
-        for step in (work.read_part, work.find_sensor, work.lay_skin):
+        for step in (work.read_part, work.find_sensor, work.lay_skin, work.check_landmarks):
             step()
         return PartPreview(draft, problems=work.problems, findings=work.findings, **work.values)
 
@@ -282,6 +282,11 @@ class _Work:
             JointState(name, column, float(angle), None)
             for name, column, angle in zip(names, spec.arm.joints, angles, strict=True)
         )
+
+    def check_landmarks(self) -> None:
+        """Compare the landmarks with the mesh."""
+        places = {mark.name: np.array(mark.place) for mark in self.draft.landmarks}
+        self.findings["check"] = landmark_findings(places, self.values.get("surface"))
 
     def lay_skin(self) -> None:
         """Read the layout and place it."""

@@ -33,12 +33,24 @@ class SummaryLine:
 
 def summarize(preview: PartPreview) -> tuple[SummaryLine, ...]:
     """Summarize a new part, line by line: complete, or missing with the consequence."""
-    return (_part(preview), *_sensor(preview), *_joints(preview), *_skin(preview), *_place(preview), _landmarks(preview))
+    return (_part(preview), *_sensor(preview), *_joints(preview), *_skin(preview), *_place(preview), *_landmarks(preview))
 
 
 def can_start(preview: PartPreview) -> bool:
     """Whether a session can start with this draft."""
     return all(line.state is not State.NEEDED for line in summarize(preview))
+
+
+def why_not_simulated(preview: PartPreview) -> str:
+    """Give the reason why no simulated hand can poke this part, with the remedy; empty if one can."""
+    missing = next((line for line in summarize(preview) if line.state is State.NEEDED), None)
+    if missing is not None:
+        return missing.text
+    if preview.layout is None:
+        return "A simulated hand needs a layout: choose one in the step Skin."
+    if preview.laid is None or (preview.proposed_anchor is not None and preview.draft.anchor is None):
+        return "A simulated hand needs the place of the layout: click it in the step Place."
+    return ""
 
 
 def _part(preview: PartPreview) -> SummaryLine:
@@ -118,8 +130,12 @@ def _place(preview: PartPreview) -> tuple[SummaryLine, ...]:
     return (SummaryLine("place", State.COMPLETE, "every taxel is on the part"),)
 
 
-def _landmarks(preview: PartPreview) -> SummaryLine:
-    count = len(preview.draft.landmarks)
+def _landmarks(preview: PartPreview) -> tuple[SummaryLine, ...]:
+    found = (SummaryLine("check", State.OPTIONAL, each) for each in preview.findings.get("check", ()))
+    return (_landmark_count(len(preview.draft.landmarks)), *found)
+
+
+def _landmark_count(count: int) -> SummaryLine:
     if count == 0:
         return SummaryLine("check", State.OPTIONAL, "no landmarks: a common shift of all taxels would go unnoticed")
     if count < 3:

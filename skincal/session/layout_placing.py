@@ -42,14 +42,23 @@ def anchor_at(
     if surface is not None:
         near, triangles = nearest_points(surface, point[None])
         point, normal = near[0], surface.normals[triangles[0]]
-    level = np.cross([0.0, 0.0, 1.0], normal)
-    if np.linalg.norm(level) < MIN_SURFACE_TILT_SIN_FOR_LEVEL_AXIS:
-        level = np.array([1.0, 0.0, 0.0])
-    x = level if before is None else before.x
+    x = level_axis(normal) if before is None else before.x
     x, _ = tangent_axes(x, normal, fallback=True)
     if at is None:
         at = middle_of(layout) if before is None else before.at
     return Anchor(at, point, x, normal)
+
+
+def level_axis(normal: FloatArray) -> FloatArray:
+    """Give the x axis, (3,), of an upright layout where the outward normal is `normal`; it may not be perpendicular to it."""
+    level = np.cross([0.0, 0.0, 1.0], normal)
+    return np.array([1.0, 0.0, 0.0]) if np.linalg.norm(level) < MIN_SURFACE_TILT_SIN_FOR_LEVEL_AXIS else level
+
+
+def turn_of(anchor: Anchor) -> float:
+    """Compute the turn of a layout from upright, degrees, -180 to 180, counter-clockwise seen from outside."""
+    level, up = tangent_axes(level_axis(anchor.normal), anchor.normal, fallback=True)
+    return float(np.degrees(np.arctan2(anchor.x @ up, anchor.x @ level)))
 
 
 def middle_of(layout: Layout) -> FloatArray:

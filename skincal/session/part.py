@@ -38,6 +38,16 @@ class Part:
     """Places to search for taxels that no layout places; `None` without a surface or with a laid layout."""
 
 
+def why_not_simulated(scene: Scene) -> str:
+    """Give the reason why no simulated hand can poke a scene's part, with the remedy; empty if one can."""
+    layout = scene.skin.layout
+    if layout is None:
+        return "A simulated hand needs a layout, and this scene has none: name one by layout of [skin]."
+    if scene.skin.anchor is None and all(module.anchor is None for module in layout.modules):
+        return "A simulated hand needs the place of the layout, and this scene has none: change the part, step Place."
+    return ""
+
+
 def load_part(path: Path) -> Part:
     """Load a scene with its mesh and its layout; `InputError` if they cannot be used."""
     scene = load_scene(path)

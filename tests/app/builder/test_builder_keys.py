@@ -23,14 +23,17 @@ from PySide6.QtWidgets import (
 )
 
 from app.dialogs.new_session import NewSessionDialog
+from app.scene3d.draft_view import CLICKED_BESIDE, RING_CLICKED
 from app.text.message import PART_NOT_SAVED
 from app.window import OWN_SCENE_SETTING
+from skincal.files.layout_sources import parse_grid
 from skincal.model.scene import resource
-from skincal.session.part_draft import open_draft
+from skincal.session.part_draft import IDENTITY_POSE, open_draft
 from skincal.simulate.outlets import TcpOutlet
 from tests.app.builder.test_builder_window import Builder, choose, tube  # noqa: F401
 from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS
+from tests.approved import approved
 
 FIELDS = (QLineEdit, QComboBox, QAbstractSpinBox, QSlider, QListWidget, QAbstractButton)
 MAX_TABS = 80
@@ -38,6 +41,10 @@ MAX_TABS = 80
 
 class Keys(Builder):
     """The page, by keys."""
+
+    def activate(self) -> None:
+        self.window.activateWindow()
+        self.bench.until(self.window.isActiveWindow, OPEN_MS)
 
     def press(self, key, modifier=Qt.KeyboardModifier.NoModifier) -> None:
         QTest.keyClick(QApplication.focusWidget() or self.window, key, modifier)
@@ -259,3 +266,126 @@ def test_a_part_that_is_not_saved_is_asked_about(bench, tube):  # noqa: F811
         next(button for button in box.buttons() if (button.text() == "Do not save") == wanted).click()
         bench.qtbot.wait(20)
         assert (bench.window.builder is None) == wanted
+
+
+def test_a_part_is_saved_when_its_page_is_left(bench, tube):  # noqa: F811
+    """Save writes the newest change, which may not be previewed yet; what cannot be saved stays open."""
+    build = Builder(bench, tube)
+    for is_complete in (False, True):
+        if is_complete:
+            build.page.change(replace(build.draft, channels=16, sensor_pose=IDENTITY_POSE))
+            build.page.change(replace(build.draft, polarity="down"))
+        build.page.leave_button.click()
+        box = bench.window.findChildren(QMessageBox)[-1]
+        assert {button.text() for button in box.buttons()} == {"Save", "Do not save", "Cancel"}
+        next(button for button in box.buttons() if button.text() == "Save").click()
+        bench.until(lambda is_complete=is_complete: (bench.window.builder is None) == is_complete, OPEN_MS)
+        bench.qtbot.wait(20)
+        assert (bench.window.builder is None) == is_complete
+    scene = next((bench.documents / "scenes").glob("*/scene.toml"))
+    assert (open_draft(scene).polarity, open_draft(scene).channels) == ("down", 16)
+
+
+def test_a_typed_position_is_taken_whole_and_names_its_distance_to_the_mesh(bench, tube):  # noqa: F811
+    build = Keys(bench, tube)
+    build.page.change(replace(build.draft, layout_text=parse_grid("3x3@8mm").layout_text(), sensor_pose=IDENTITY_POSE))
+    build.settle()
+    place = build.open_step("place")
+    build.settle()
+    start = build.draft.anchor
+    build.activate()
+    place.point.boxes[0].setFocus()
+    for box, text in zip(place.point.boxes, ("0", "-45", "70"), strict=True):
+        QTest.keyClick(box, Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
+        QTest.keyClicks(box, text)
+        assert build.draft.anchor is start, "nothing moves before the third number"
+        QTest.keyClick(box, Qt.Key.Key_Tab)
+    build.settle()
+    # The mesh has a radius of 40 mm.
+    assert build.draft.anchor.point_mm == pytest.approx((0, -40, 70), abs=0.05)
+    assert place.note.text() == approved("placing.typed", distance="5.0", point="0.0, -40.0, 70.0")
+    assert place.point.value() == (0.0, -45.0, 70.0), "what was typed stays"
+    # One by one with Enter: the numbers in between do not turn or flip the layout.
+    for box, text in zip(place.point.boxes, ("40", "0", "60"), strict=True):
+        build.type_into(box, text)
+    assert build.draft.anchor.point_mm == pytest.approx((40, 0, 60), abs=0.05)
+    assert place.angle.value() == pytest.approx(0.0, abs=0.05)
+    build.type_into(place.angle, "30")
+    level = np.array([0.0, 1.0, 0.0])
+    x = np.array(build.draft.anchor.x)
+    assert np.degrees(np.arccos(x @ level)) == pytest.approx(30.0, abs=0.1)
+    assert x[2] > 0.0, "counter-clockwise seen from outside"
+    place.turns[3].click()
+    build.settle()
+    assert place.angle.value() == pytest.approx(45.0, abs=0.05)
+
+
+def test_clicks_that_place_nothing_say_why(bench, tube):  # noqa: F811
+    build = Keys(bench, tube)
+    build.page.change(replace(build.draft, layout_text=parse_grid("3x3@8mm").layout_text(), sensor_pose=IDENTITY_POSE))
+    place = build.open_step("place")
+    build.click()
+    before = build.draft.anchor
+    ring = build.ring_pixel(place.turn_handle(), 2.0)
+    QTest.mouseClick(build.page.view.canvas, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, ring)
+    assert place.note.text() == RING_CLICKED
+    canvas = build.page.view.canvas
+    build.click((5 - canvas.width() // 2, 5 - canvas.height() // 2))
+    assert place.note.text() == CLICKED_BESIDE
+    assert build.draft.anchor == before
+
+
+def test_landmarks_keep_their_typed_names_and_say_how_far_from_the_mesh_they_are(bench, tube):  # noqa: F811
+    build = Keys(bench, tube)
+    build.activate()
+    check = build.open_step("check")
+    # A name before the point.
+    build.type_into(check.mark_name, "screw")
+    for box, text in zip(check.place.boxes, ("58", "0", "60"), strict=True):
+        build.type_into(box, text)
+    assert check.distance.text() == approved("placing.off_mesh", what="This point", distance="18.0", point="40.0, 0.0, 60.0")
+    build.push(check.nearest)
+    build.push(check.add)
+    assert [(mark.name, mark.place) for mark in build.draft.landmarks] == [
+        ("screw", pytest.approx((0.04, 0.0, 0.06), abs=1e-5))
+    ]
+    # A second one does not move the first.
+    build.push(check.add_other)
+    build.type_into(check.mark_name, "far")
+    for box, text in zip(check.place.boxes, ("0", "58", "60"), strict=True):
+        build.type_into(box, text)
+    build.push(check.add)
+    assert [mark.name for mark in build.draft.landmarks] == ["screw", "far"]
+    assert build.draft.landmarks[0].place == pytest.approx((0.04, 0.0, 0.06), abs=1e-5)
+    line = approved("placing.off_mesh", what="Landmark far", distance="18.0", point="0.0, 40.0, 60.0")
+    assert any(line in text for text in check.summary())
+
+
+def test_a_simulated_hand_pokes_a_new_part_at_one_click(bench, tube):  # noqa: F811
+    build = Keys(bench, tube)
+    build.page.change(replace(build.draft, sensor_pose=IDENTITY_POSE, channels=9))
+    check = build.open_step("check")
+    assert not check.attempt.isEnabled()
+    assert "layout" in check.attempt_note.text()
+    build.page.change(replace(build.draft, layout_text=parse_grid("3x3@8mm").layout_text()))
+    build.settle()
+    assert not check.attempt.isEnabled()
+    assert "place of the layout" in check.attempt_note.text()
+    build.open_step("place").take_point(np.array([0.04, 0.0, 0.06]))
+    build.open_step("check")
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        check.attempt.click()
+    assert bench.window.builder is None
+    assert bench.controller.has_simulator
+    bench.until(lambda: bench.window.session_view.state is not None and len(bench.accepted()) > 1, OPEN_MS * 3)
+
+
+def test_the_new_session_dialog_has_the_simulated_hand_too(bench):
+    bench.controller.leave()
+    bench.window._ask_devices(resource("scenes/flat-patch/scene.toml"))
+    dialog = bench.window.findChild(NewSessionDialog)
+    dialog.fields["skin"].setText("socket://127.0.0.1:1")
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        dialog.attempt.click()
+    assert bench.controller.has_simulator
+    assert bench.controller.can_keep, "its folder is asked about"

@@ -11,9 +11,17 @@ import trimesh
 from skincal.files.layout_sources import parse_grid, parse_layout, read_layout_file, repeated_modules
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
+from skincal.model.skin import Anchor
 from skincal.session.draft_preview import PartPreviewer, completed_draft
-from skincal.session.draft_summary import State, can_start, summarize
-from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
+from skincal.session.draft_summary import State, can_start, summarize, why_not_simulated
+from skincal.session.layout_placing import (
+    anchor_at,
+    anchor_of_module,
+    nudged_anchor,
+    turn_of,
+    turned_anchor,
+    with_module_anchor,
+)
 from skincal.session.mesh_units import guess_unit
 from skincal.session.part import load_part
 from skincal.session.part_changes import with_link, with_part_file, with_unit
@@ -30,6 +38,7 @@ from skincal.session.part_draft import (
 )
 from skincal.session.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
 from skincal.session.touch_watch import FRAMES_AT_REST_FIRST, TouchWatch
+from tests.approved import approved
 
 SHIPPED = [path.parent.name for path in sorted(resource("scenes").glob("*/scene.toml"))]
 
@@ -430,3 +439,32 @@ def test_the_summary_has_no_tick_for_a_layout_that_does_not_fit(tmp_path):
         assert (line.state is State.COMPLETE) is is_fine
         assert (line.text == "every taxel is on the part") is is_fine
         assert is_fine or line.text == placed.findings["place"][0]
+
+
+def test_a_landmark_off_the_mesh_is_reported_with_the_nearest_point(cylinder):
+    marks = tuple(LandmarkDraft(name, (x, 0.0, 0.06)) for name, x in (("on", 0.04), ("head", 0.0415), ("far", 0.058)))
+    seen = PartPreviewer().preview(PartDraft(mesh=cylinder, sensor_pose=IDENTITY_POSE, channels=4, landmarks=marks), {})
+    said = approved("placing.off_mesh", what="Landmark far", distance="18.0", point="40.0, 0.0, 60.0")
+    assert seen.findings["check"] == (said,)
+    assert any(line.text == said and line.state is State.OPTIONAL for line in summarize(seen))
+
+
+def test_a_part_without_a_placed_layout_cannot_be_tried(cylinder):
+    draft = PartDraft(mesh=cylinder, channels=9)
+    previewer = PartPreviewer()
+    assert "force/torque sensor" in why_not_simulated(previewer.preview(draft, {}))
+    draft = replace(draft, sensor_pose=IDENTITY_POSE)
+    assert "layout" in why_not_simulated(previewer.preview(draft, {}))
+    draft = replace(draft, layout_text=parse_grid("3x3@8mm").layout_text())
+    seen = previewer.preview(draft, {})
+    assert "place" in why_not_simulated(seen)
+    anchor = anchor_at(seen.surface, seen.layout, np.array([0.04, 0.0, 0.06]), None)
+    assert not why_not_simulated(previewer.preview(replace(draft, anchor=AnchorDraft.from_anchor(anchor)), {}))
+
+
+def test_the_turn_of_a_layout_is_counted_from_upright():
+    """At (40, 0, z) of a column the level axis is +y."""
+    x = np.array([0.0, np.cos(0.4), np.sin(0.4)])
+    anchor = Anchor(np.zeros(2), np.array([0.04, 0.0, 0.0]), x, np.array([1.0, 0.0, 0.0]))
+    assert turn_of(anchor) == pytest.approx(np.degrees(0.4))
+    assert turn_of(turned_anchor(anchor, -turn_of(anchor))) == pytest.approx(0.0, abs=1e-9)
