@@ -12,7 +12,7 @@ _TIME_UNIT = (
     "(s|ms|us|ns|sec(?:ond)?s?|msecs?|millis(?:econds?)?|usecs?|micros(?:econds?)?|\u00b5s|\u03bcs|nsecs?|nanos(?:econds?)?)"
 )
 TIME_COLUMN_RE = re.compile(
-    r"(?:t|[%_]*time|zeit|zeitpunkt|zeitstempel|temps|horodatage|tiempo|tempo|"
+    r"(?:t|[%_]*time|zeit|uhrzeit|zeitpunkt|zeitstempel|temps|horodatage|tiempo|tempo|"
     r"datetime|date[ _/]?time|elapsed(?:[ _]time)?|clock|rosbagtimestamp|"
     rf"(?:.*[./])?(?:stamp|timestamp|time[ _]stamp))(?:[ _/,]*(?:in )?[\[(]?{_TIME_UNIT}[\])]?)?"
 )

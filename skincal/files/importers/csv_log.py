@@ -42,7 +42,15 @@ from skincal.files.importers.labview import ABSOLUTE_MIN_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
 from skincal.files.importers.table_columns import TableColumns, TimeColumns, ValueColumns, comment_units, names_time
 from skincal.files.importers.table_form import EMPTY_WORDS, TableForm, read_form
-from skincal.files.importers.table_values import FIELD_SHOWN_MAX_CHARS, date_reader, find_slash_order, time_kind, to_float
+from skincal.files.importers.table_values import (
+    FIELD_SHOWN_MAX_CHARS,
+    date_reader,
+    find_slash_order,
+    is_time_of_day,
+    time_kind,
+    time_of_day_reader,
+    to_float,
+)
 from skincal.files.importers.timeline import FINER_TIMES, OpenRecording, Timeline, check_overlap, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
@@ -121,6 +129,8 @@ class _Table:
             order = self._slash_order()
             said = f"{finding} Dates with slashes were read as {order}/year." if order else finding
             return date_reader(first, order), said.strip()
+        if not kind and is_time_of_day(first):
+            return time_of_day_reader(first), f"{column} holds times of day."
         no_unit = " names no unit and" if self.named else ""
         if unit is None and number is not None and UNIX_NS[0] <= number <= UNIX_NS[1]:
             return partial(_number_seconds, TIME_UNITS["ns"], self._uses), (

@@ -238,8 +238,8 @@ class TableColumns:
         facts = "\n".join(self._form.facts)
         counts = {kind: to_float(found[1].replace(",", "")) for kind, found in _facts(_COUNTS_RE, facts).items()}
         units = {kind: plain_unit(found[1]) for kind, found in _facts(_FACT_UNIT_RE, facts).items()}
-        if not has_units and not (counts or units):
-            units = comment_units(self.path, self._form.facts)
+        if not has_units and len(units) < len(_FACT_KINDS):
+            units = {**comment_units(self.path, self._form.facts), **units}
         if has_units or not (counts or units):
             return {}, () if has_units else _mentioned_units(facts)
         are_counts = bool(counts) and self._are_whole(columns)
@@ -452,9 +452,15 @@ _COUNTS_RE = r"counts per unit {}\W*([\d.,]*\d)"
 _FACT_UNIT_RE = r"{} units?\W*([A-Za-z\u00b7.* -]+)"
 
 
-_UNIT_WORD = r"((?:m|k)?N(?:[ .*\u00b7\u22c5-]?m?m|[ .*\u00b7\u22c5-]?cm)?|lbf?(?:[ .*-]?(?:in|ft))?)(?![\w/])"
-_UNIT_WORD_RE = re.compile(rf"(?<![\w./])(?<!\d )(?<!per ){_UNIT_WORD}")
-"""A unit of force or moment in a text; not behind a number, which is a range, or in counts for each unit."""
+_FACT_KINDS = {"force": "force", "torque": "(?:torque|moment)"}
+_NEWTON_WORDS = (
+    (re.compile(r"newtons?[ .*\u00b7\u22c5-]*millimet(?:er|re)s?", re.IGNORECASE), "Nmm"),
+    (re.compile(r"newtons?[ .*\u00b7\u22c5-]*met(?:er|re)s?", re.IGNORECASE), "Nm"),
+    (re.compile(r"newtons?", re.IGNORECASE), "N"),
+)
+_UNIT_WORD = r"((?:m|k)?N(?:[ .*\u00b7\u22c5-]?m?m|[ .*\u00b7\u22c5-]?cm)?|lbf?(?:[ .*-]?(?:in|ft))?)(?!\w|/(?!k?N))"
+_UNIT_WORD_RE = re.compile(rf"(?<![\w.])(?<!(?<!N)/)(?<!\d )(?<!per ){_UNIT_WORD}")
+"""A unit of force or moment in a text; not behind a number, which is a range, or in counts for each unit. `N/Nmm` are two."""
 
 
 def comment_units(path: Path, facts: Sequence[str]) -> dict[str, str]:
@@ -463,7 +469,10 @@ def comment_units(path: Path, facts: Sequence[str]) -> dict[str, str]:
     Raises InputError: they name two units of one kind, or one that is not known.
     """
     found: dict[str, list[str]] = {"force": [], "torque": []}
-    for word in _UNIT_WORD_RE.findall("\n".join(facts)):
+    text = "\n".join(facts)
+    for pattern, unit in _NEWTON_WORDS:
+        text = pattern.sub(unit, text)
+    for word in _UNIT_WORD_RE.findall(text):
         unit = plain_unit(word)
         kind = "torque" if unit in MOMENT_UNITS else "force"
         found[kind] += [] if unit in found[kind] else [unit]
@@ -488,7 +497,7 @@ def _mentioned_units(facts: str) -> tuple[str, ...]:
 
 
 def _facts(pattern: str, text: str) -> dict[str, re.Match[str]]:
-    found = {kind: re.search(pattern.format(kind), text, re.IGNORECASE) for kind in ("force", "torque")}
+    found = {kind: re.search(pattern.format(words), text, re.IGNORECASE) for kind, words in _FACT_KINDS.items()}
     return {kind: each for kind, each in found.items() if each}
 
 

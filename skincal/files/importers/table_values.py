@@ -53,6 +53,9 @@ _MOMENT_RES = [
     re.compile(rf"{pattern}(?:T|\s+){_TIME_OF_DAY}{_ZONE_PATTERN}", re.IGNORECASE) for pattern in _DATE_PATTERNS.values()
 ]
 _TIME_OF_DAY_RE = re.compile(_TIME_OF_DAY, re.IGNORECASE)
+DAY_S = 86400.0
+MAX_STEP_BACK_S = 3600.0
+"""s. Times of day that are earlier than the first one by less are out of order, and not of the next day."""
 _SLASHES_RE = re.compile(r"\d\d?/\d\d?/\d{4}")
 
 
@@ -186,6 +189,22 @@ def is_date(text: str) -> bool:
 def is_time_of_day(text: str) -> bool:
     """Check whether a field is a time without a day."""
     return _TIME_OF_DAY_RE.fullmatch(text) is not None
+
+
+def time_of_day_reader(first: str) -> Callable[[str], float | None]:
+    """Return the function that converts times of day to seconds since the midnight before `first`, `None` for other text."""
+    return partial(_time_of_day_seconds, _time_of_day_seconds(0.0, first) or 0.0)
+
+
+def _time_of_day_seconds(first_s: float, text: str) -> float | None:
+    found = _TIME_OF_DAY_RE.fullmatch(text)
+    if found is None:
+        return None
+    hour, minute, second, fraction, half = found.groups()
+    hours = int(hour) % 12 + 12 * (half.lower() == "pm") if half else int(hour)
+    seconds = hours * 3600.0 + int(minute) * 60.0 + float(f"{second}.{fraction or 0}")
+    # A recording is shorter than a day: an earlier time is one after midnight.
+    return seconds + DAY_S if seconds < first_s - MAX_STEP_BACK_S else seconds
 
 
 def find_slash_order(dates: Iterable[str]) -> str:

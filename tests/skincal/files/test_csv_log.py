@@ -233,7 +233,7 @@ def test_columns_of_two_sensors_are_not_mixed(read):
 
 
 def test_a_time_that_is_text_is_shown(read):
-    for seen in ("31.01.2026 10:00", "2026-01-31", "2026-01-31T10:00", "2026-02-30T10:00:00.5Z", "10:00:00.5"):
+    for seen in ("31.01.2026 10:00", "2026-01-31", "2026-01-31T10:00", "2026-02-30T10:00:00.5Z", "10:00"):
         with pytest.raises(InputError, match=approved_pattern("csv_log.text_time", seen=seen)):
             read(**dated([seen] * 4))
 

@@ -90,6 +90,15 @@ def test_dates_with_slashes_over_midnight_follow_each_other(tmp_path, order, day
     assert not any("gap" in finding for finding in findings)
 
 
+@pytest.mark.parametrize("form", ["%H:%M:%S.{ms}", "%H:%M:%S,{ms}", "%I:%M:%S.{ms} %p"])
+def test_times_of_day_are_read_over_midnight(tmp_path, form):
+    begin = datetime(2024, 5, 1, 23, 59, 40, tzinfo=UTC)
+    wrench, skin = (replace(dated(table, form, begin), separator=";") for table in (W, S))
+    findings = place(tmp_path, replace(wrench, names=("Uhrzeit", *AXES)), replace(skin, names=("Time", *TAXEL_NAMES)))
+    assert "wrench: the time column 'uhrzeit' holds times of day." in findings
+    assert not any("gap" in finding or "before the one before" in finding for finding in findings)
+
+
 def test_dates_that_do_not_follow_each_other_are_refused(tmp_path):
     table = dated(W, "%d/%m/%Y %H:%M:%S.{ms}", datetime(2024, 5, 1, 12, tzinfo=UTC))
     texts = [text.replace("01/05/2024", "03/07/2024") if k > N // 2 else text for k, text in enumerate(table.columns[0])]
@@ -110,6 +119,10 @@ def test_dates_that_do_not_follow_each_other_are_refused(tmp_path):
         "% forces (N) and moments (N.mm)\n",
         "# moments in mNm\n",
         "# range 130 N, 10 Nm\n# force: N, torque: N\u00b7mm\n",
+        "# force/torque in N/Nmm\n",
+        "# Force unit: N; Moment unit: Nmm\n",
+        "# forces in newtons and torques in newton-millimetres\n",
+        "# t[s] F[N] M[Nmm]\n",
         "# sensitivity 1000 counts/Nm\n# torque Nmm\n",
     ],
 )
