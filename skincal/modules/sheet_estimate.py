@@ -27,7 +27,7 @@ from skincal.taxels.result import (
     StateReason,
     placed_state,
 )
-from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances
+from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances, variance_factors
 
 SHEET_SEARCH_MAX_LAST_STEP_M = 2e-4
 """A sheet whose search still moves by more is not known."""
@@ -116,6 +116,14 @@ def _trouble(fit: SheetFit) -> StateReason | None:
     return StateReason(Cause.MODULE_BEHIND) if inward >= 0 else None
 
 
+def _misfit(fit: SheetFit) -> float:
+    """Ratio of the pokes' variance to that by the learned noise, at least 1: larger only for a wrong layout or wrong axes."""
+    starts, slopes = np.zeros(1, dtype=np.int64), fit.rows.slopes
+    seen = (slopes.reshape(-1, len(fit.covariance)) @ fit.covariance).reshape(slopes.shape)
+    freedom = float(fit.trust @ np.sum(seen * slopes, axis=(1, 2)))
+    return float(variance_factors(np.sum(fit.rows.misses**2, axis=1), fit.trust, starts, freedom)[0])
+
+
 def _doubted(fit: SheetFit) -> dict[int, dict[int, float]]:
     """List by channel the pokes whose trust is below 1: number to trust."""
     doubted: dict[int, dict[int, float]] = {}
@@ -158,7 +166,7 @@ def _with_shared_errors(
     height = float(off_surface_variances(equations, rows, trust, np.ones(1), noise.skin, errors)[0])
     outward = fit.pads.normals[pads]
     more = _of_pads(fit, added[0])[pads] + height * outward[:, :, None] * outward[:, None]
-    found = add_covariances(known, np.ones(len(known)), more, fit.pads.gradients[pads] @ moves)
+    found = add_covariances(known, np.full(len(known), _misfit(fit)), more, fit.pads.gradients[pads] @ moves)
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 
 
@@ -190,7 +198,8 @@ def predict_sheet_pokes(fits: Sequence[SheetFit]) -> SheetPredictions:
         to_metres = scale.transpose(0, 2, 1)
         predicted = scale @ (covariances - np.eye(2)) @ to_metres
         known = np.linalg.eigvalsh(predicted)[:, -1] <= POSITION_MAX_SD_M**2
-        own = scale @ to_metres
+        # The scene's noise, not the learned one: a wrong layout looks like noise, and is to be contradicted.
+        own = scale @ to_metres / fit.scales[2]
         levers = fit.touches.contact_centres(fit.pads)[0] - fit.touches.evidence.sensors[at]
         off = np.where(known[:, None], (scale @ misses[:, :, None])[:, :, 0], np.nan)
         found.append((at, levers, off, predicted + own, own))

@@ -43,7 +43,7 @@ RANK_MIN_INFORMATION_RATIO = 1e-9
 """Share of the largest information of a group below which there is none in a direction."""
 
 
-def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, unknowns: int) -> FloatArray:
+def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, unknowns: float) -> FloatArray:
     """Compute (g,) the ratio of the variance of g groups of pokes to that by the scene's noise, at least 1.
 
     It is the mean square of a group's misses, in standard deviations, less its standard error: few pokes show little. The ratio
@@ -54,7 +54,7 @@ def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, u
     squares : (m,) float: squared misses of pokes, two numbers each, in standard deviations
     trust : (m,) float, 0 to 1, of the pokes
     starts : (g,) where each group begins
-    unknowns : of each group
+    unknowns : of each group; with a prior the number that the pokes determine
     """
     found, count = np.add.reduceat(trust * squares, starts), 2.0 * np.add.reduceat(trust, starts)
     free = np.maximum(count - unknowns, 1.0)

@@ -10,6 +10,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.files.layout_sources import Grid, parse_layout
+from skincal.guide.verdict import check
 from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
@@ -368,3 +369,26 @@ def test_more_taxels_and_a_smaller_error_need_more_pokes():
     assert counts[2] < counts[3]
     assert counts[1] < counts[3]
     assert 30 <= count_sheet_pokes(layout().places, NOISE, 0.0015) <= 60
+
+
+# ---- wrong layouts ----
+
+ROWS = np.arange(48).reshape(6, 8)
+SERPENTINE = np.where(np.arange(6)[:, None] % 2, ROWS[:, ::-1], ROWS)
+
+
+@pytest.mark.parametrize(
+    ("true", "agrees"),
+    [(ROWS, True), (SERPENTINE, False), (ROWS[:, ::-1], False), (np.arange(48).reshape(8, 6).T, False)],
+    ids=["right", "serpentine", "mirrored", "by columns"],
+)
+def test_channels_in_another_order_are_contradicted_by_held_out_pokes(true, agrees):
+    """A sheet bends to much, but not to taxels in each other's places."""
+    rng = np.random.default_rng(2)
+    contacts = press(on_plane(layout().places)[true.ravel()], rng.permutation(48), rng)
+    table = ContactTable(contacts)
+    found = list(estimate(contacts).values())
+    tried = check(contacts, range(48), table.evidence, Method.MODULES, NOISE, plane(), model(), found)
+    assert tried.has_enough
+    assert tried.agrees is agrees
+    assert tried.believed is agrees
