@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
     from skincal.taxels.contact_table import Evidence
 
-MODULES_AT_ONCE, TAXELS_AT_ONCE = 4, 64
+MODULES_AT_ONCE, SHEETS_AT_ONCE, TAXELS_AT_ONCE = 4, 1, 64
 """Solved between two looks at the clock: some 40 ms by the modules method, less for taxels alone."""
 
 
@@ -156,7 +156,8 @@ class Solving:
         if self.module_model is None:
             return [channels[at : at + TAXELS_AT_ONCE] for at in range(0, len(channels), TAXELS_AT_ONCE)]
         modules = self.module_model.modules_of(channels)
-        some = [modules[at : at + MODULES_AT_ONCE] for at in range(0, len(modules), MODULES_AT_ONCE)]
+        at_once = SHEETS_AT_ONCE if self.module_model.layout.kind is SkinKind.SHEET else MODULES_AT_ONCE
+        some = [modules[at : at + at_once] for at in range(0, len(modules), at_once)]
         return [[channel for channel in self.module_model.channels_of(part) if channel in self._channels] for part in some]
 
     def _solve(self, channels: Sequence[int], dead: Mapping[int, str]) -> None:
