@@ -15,6 +15,7 @@ from skincal.devices.family import Command, DeviceAddress, Family, Form, Handsha
 from skincal.model.errors import InputError
 
 RUN, RECORDED_RUN = "run:", "ran:"
+REQUEST_MAX_CHARS = 100
 REQUEST_AGAIN_AFTER_S = 1.0
 """s of silence after which a request is sent again: it may be lost, or the server started again."""
 
@@ -58,9 +59,10 @@ class RequestHandshake(Handshake):
 def _check_request(address: DeviceAddress) -> bool:
     """Check the options. Raises InputError."""
     text, after = address.options.get("send"), address.options.get("after")
-    if after is not None and (after != "line" or text is None):
+    is_line = text is None or (text.rstrip("\r\n").isprintable() and len(text) <= REQUEST_MAX_CHARS)
+    if not is_line or (after is not None and (after != "line" or text is None)):
         raise InputError(
-            f"{address.text}: expected send=TEXT, the request that the server waits for, and after=line if it answers each "
+            f"{address.text}: expected send=TEXT, one line that the server waits for, and after=line if it answers each "
             "request by one line."
         )
     return True

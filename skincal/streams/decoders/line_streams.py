@@ -24,6 +24,8 @@ COUNTED_TITLES_MIN = 30
 CONSTANT_CHECKSUMS_MIN = 10
 """Wrong checksums in a row, all the same, that show that the board computes none."""
 OPEN_BRACKETS_MAX_LINES = 256
+CHANNELS_MAX = 65536
+"""Labels of a frame that are kept: garbage needs no memory."""
 NUMBER_SHAPE = "number"
 """Form of a separator that is one number."""
 _LONE_RETURN_RE = re.compile(rb"\r(?=[^\r\n])")
@@ -108,6 +110,9 @@ class ChannelFrames:
         if self._found and min(channels) <= max(self._found):
             frames += self._end(width)
         self._found |= channels
+        if len(self._found) > CHANNELS_MAX:
+            self._found, self._incomplete = {}, self._incomplete + 1
+            return frames
         # Without a width, a line of several channels is a frame.
         is_end = len(channels) > 1 if width is None else self._is_end(width)
         return frames + (self._end(width) if is_end else [])
@@ -334,7 +339,8 @@ class Cells:
             if self._found.keys() & cells.keys():
                 self._shape = self._shape_of(width)
                 self._found.clear()
-            self._found |= cells
+            # More is no skin.
+            self._found = self._found | cells if len(self._found) < CHANNELS_MAX else {}
         if self._shape is None:
             return {}
         row, column, rows, columns = self._shape

@@ -324,7 +324,7 @@ def test_a_server_that_waits_for_a_request_gets_it(query, is_polled):
 
 
 def test_wrong_requests_are_refused():
-    for query in ("send=", "after=line", "send=A&after=each", "ask=A"):
+    for query in ("send=", "after=line", "send=A&after=each", "ask=A", "send=A%0D%0AB", f"send={'A' * 101}"):
         with pytest.raises(InputError):
             parse_address(f"socket://h:1?{query}")
 
