@@ -15,11 +15,11 @@ from app.scene3d.mesh_actors import PART, Dots, Label, Layer, Segments
 from app.scene3d.scene_state import MODULE_RGB, ColourArray, SceneColours, StaticScene
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import PlacedLayout
+from skincal.mesh.smooth_normals import SHARP_EDGE_MIN_ANGLE_RAD
 from skincal.mesh.surface import Surface
 from skincal.model.skin import Layout
 
 FRONT_FACES_OPACITY = 0.55
-SHARP_EDGE_MIN_ANGLE_DEG = 40.0  # Edges sharper than this are shaded sharp
 
 
 class SurfaceLayer(Layer):
@@ -48,7 +48,9 @@ class SurfaceLayer(Layer):
 
 def _shaded(surface: Surface) -> pv.PolyData:
     mesh = pv.PolyData.from_regular_faces(surface.vertices, surface.triangles)
-    mesh.compute_normals(split_vertices=True, feature_angle=SHARP_EDGE_MIN_ANGLE_DEG, consistent_normals=False, inplace=True)
+    mesh.compute_normals(
+        split_vertices=True, feature_angle=float(np.degrees(SHARP_EDGE_MIN_ANGLE_RAD)), consistent_normals=False, inplace=True
+    )
     return mesh
 
 

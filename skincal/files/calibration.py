@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
@@ -11,8 +11,11 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.files.formats import NO_OPTIONS, ExportOptions
 from skincal.geometry import FloatArray, IntArray
+from skincal.mesh.smooth_normals import smooth_normals
+from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.model.skin import Layout
 from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
@@ -20,6 +23,9 @@ from skincal.taxels.gains import TaxelGain, taxel_gains
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.words.taxel_words import error_words
+
+DEFAULT_FOOTPRINT_RADIUS_M = 0.002
+"""m. Radius of a pad of iCub's skin: for skins whose spacing is not known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +109,46 @@ class Calibration:
             return None
         index = int(layout.module_of[channel])
         return None if index < 0 else layout.modules[index].id
+
+
+class SmoothedEstimates(Mapping[Method, tuple[Estimate, ...]]):
+    """Estimates by method, with the normals of the smooth part instead of triangles. Each method is made at its first use."""
+
+    def __init__(
+        self, estimates: Mapping[Method, tuple[Estimate, ...]], surface: Surface | None, layout: Layout | None
+    ) -> None:
+        self._estimates, self._surface = estimates, surface
+        spacing_m = np.inf if layout is None else layout.spacing
+        self._footprint_m = spacing_m / 2 if np.isfinite(spacing_m) else DEFAULT_FOOTPRINT_RADIUS_M
+        self._made: dict[Method, tuple[Estimate, ...]] = {}
+
+    def __getitem__(self, method: Method) -> tuple[Estimate, ...]:
+        if method not in self._made:
+            self._made[method] = self._smoothed(self._estimates[method])
+        return self._made[method]
+
+    def __iter__(self) -> Iterator[Method]:
+        return iter(self._estimates)
+
+    def __len__(self) -> int:
+        return len(self._estimates)
+
+    def _smoothed(self, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+        rows = [row for row, each in enumerate(estimates) if each.position is not None and each.triangle is not None]
+        if self._surface is None or not rows:
+            return estimates
+        held = [estimates[row] for row in rows]
+        found = smooth_normals(
+            self._surface,
+            np.array([estimate.position for estimate in held]),
+            np.array([estimate.triangle for estimate in held]),
+            self._footprint_m,
+            np.array([np.zeros((3, 3)) if estimate.covariance is None else estimate.covariance for estimate in held]),
+        )
+        smoothed = list(estimates)
+        for row, normal, sd in zip(rows, found.normals, found.sd.tolist(), strict=True):
+            smoothed[row] = replace(estimates[row], normal=normal, normal_sd=sd)
+        return tuple(smoothed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

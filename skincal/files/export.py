@@ -193,7 +193,7 @@ def _stretches(module: Module, taxels: PlacedTaxels, spacing: float) -> list[flo
 
 COLUMNS = (
     "channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm",
-    "gain_raw_per_N", "gain_sd_raw_per_N", "gain_pokes",
+    "gain_raw_per_N", "gain_sd_raw_per_N", "gain_pokes", "normal_sd_deg",
 )  # fmt: skip
 
 
@@ -201,7 +201,8 @@ def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
     """Return the CSV text of every method; what is not known is left empty.
 
     Positions are metres in the link frame, `sd_mm` is the predicted sd along the weakest direction, millimetres; gains are as
-    for `taxel_gains`. Numbers have every digit that a double needs.
+    for `taxel_gains`; `normal_sd_deg` is the predicted sd of the normal's angle, degrees. Numbers have every digit that a
+    double needs.
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -211,7 +212,8 @@ def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
             channel, module = estimate.channel, calibration.module_id(estimate.channel)
             words = (method.value, estimate.state.value)
             gained = (gain.mean, gain.spread, gain.pokes)
-            writer.writerow([channel, module, *words, estimate.contacts, *_csv_numbers(estimate), *gained])
+            turn = None if estimate.normal_sd is None else math.degrees(estimate.normal_sd)
+            writer.writerow([channel, module, *words, estimate.contacts, *_csv_numbers(estimate), *gained, turn])
     return out.getvalue()
 
 
@@ -306,7 +308,8 @@ CLOSING_KEYS = {
     "poke": "poke_left_out", "place": "place_left_out",
 }  # fmt: skip
 ESTIMATE_KEYS = {
-    "state": "state", "contacts": "contacts", "position": "position_m", "normal": "normal", "covariance": "covariance_m2",
+    "state": "state", "contacts": "contacts", "position": "position_m", "normal": "normal", "normal_sd": "normal_sd_rad",
+    "covariance": "covariance_m2",
     "worst_direction": "weakest", "sd": "sd_m", "rms": "rms_m", "triangle": "triangle",
 }  # fmt: skip
 

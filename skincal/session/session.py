@@ -341,7 +341,7 @@ class Session:
 
     def calibration(self) -> Calibration:
         """Gather what the calibration files are written from."""
-        from skincal.files.calibration import Calibration
+        from skincal.files.calibration import Calibration, SmoothedEstimates
         from skincal.session.closing_pokes import closings_of
 
         snapshot, decisions = self.snapshot(), self.decisions
@@ -349,7 +349,7 @@ class Session:
         return Calibration(
             scene=replace(self.scene, contacts=decisions.thresholds),
             channels=self.channels,
-            estimates=snapshot.estimates,
+            estimates=SmoothedEstimates(snapshot.estimates, self.surface, self.scene.skin.layout),
             contacts=tuple(outcome for outcome in outcomes if isinstance(outcome, Contact)),
             mesh_sha256=None if self.surface is None else self.surface.sha256,
             version=__version__,

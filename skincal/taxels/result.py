@@ -148,3 +148,5 @@ class Estimate:
     covariance. `None` without a correction of the rig (`skincal.taxels.shared_errors`)."""
     doubted: Mapping[int, float] = field(default_factory=dict[int, float])
     """Outliers: number of the poke to trust, 0 to less than 1."""
+    normal_sd: float | None = None
+    """rad, standard deviation of the normal's angle; `None` where it is a triangle's own (`skincal.mesh.smooth_normals`)."""

@@ -161,7 +161,7 @@ def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
     assert main(["export", str(folder), "--format", "csv", "--out", str(tmp_path / "c.csv")]) == 0
     rows = [line.split(",") for line in (tmp_path / "c.csv").read_text(encoding="utf-8").splitlines()]
     assert ",".join(rows[0]) == (
-        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes"
+        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes,normal_sd_deg"
     )
     poked = next(row for row in rows if row[0] == "3")
     assert poked[2:5] == ["free", "touched", "3"]

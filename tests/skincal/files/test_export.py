@@ -7,23 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.contacts.outcome import Contact
 from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS, json_text, ply_text, write_calibration
 from skincal.files.formats import ExportOptions
 from skincal.files.frames import mjcf_text, sdf_text, urdf_text
 from skincal.files.icub import icub_text
+from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import FRAME, Correction, UsedCorrection
+from skincal.session.session import Session
 from skincal.taxels.result import Estimate, Method, Rival, State, StateReason
 from skincal.taxels.shared_errors import predicted_error
 from skincal.words.taxel_words import predicted_words, state_sentence
 from tests.approved import approved, approved_pattern
 from tests.skincal.files.files_support import make_calibration, make_contacts, make_part
 from tests.skincal.files.json_reader import read_json
+from tests.skincal.taxels.test_solve_walls import plate_scene
 
 
 def same(one: object, other: object) -> bool:
@@ -127,7 +131,7 @@ def test_csv_has_a_row_a_channel_and_method(part, tmp_path):
     said = write_calibration(calibration, "csv", tmp_path / "c.csv", Method.FREE)
     text = (tmp_path / "c.csv").read_text()
     assert text.splitlines()[0] == (
-        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes"
+        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes,normal_sd_deg"
     )
     gains = calibration.gains(Method.FREE)
     for gain, row in zip(gains, csv.DictReader(text.splitlines()), strict=False):
@@ -306,3 +310,33 @@ def test_files_tell_what_of_the_error_the_whole_skin_has_where_that_is_predicted
         "taxels_not_known_yet": 0,
         "unchecked_rig_m": None,
     }  # fmt: skip
+
+
+def test_every_file_has_the_normals_of_the_smooth_part(tmp_path):
+    scene, surface = plate_scene()
+    laid, rng = place_layout(scene.skin.layout, scene.skin.anchor, surface), np.random.default_rng(4)
+    session = Session(scene, surface)
+    for poke, channel in enumerate(rng.choice(256, 60, replace=False).tolist(), start=1):
+        place, push = laid.places[channel], -laid.normals[channel] + 0.2 * rng.standard_normal(3)
+        force = 8.0 * push / np.linalg.norm(push)
+        answer = np.array([channel]), np.array([50.0])
+        session.add(Contact(poke, 0.0, 1.0, force, np.cross(place, force), *answer, np.eye(4), "", 0.0, True))
+    calibration = session.calibration()
+    estimates = [e for e in calibration.estimates_by(Method.SURFACE) if e.position is not None]
+    right = np.array([e.position * [1, 0, 1] / np.linalg.norm(e.position * [1, 0, 1]) for e in estimates])
+    found, facets = np.array([e.normal for e in estimates]), surface.normals[[e.triangle for e in estimates]]
+    off, before = (np.degrees(np.linalg.norm(normals - right, axis=1)) for normals in (found, facets))
+    assert before.max() > 1.3
+    assert off.max() < 0.2
+    assert all(0 < e.normal_sd < np.radians(5) for e in estimates)
+    write_calibration(calibration, "csv", tmp_path / "c.csv", Method.SURFACE)
+    every = list(csv.DictReader((tmp_path / "c.csv").read_text().splitlines()))
+    rows = [row for row in every if row["method"] == "surface" and row["nx"]]
+    np.testing.assert_array_equal([[float(row[name]) for name in ("nx", "ny", "nz")] for row in rows], found)
+    assert [float(row["normal_sd_deg"]) for row in rows] == pytest.approx([np.degrees(e.normal_sd) for e in estimates])
+    assert {row["normal_sd_deg"] for row in every if row["method"] == "free"} == {""}
+    write_calibration(calibration, "icub", tmp_path / "i.ini", Method.SURFACE)
+    lines = [line.split() for line in (tmp_path / "i.ini").read_text().splitlines() if len(line.split()) == 6]
+    written = {e.channel: e.normal for e in estimates}
+    table = np.array([[float(word) for word in line] for line in lines if line[0].lstrip("-")[0].isdigit()])
+    np.testing.assert_allclose(table[sorted(written), 3:], [written[channel] for channel in sorted(written)], atol=1e-6)
