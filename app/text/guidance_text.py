@@ -34,7 +34,7 @@ REDUCED_ERROR_WORDS: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFAC
 FOLLOWS: Mapping[Method, str] = {
     Method.FREE: "The guide asks what the free method needs: pokes with the tool leaning to all sides.",
     Method.SURFACE: "The guide asks what the surface method needs: pokes evenly around each taxel, tool upright.",
-    Method.MODULES: "The guide asks what the modules method needs: a few pokes on each module, far apart, and at the edges.",
+    Method.MODULES: "The guide asks what the modules method needs: a few pokes on each module, far apart; on a sheet, many.",
 }
 """Each method needs other pokes."""
 

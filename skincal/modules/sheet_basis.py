@@ -66,6 +66,11 @@ class SheetBasis:
         """Number of coefficients: three strains, then two for each mode."""
         return 3 + 2 * len(self.variances)
 
+    def select(self, taxels: IntArray) -> SheetBasis:
+        """Keep the given taxels."""
+        rows = self.flat[taxels], self.strains[taxels], self.modes[taxels]
+        return SheetBasis(*rows, self.variances, self.left_out[taxels])
+
     def displaced(self, coefficients: FloatArray) -> FloatArray:
         """Deformed positions (n, 2), metres, in the sheet's plane."""
         return self.flat + self.strains @ coefficients[:3] + self.modes @ coefficients[3:].reshape(-1, 2)

@@ -27,7 +27,7 @@ covariance 1 + Q.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -173,7 +173,10 @@ class _Search:
     def __init__(self, touches: Touches, model: ModuleModel, module: int, pose: ModulePoses, noise: NoiseSettings) -> None:
         assert isinstance(model.ground, ModulesOnSurface)
         self._ground, self._module = model.ground, module
-        self._touches, self._noise, self._basis = touches, noise, basis_of(model, module)
+        self._all, self._noise, self._whole = touches, noise, basis_of(model, module)
+        # The search lays the touched taxels alone: on a large sheet these are few.
+        touched, answers = np.unique(touches.answers, return_inverse=True)
+        self._touches, self._basis = replace(touches, answers=answers), self._whole.select(touched)
         self._count = len(touches.of)
         self._poke_of_answer = np.repeat(np.arange(self._count), np.diff(np.append(touches.starts, len(touches.answers))))
         self._pose, self._coefficients = pose, np.zeros(self._basis.unknowns)
@@ -182,8 +185,7 @@ class _Search:
 
     def _lay(self) -> None:
         """Lay the taxels, and linearize the pokes there."""
-        flat = self._basis.displaced(self._coefficients)
-        self._pads = self._ground.place_pads(self._pose.select(np.zeros(len(flat), dtype=np.int64)), flat)
+        self._pads = self._place(self._basis)
         rows = whitened_rows(self._touches, self._pads, self._noise)
         across = rows.whiten @ self._touches.evidence.pairs[self._touches.rows]
         answers = self._touches.answers
@@ -193,6 +195,10 @@ class _Search:
         each = np.concatenate([moved @ self._basis.strains[answers], fields.reshape(*moved.shape[:2], -1)], axis=2)
         slopes = np.concatenate([rows.slopes, np.add.reduceat(each, self._touches.starts)], axis=2)
         self._rows = ModuleRows(slopes, rows.misses, rows.whiten, rows.normals, rows.bends)
+
+    def _place(self, basis: SheetBasis) -> Pads:
+        flat = basis.displaced(self._coefficients)
+        return self._ground.place_pads(self._pose.select(np.zeros(len(flat), dtype=np.int64)), flat)
 
     def find_fit(self, doubting: bool) -> SheetFit:
         weights = np.ones(self._count)
@@ -294,16 +300,17 @@ class _Search:
 
     def _result(self, trust: FloatArray, moving: float) -> SheetFit:
         whole = self._information(trust) / self._scales[2] + np.diag(self._precisions())
-        plane, basis = self._pads.gradients[:, :, :2], self._basis
+        pads, basis = self._place(self._whole), self._whole
+        plane = pads.gradients[:, :, :2]
         fields = plane[:, :, None] * basis.modes[:, None, :, None]
-        gradients = np.concatenate([self._pads.gradients, plane @ basis.strains, fields.reshape(len(plane), 3, -1)], axis=2)
+        gradients = np.concatenate([pads.gradients, plane @ basis.strains, fields.reshape(len(plane), 3, -1)], axis=2)
         return SheetFit(
             module=self._module,
-            touches=self._touches,
+            touches=self._all,
             basis=basis,
             pose=self._pose,
             coefficients=self._coefficients,
-            pads=Pads(self._pads.points, gradients, self._pads.normals, self._pads.triangles),
+            pads=Pads(pads.points, gradients, pads.normals, pads.triangles),
             rows=self._scaled_rows(),
             trust=trust,
             information=whole,
