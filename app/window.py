@@ -52,9 +52,9 @@ DOCUMENTS_FOLDER = Path(__file__).resolve().parents[1] / "docs"
 """Next to the program in a checkout; a package comes without."""
 OWN_SCENE_SETTING = "window/own_scene"  # A scene of the operator's own was opened
 IMPORT_SCENE_SETTING = "import/scene"  # Scene of the last import
-FIELD_CLASSES = ("QLineEdit", "QComboBox", "QAbstractSpinBox")
-FUSION_BORDER_DARKNESS_PERCENT = 140
-"""Fusion makes a border this much darker than the window, which is visible on a light one only."""
+FIELD_CLASSES = ("QLineEdit", "QComboBox", "QAbstractSpinBox", "QCheckBox", "QRadioButton")
+FUSION_BORDER_DARKNESS_PERCENT = 130
+"""Fusion makes a border this much darker than the window, or a little more, which is visible on a light one only."""
 FIRST_SIZE = QSize(1440, 860)  # Pixels, if the screen has them
 
 

@@ -79,6 +79,9 @@ class BuilderPage(QWidget):
             QShortcut(QKeySequence(f"Alt+{number}"), self, partial(self._show_numbered, number))
             self.tabs.addButton(tab, number - 1)
             area = scrolled(step)
+            # The colour of the card around it.
+            for widget in (step, area.viewport()):
+                widget.setAutoFillBackground(False)
             area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
             self.stack.addWidget(area)
         self.findings = QLabel(wordWrap=True)

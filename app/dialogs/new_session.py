@@ -76,6 +76,10 @@ LINK_PREVIEW_UPDATE_PERIOD_MS = 100
 LINE_FONT_SIZE_PT = 9
 LAST_LINE = "Last line"
 CURVE_SIZE_PX = 120, 26
+CURVE_LEAST_HEIGHTS = {
+    Stream.WRENCH: (5.0, "N"), Stream.SKIN: (20.0, "counts"), Stream.JOINTS: (1.0, "\N{DEGREE SIGN}"), Stream.TIP: (2.0, "mm"),
+}  # fmt: skip
+"""Least height of a small curve, with its unit: more than a sensor at rest moves, less than a hand."""
 STATE_TEXT_MIN_HEIGHT_PX = 34  # Two lines, so that nothing moves when text appears
 DIALOG_WIDTH_PX = 700
 MAX_SIZE_PX = 1200, 660  # A larger form scrolls; a screen of 1280 x 720 shows all of it
@@ -114,6 +118,9 @@ class StreamRow(QWidget):
         set_font(self.rate, digits_font(11), 11)
         self.curve = Sparkline(f"newest values of the {name}")
         self.curve.setFixedSize(*CURVE_SIZE_PX)
+        self.curve_height = secondary_label()
+        self.curve_height.setToolTip("the height of the curve")
+        self._least_height, self._unit = CURVE_LEAST_HEIGHTS[stream]
         self.named = ""  # Address that the operator agreed to, which may be connected
         self._is_typed = False
         self.field.textEdited.connect(self._mark_typed)
@@ -129,7 +136,12 @@ class StreamRow(QWidget):
         form.addWidget(self.sign, at + 1, 1, Qt.AlignmentFlag.AlignTop)
         form.addWidget(self.verdict, at + 1, 2)
         form.addWidget(self.line, at + 2, 1, 1, 3)
-        form.addLayout(make_row(self.rate, self.curve), at + 1, 3, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
+        form.addLayout(
+            make_row(self.rate, self.curve, self.curve_height),
+            at + 1,
+            3,
+            Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop,
+        )
 
     @property
     def address(self) -> str:
@@ -166,7 +178,10 @@ class StreamRow(QWidget):
             self.field.setAccessibleDescription(f"{words} {LAST_LINE}: {line}" if line else words)
         curve = () if preview is None else preview.curve
         self.rate.setText("" if preview is None else rate(preview.health.rate))
-        self.curve.show_curve(scroll_points(curve), f"{curve[-1]:.3g}" if curve else "")
+        height = curve_height(curve, self._least_height)
+        # Without its height, the noise of a sensor at rest would look like a press.
+        self.curve_height.setText(f"\N{UP DOWN ARROW} {height:g} {self._unit}" if curve else "")
+        self.curve.show_curve(scroll_points(curve, height), f"{curve[-1]:.3g} {self._unit}" if curve else "")
 
     def agree(self) -> None:
         """Accept the address in the field, so that the program may connect to it."""
@@ -211,13 +226,21 @@ def line_markup(line: str) -> str:
     return f"{LAST_LINE} ({', '.join(words) or 'nothing understood'}):<br>{shown}"
 
 
-def scroll_points(values: Sequence[float]) -> FloatArray:
-    """Scale values, the newest last, to points (n, 2) from 0 to 1; the newest is at the right."""
+def curve_height(values: Sequence[float], least: float) -> float:
+    """Return the range of values that a small curve shows: 1, 2 or 5 times a power of ten, at least `least`."""
+    span = max(least, float(np.ptp(np.asarray(values)))) if values else least
+    power = 10.0 ** np.floor(np.log10(span))
+    # The slack keeps a round range that a rounding made a little too large.
+    return float(next(step * power for step in (1.0, 2.0, 5.0, 10.0) if span <= step * power * (1 + 1e-9)))
+
+
+def scroll_points(values: Sequence[float], height: float) -> FloatArray:
+    """Scale values, the newest last, to points (n, 2) from 0 to 1 in a curve of this height; the newest is at the right."""
     if not values:
         return np.empty((0, 2))
     y = np.asarray(values)
-    span = float(np.ptp(y)) or 1.0
-    return np.column_stack([1.0 + np.arange(1 - len(y), 1) / (PREVIEW_CURVE_POINTS - 1), (y - y.min()) / span])
+    middle = (y.min() + y.max()) / 2.0
+    return np.column_stack([1.0 + np.arange(1 - len(y), 1) / (PREVIEW_CURVE_POINTS - 1), 0.5 + (y - middle) / height])
 
 
 class NewSessionDialog(Dialog):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QKeyEvent, QShowEvent
+from PySide6.QtGui import QFont, QFontMetrics, QKeyEvent, QShowEvent
 from PySide6.QtWidgets import QDialogButtonBox, QHeaderView, QLabel, QSizePolicy, QWidget
 
 from app.dialogs.dialog import Dialog, StandardButton
@@ -11,16 +11,30 @@ from app.dialogs.form_widgets import BUTTON_ELLIPSIS
 from app.panels.layouts import make_column, make_form, make_row, scrolled
 from app.panels.widgets import fit_to_screen, put_rows, secondary_label, set_bold, table
 from app.text_size import scaled
-from app.theme import HEADLINE_FONT_SIZE_PT, WIDGET_GAP_PX
+from app.theme import HEADLINE_FONT_SIZE_PT, RESULT_FONT_SIZE_PT, WIDGET_GAP_PX
 from skincal.guide.verdict import Verdict
 from skincal.words.units import ChannelNames, count
 from skincal.words.verdict_words import figures, left_words, verdict_details, verdict_headline
 
 HEADINGS = ("Taxel", "Why it is not finished")
+HEADLINE_SIZES_PT = (HEADLINE_FONT_SIZE_PT, 22.0, 18.0, RESULT_FONT_SIZE_PT)
+"""A short verdict is read from two metres, a long one from one metre."""
+HEADLINE_LINES, HEADLINE_FILL = 2, 0.9  # Lines of the headline, and the share of a line that words fill
 DIALOG_MIN_WIDTH_PX = 680
 DIALOG_WIDTH_PX = 840
 LIST_MIN_HEIGHT_PX = 100
 DIALOG_MAX_HEIGHT_PX = 660  # A higher dialog scrolls; a screen of 720 pixels shows all of it
+
+
+def _headline_points(sentence: str) -> float:
+    """Return the size of a headline in points at 100 %: as large as lets the sentence take two lines."""
+    for points in HEADLINE_SIZES_PT:
+        font = QFont()
+        font.setBold(True)
+        font.setPointSizeF(points)
+        if QFontMetrics(font).horizontalAdvance(sentence) <= HEADLINE_LINES * HEADLINE_FILL * DIALOG_WIDTH_PX:
+            return points
+    return HEADLINE_SIZES_PT[-1]
 
 
 class VerdictDialog(Dialog):
@@ -63,7 +77,7 @@ class VerdictDialog(Dialog):
         self.left.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         # It gets the remaining height, and scrolls before the whole dialog does.
         self.left.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
-        set_bold(self.sentence, HEADLINE_FONT_SIZE_PT)
+        self.show_headline()
         self.sentence.setAccessibleName("verdict")
         self.details.setAccessibleName("details of the verdict")
         form = make_form(*((secondary_label(name), value) for name, value in self.figures))
@@ -85,6 +99,10 @@ class VerdictDialog(Dialog):
         self.left.itemActivated.connect(
             lambda item: self.taxel_wanted.emit(self._channels[self.left.indexOfTopLevelItem(item)])
         )
+
+    def show_headline(self) -> None:
+        """Give the verdict the size of its type, as large as lets it take two lines."""
+        set_bold(self.sentence, _headline_points(self.sentence.text()))
 
     def showEvent(self, event: QShowEvent) -> None:
         """Resize the dialog to its wrapped text, at most to the size of the screen."""

@@ -23,6 +23,8 @@ from skincal.geometry import FloatArray
 from skincal.words.units import UNITS, number
 
 TIME_AXIS_SPAN_S = 10.0  # Length of the time axis, as the live view keeps it
+TIME_TICK_PERIOD_S = 2.0  # Between the numbers of the time axis
+RIGHT_MARGIN_PX = 14  # At the right of a plot at 100 %
 MAX_PLOT_COLUMNS_PER_CURVE = 500  # About the width of the panel in pixels
 CURVES_REDRAW_PERIOD_S = 0.09
 """Six curves cost as much as a picture of the 3D view, which is drawn three times as often."""
@@ -72,8 +74,10 @@ class Curves(QWidget):
         self.plot = StillPlot(f"curves of the {title.lower()}", 44, 18, 60)
         self.plot.item.setXRange(-TIME_AXIS_SPAN_S, 0.0, padding=0.0)
         self.plot.item.setYRange(-floor, floor, padding=0.02)
-        # Half a line, so that a number at the upper end is not cut.
-        self.plot.item.layout.setContentsMargins(0, 7, 0, 0)
+        ticks = np.arange(-TIME_AXIS_SPAN_S, TIME_TICK_PERIOD_S / 2, TIME_TICK_PERIOD_S).tolist()
+        self.plot.item.getAxis("bottom").setTicks([[(at, f"{at:g}" if at else "0 s") for at in ticks]])
+        # Half a line above, and half a number at the right: neither the number at the upper end nor "0 s" is cut.
+        self.plot.item.layout.setContentsMargins(0, 7, scaled(RIGHT_MARGIN_PX), 0)
         self.curves = [self.plot.add_curve() for _ in range(3)]
         make_column(self.header, (self.plot, 1), within=self, margins=0, gap=0)
         self.recolour()

@@ -433,7 +433,9 @@ class TaxelMap(pg.GraphicsView):
             corners, size = self._plan.outlines[index], float(np.ptp(self._plan.outlines[index], axis=0).min())
             text.setFont(font)
             text.setBrush(mix(colours.panel, colours.text, MODULE_NUMBER_OPACITY))
-            text.setVisible(size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT * self._scale >= MIN_MODULE_NUMBER_HEIGHT_PX)
+            # The number of an only module tells nothing, and would lie under all of its taxels.
+            is_large = size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT * self._scale >= MIN_MODULE_NUMBER_HEIGHT_PX
+            text.setVisible(is_large and len(self._numbers) > 1)
             scale, middle = size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT / 40.0, text.boundingRect().center()
             # Upright, although y of the map points up.
             move = QTransform.fromTranslate(*corners.mean(axis=0).tolist())
