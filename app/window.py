@@ -106,7 +106,7 @@ def style_sheet(colours: Colours) -> str:
     QScrollArea {{ border: 1px solid {colours.panel}; }}
     QScrollArea#pages {{ border: none; }}
     QScrollArea:focus {{ border: 1px solid {colours.accent}; }}
-    QHeaderView::section {{ color: {colours.muted}; background: {colours.panel}; border: none; padding: 4px 6px;
+    QHeaderView::section {{ color: {colours.muted}; background: {colours.panel}; border: none; padding: 4px 4px;
         border-bottom: 1px solid {colours.line}; }}
     QTableView {{ border: none; background: {colours.panel}; gridline-color: {colours.raised};
         selection-background-color: {colours.accent}; selection-color: {colours.on_accent}; }}

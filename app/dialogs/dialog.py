@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QIcon
+from PySide6.QtGui import QIcon, QShowEvent
 from PySide6.QtWidgets import QDialog, QDialogButtonBox, QPushButton, QVBoxLayout, QWidget
 
 from app.panels.layouts import Item, make_column
+from app.panels.widgets import keep_on_screen
 
 StandardButton = QDialogButtonBox.StandardButton
 
@@ -29,6 +30,11 @@ class Dialog(QDialog):
             # The desktop's icons fit no theme of ours.
             button.setIcon(QIcon())
         return make_column(*items, self.buttons, within=self)
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Stay within the screen; a dialog with larger text would else be larger."""
+        super().showEvent(event)
+        keep_on_screen(self)
 
     def button(self, kind: StandardButton = StandardButton.Close) -> QPushButton:
         return self.buttons.button(kind)

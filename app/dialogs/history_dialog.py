@@ -6,7 +6,7 @@ import time
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QShowEvent
-from PySide6.QtWidgets import QHeaderView, QTreeWidgetItem, QWidget
+from PySide6.QtWidgets import QTreeWidgetItem, QWidget
 
 from app.dialogs.dialog import Dialog
 from app.panels.widgets import put_rows, secondary_label, table
@@ -26,7 +26,6 @@ class HistoryDialog(Dialog):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__("History", parent, is_kept=True)
         self.list = table("history", HEADINGS)
-        self.list.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         about = "Enter undoes the line and all lines above it, or redoes an undone line."
         self.fill((self.list, 1), secondary_label(about, wrap=True))
         self.resize(*SIZE_PX)

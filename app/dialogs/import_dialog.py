@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QComboBox,
     QCompleter,
     QFileDialog,
-    QHeaderView,
     QLabel,
     QLineEdit,
     QListWidget,
@@ -134,8 +133,6 @@ class ImportDialog(Dialog):
         self.findings.setWordWrap(True)
         self.findings.setAccessibleName("remarks")
         self.findings.setMinimumHeight(scaled(60))
-        self.streams.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        self.streams.header().setStretchLastSection(True)
         self.curve.setMinimumHeight(max(60, scaled(60)))
         inner = QWidget()
         shown = self.form, self.kind, self.streams, self.curve_words, self.curve, self.findings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QFont, QFontMetrics, QKeyEvent, QShowEvent
-from PySide6.QtWidgets import QDialogButtonBox, QHeaderView, QLabel, QSizePolicy, QWidget
+from PySide6.QtWidgets import QDialogButtonBox, QLabel, QSizePolicy, QWidget
 
 from app.dialogs.dialog import Dialog, StandardButton
 from app.dialogs.form_widgets import BUTTON_ELLIPSIS
@@ -74,7 +74,7 @@ class VerdictDialog(Dialog):
         self.report = self.buttons.addButton(f"Report{BUTTON_ELLIPSIS}", QDialogButtonBox.ButtonRole.ActionRole)
         self.export = self.buttons.addButton(f"Export{BUTTON_ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
         self.export.setEnabled(can_export)
-        self.left.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        self.left.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
         # It gets the remaining height, and scrolls before the whole dialog does.
         self.left.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self.show_headline()

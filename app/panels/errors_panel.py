@@ -164,7 +164,7 @@ class ErrorsPanel(Panel):
         self._drawn_s = -PLOT_REDRAW_PERIOD_S
         self.source_box, self.module_box = compact_combo("compared with"), QComboBox()
         self.axis_buttons = {axis: QToolButton() for axis in Axis}
-        self.lines = {method: rich_label() for method in self._methods}
+        self.lines = {method: rich_label(wrap=True) for method in self._methods}
         self._group = QButtonGroup(self)
         for axis, button in self.axis_buttons.items():
             button.setText(axis.value)
@@ -229,7 +229,9 @@ class ErrorsPanel(Panel):
         self._drawn_s, row, series = state.now_s, self.module_box.currentIndex(), self.course.series()
         for method, label in self.lines.items():
             mark = f'<span style="color:{theme_colours().methods[method.value]}">{SYMBOLS[method]}</span>'
-            words = escape(newest_words(series, method, row)).replace(" ", "&nbsp;")
+            # A narrow panel breaks the line between two figures, not between a name and its number.
+            figures = escape(newest_words(series, method, row)).split("   ")
+            words = "&nbsp;&nbsp; ".join(figure.replace(" ", "&nbsp;") for figure in figures)
             label.setText(f"{mark} <b>{METHOD_NAMES[method]}</b>&nbsp;&nbsp;{words}")
         self.plot.draw(series, self.axis, row, quantity_words(self.course.source))
 

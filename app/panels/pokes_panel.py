@@ -226,7 +226,8 @@ class PokesPanel(Panel):
         self.table.verticalHeader().setDefaultSectionSize(metrics.height() + 8)
         for column, text in enumerate(_WIDEST_CELLS):
             if text:
-                self.table.horizontalHeader().resizeSection(column, metrics.horizontalAdvance(text) + 12)
+                header = self.table.horizontalHeader()
+                header.resizeSection(column, max(metrics.horizontalAdvance(text) + 12, header.sectionSizeHint(column)))
 
     def changeEvent(self, event: QEvent) -> None:
         super().changeEvent(event)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QPushButton, QTreeWidgetItem, QWidget
+from PySide6.QtWidgets import QAbstractItemView, QLabel, QPushButton, QTreeWidgetItem, QWidget
 
 from app.panels.layouts import make_column, make_row
 from app.panels.panel import Panel, PanelContext
-from app.panels.widgets import fit_rows, put_rows, secondary_label, set_bold, table
+from app.panels.widgets import fit_columns, fit_rows, put_rows, secondary_label, set_bold, table
 from app.state.memo import is_same
 from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
@@ -47,7 +47,6 @@ class ArmPanel(QWidget):
         self.how = secondary_label(wrap=True)
         self.poses = table("arm poses", ("Pose", "Joints, \N{DEGREE SIGN}", "Contacts"))
         # Seven joints are wider than their column.
-        self.poses.header().setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         self.poses.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
         self.poses.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.rows = {name: QTreeWidgetItem(self.poses) for name in arm.poses}
@@ -78,6 +77,7 @@ class ArmPanel(QWidget):
             mark = "\N{BLACK CIRCLE}" if name == pose else "\N{WHITE CIRCLE}"
             row.setText(0, f"{mark}  {name}")
             row.setText(2, str(used.count(name)))
+        fit_columns(self.poses)
         fit_rows(self.poses)
 
     def _chosen(self, row: QTreeWidgetItem, _column: int) -> None:
@@ -96,8 +96,6 @@ class RigPanel(Panel):
         self.arm = None if arm is None else ArmPanel(arm)
         self.points = table("landmarks", HEADINGS, _COLUMN_HINTS)
         self.points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-        self.points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        self.points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         self.asked, self.tip, self.said = (secondary_label(wrap=True) for _ in range(3))
         self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.offer, self.drop = QPushButton(), QPushButton()

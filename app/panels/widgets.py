@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from PySide6.QtCore import QSize, Qt, Signal
+from PySide6.QtCore import QEvent, QRect, QSize, Qt, Signal
 from PySide6.QtGui import (
     QColor,
     QFont,
@@ -17,6 +17,7 @@ from PySide6.QtGui import (
     QPainter,
     QPaintEvent,
     QPalette,
+    QResizeEvent,
     QShortcut,
 )
 from PySide6.QtWidgets import (
@@ -185,16 +186,56 @@ def rows_text(view: QAbstractItemView) -> str:
     return "".join("\t".join(plain_text(cell) for cell in row) + "\n" for row in (heads, *rows))
 
 
+class FairHeader(QHeaderView):
+    """Header that gives each column the room of its heading and cells, and shares the rest in proportion.
+
+    If they need more than there is, the table scrolls if it may, else the widest column is cut.
+    """
+
+    def __init__(self, tree: QTreeWidget) -> None:
+        super().__init__(Qt.Orientation.Horizontal, tree)
+        self._tree = tree
+        self.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
+        self.setStretchLastSection(False)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        super().resizeEvent(event)
+        self.share_room()
+
+    def changeEvent(self, event: QEvent) -> None:
+        super().changeEvent(event)
+        if event.type() in (QEvent.Type.FontChange, QEvent.Type.StyleChange):
+            self.share_room()
+
+    def share_room(self) -> None:
+        """Resize the columns; called when the table has other cells."""
+        columns = range(self.count())
+        widths = [max(self.sectionSizeHint(at), self._tree.sizeHintForColumn(at)) for at in columns]
+        room, need = self._tree.viewport().width(), sum(widths)
+        can_scroll = self._tree.horizontalScrollBarPolicy() != Qt.ScrollBarPolicy.ScrollBarAlwaysOff
+        if not widths or room <= 0:
+            return
+        if need > room and not can_scroll:
+            widest = widths.index(max(widths))
+            widths[widest] = max(self.sectionSizeHint(widest), widths[widest] - (need - room))
+        elif need < room:
+            widths = [width * room // need for width in widths]
+            widths[-1] += room - sum(widths)
+        for at, width in zip(columns, widths, strict=True):
+            if self.sectionSize(at) != width:
+                self.resizeSection(at, width)
+
+
 def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTreeWidget:
     """Make an empty table whose rows can be copied; `hints` explain the headings."""
     tree = QTreeWidget()
     tree.setAccessibleName(name)
+    tree.setHeader(FairHeader(tree))
     tree.setHeaderLabels(list(headings))
     tree.setRootIsDecorated(False)
     # Qt then measures one row only.
     tree.setUniformRowHeights(True)
     tree.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    tree.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
     for column, hint in enumerate(hints):
         tree.headerItem().setToolTip(column, escape_tooltip(hint))
     make_copyable(tree)
@@ -209,6 +250,14 @@ def put_rows(tree: QTreeWidget, rows: Sequence[Sequence[str]]) -> None:
         item = tree.topLevelItem(at) or QTreeWidgetItem(tree)
         for column, text in enumerate(cells):
             item.setText(column, text)
+    fit_columns(tree)
+
+
+def fit_columns(tree: QTreeWidget) -> None:
+    """Give the columns of a `table` the room of their cells."""
+    header = tree.header()
+    if isinstance(header, FairHeader):
+        header.share_room()
 
 
 def fit_rows(tree: QTreeWidget, most: int = MAX_TABLE_ROWS_WITHOUT_SCROLLING) -> None:
@@ -261,10 +310,22 @@ def compact_combo(name: str) -> QComboBox:
     return box
 
 
+def room_of(window: QWidget) -> QRect:
+    """Return the part of the screen that windows may cover."""
+    return window.screen().availableGeometry()
+
+
 def fit_to_screen(window: QWidget, size: tuple[int, int]) -> None:
     """Resize a window, its width in pixels at 100 %, within the space of the screen, and move it into the screen."""
-    room = window.screen().availableGeometry()
-    window.resize(QSize(scaled(size[0]), size[1]).boundedTo(room.size()))
+    window.resize(scaled(size[0]), size[1])
+    keep_on_screen(window)
+
+
+def keep_on_screen(window: QWidget) -> None:
+    """Make a window no larger than the screen, and move it into the screen."""
+    room = room_of(window)
+    if window.width() > room.width() or window.height() > room.height():
+        window.resize(window.size().boundedTo(room.size()))
     frame = window.frameGeometry()
     frame.moveRight(min(frame.right(), room.right()))
     frame.moveBottom(min(frame.bottom(), room.bottom()))

@@ -19,19 +19,7 @@ from skincal.model.readings import Stream
 from skincal.words.units import ChannelNames
 from tests.app.dialogs.test_verdict_dialog import verdict
 from tests.app.scene3d_support import layout, scene
-from tests.app.window_support import NAMES, pixels, show_in
-
-
-def contrast(first: QColor, second: QColor) -> float:
-    """Contrast of two colours by WCAG 2.1."""
-
-    def luminance(colour: QColor) -> float:
-        parts = np.array([colour.redF(), colour.greenF(), colour.blueF()])
-        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-        return float(linear @ [0.2126, 0.7152, 0.0722])
-
-    low, high = sorted((luminance(first), luminance(second)))
-    return (high + 0.05) / (low + 0.05)
+from tests.app.window_support import NAMES, contrast, pixels, show_in
 
 
 @pytest.mark.parametrize("noise", [0.2, 1.5, 8.0])

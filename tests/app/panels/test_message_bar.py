@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from PySide6.QtCore import QPoint, Qt, QTimer
 from PySide6.QtGui import QCursor
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QLabel, QPlainTextEdit, QWidget
 
 from app.dialogs.landmark_dialog import CLICK_REQUEST
@@ -59,6 +60,26 @@ def test_what_is_asked_stays_until_it_is_done(page):
     bar.withdraw(CLICK_REQUEST)
     bar.withdraw(CLICK_REQUEST)
     assert not bar.isVisible()
+
+
+def test_errors_stay_until_they_are_read_and_news_disappears(page):
+    bar, timer = page.bar, timer_of(page)
+    bar.show_newest()
+    assert not bar.isVisible()
+    bar.tell(Message("The disk is full.", error=True))
+    bar.tell(Message("Written."))
+    assert "Written." in bar.text.text()
+    timer.timeout.emit()
+    assert "The disk is full." in bar.text.text()
+    timer.timeout.emit()
+    assert bar.isVisible()
+    QTest.mouseClick(bar.close_button, Qt.MouseButton.LeftButton)
+    assert not bar.isVisible()
+    signs = []
+    for kind in ({"error": True}, {"asks": True}, {"found": True}, {}):
+        bar.tell(Message("It is so.", **kind))
+        signs.append(bar.text.text().split()[0])
+    assert signs == ["\N{BALLOT X}", "\N{RIGHTWARDS ARROW}", "\N{BULLET}", "\N{CHECK MARK}"]
 
 
 def test_a_message_moves_nothing_and_lies_within_the_view(page, qtbot):

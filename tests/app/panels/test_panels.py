@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QSettings, Qt, QTimer
+from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QColor
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QComboBox, QDoubleSpinBox, QLineEdit, QSpinBox, QTableView, QTreeWidget, QWidget
@@ -12,7 +12,6 @@ from PySide6.QtWidgets import QApplication, QComboBox, QDoubleSpinBox, QLineEdit
 from app.dialogs.history_dialog import HistoryDialog
 from app.panels.devices import DevicesPanel, LinkChips
 from app.panels.inspect_panel import InspectPanel
-from app.panels.message_bar import MessageBar
 from app.panels.panel import Panel
 from app.panels.pokes_panel import HEADINGS, PokesPanel
 from app.panels.readings_panel import ReadingsPanel
@@ -24,7 +23,6 @@ from app.session.opening import OpenRequest
 from app.session_view import PANEL_TYPES, RIGHT_PX
 from app.state.memo import Memo, is_same
 from app.text.guidance_text import BETWEEN
-from app.text.message import Message
 from app.theme import DARK, LIGHT, Choice, Colours
 from app.window import Theme, qpalette, style_sheet
 from skincal.contacts.outcome import Reason
@@ -317,27 +315,6 @@ def test_each_plot_of_the_readings_is_160_pixels_high_on_a_small_screen_too(qtbo
 
 
 # Messages
-
-
-def test_errors_stay_until_they_are_read_and_news_disappears(qtbot):
-    bar = shown(qtbot, MessageBar(), (500, 40))
-    bar.show_newest()
-    assert not bar.isVisible()
-    bar.tell(Message("The disk is full.", error=True))
-    bar.tell(Message("Written."))
-    assert "Written." in bar.text.text()
-    bar.findChild(QTimer).timeout.emit()
-    assert "The disk is full." in bar.text.text()
-    bar.findChild(QTimer).timeout.emit()
-    assert bar.isVisible()
-    QTest.mouseClick(bar.close_button, Qt.MouseButton.LeftButton)
-    assert not bar.isVisible()
-    signs = []
-    for kind in ({"error": True}, {"asks": True}, {"found": True}, {}):
-        bar.tell(Message("It is so.", **kind))
-        signs.append(bar.text.text().split()[0])
-    assert signs == ["\N{BALLOT X}", "\N{RIGHTWARDS ARROW}", "\N{BULLET}", "\N{CHECK MARK}"]
-    bar.stop()
 
 
 # Tables are copied by Ctrl+C
