@@ -11,9 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from PySide6.QtCore import QByteArray, QEvent, QObject, QSettings, Qt, QTimer, Signal
+from PySide6.QtCore import QEvent, QObject, QSettings, QTimer, Signal
 from PySide6.QtGui import QAction
-from PySide6.QtWidgets import QFileDialog, QFrame, QSplitter, QTabWidget, QWidget
+from PySide6.QtWidgets import QFileDialog, QFrame, QTabWidget, QWidget
 
 from app.commands import LAYERS, Commands
 from app.dialogs.apply_dialog import ApplyDialog, offered_port
@@ -24,6 +24,7 @@ from app.dialogs.thresholds_dialog import ThresholdsDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
 from app.panels.devices import DevicesPanel, LinkChips
+from app.panels.docks import Docks
 from app.panels.errors_panel import ErrorsPanel
 from app.panels.inspect_panel import InspectPanel
 from app.panels.layouts import make_column, make_row
@@ -95,15 +96,14 @@ class Workspace(QWidget):
         self.map = TaxelMap(scene, part.channels, context.names, quarter_turns(self._static))
         self.panels = {kind.title: kind(context) for kind in PANEL_TYPES}
         # All widgets have their parents from the start: Qt applies the style sheet again to all in a widget that moves.
-        self.across = QSplitter(Qt.Orientation.Horizontal, self, handleWidth=WIDGET_GAP_PX, childrenCollapsible=False)
-        left = QWidget(self.across)
+        left = QWidget(self)
         self._left_row = make_row((self.view, 1), within=left, margins=0, gap=WIDGET_GAP_PX)
-        self.right = QSplitter(Qt.Orientation.Vertical, self.across, handleWidth=WIDGET_GAP_PX, childrenCollapsible=False)
-        self.card = MapCard(self.right, self.map, self.methods)
-        below = QFrame(self.right)
-        below.setObjectName("card")
-        self.tabs = QTabWidget(below, documentMode=True)
-        make_column(self.tabs, within=below, margins=1)
+        self.card = MapCard(self, self.map, self.methods)
+        self._tabs_card = QFrame(self)
+        self._tabs_card.setObjectName("card")
+        self.tabs = QTabWidget(self._tabs_card, documentMode=True)
+        make_column(self.tabs, within=self._tabs_card, margins=1)
+        self.docks = Docks(self, left, self.card, self._tabs_card, self.tabs)
         self._state: ViewState | None = None
         self.view.taxel_picked.connect(self.taxel_selected)
         self.map.taxel_clicked.connect(self.taxel_selected)
@@ -124,19 +124,17 @@ class Workspace(QWidget):
         self.tabs.tabBar().setExpanding(True)
         self.tabs.tabBar().setDrawBase(False)
         self.view.setMinimumWidth(420)
-        # A plot needs the height more than the map, whose marks stay visible at this share of 720 pixels.
-        self.right.setSizes([21_000, 29_000])
         self._fit_right()
-        self.across.setStretchFactor(0, 1)
-        self.across.setSizes([10_000, RIGHT_PX])
-        make_column((self.across, 1), self.now, within=self, margins=WIDGET_GAP_PX, gap=WIDGET_GAP_PX)
+        self.docks.arrange(tuple(self.panels), RIGHT_PX)
+        make_column((self.docks, 1), self.now, within=self, margins=WIDGET_GAP_PX, gap=WIDGET_GAP_PX)
         self.tabs.currentChanged.connect(self._show_tab)
 
     def show_card(self, card: QWidget) -> None:
         self._left_row.insertWidget(0, card)
 
     def _fit_right(self) -> None:
-        self.right.setMinimumWidth(scaled(MIN_RIGHT_PX))
+        for card in (self.card, self._tabs_card):
+            card.setMinimumWidth(scaled(MIN_RIGHT_PX))
 
     def changeEvent(self, event: QEvent) -> None:
         super().changeEvent(event)
@@ -166,14 +164,31 @@ class Workspace(QWidget):
         return panel if isinstance(panel, Panel) else None
 
     def _show_tab(self, _index: int = -1) -> None:
-        panel = self.current_panel()
-        if self._state is not None and panel is not None:
-            panel.show_state(self._state)
+        if self._state is not None:
+            for panel in self.seen_panels():
+                panel.show_state(self._state)
+
+    def seen_panels(self) -> list[Panel]:
+        """Return the panel of the open tab, and those in windows of their own."""
+        current, detached = self.current_panel(), [self.panels[title] for title in self.docks.detached]
+        return [*([] if current is None else [current]), *detached]
 
     def show_tab(self, title: str) -> None:
-        """Open the tab with this title, if there is one."""
-        if title in self.panels:
+        """Open the tab with this title, if there is one, or raise its window."""
+        if title in self.docks.detached:
+            self.docks.detached[title].raise_()
+            self.docks.detached[title].activateWindow()
+        elif title in self.panels:
             self.tabs.setCurrentWidget(self.panels[title])
+
+    def show_numbered_tab(self, index: int) -> None:
+        self.show_tab(tuple(self.panels)[index])
+
+    def detach_current(self) -> None:
+        """Make the open tab a window of its own."""
+        panel = self.current_panel()
+        if panel is not None:
+            self.docks.detach(panel.title)
 
     def recolour(self) -> None:
         """Recolour what Qt's palette does not change."""
@@ -214,7 +229,7 @@ class SessionView(QObject):
         self._modules_enough = ModulesEnough(self.guided.guide.plan, part.scene.noise.skin, self.guided.guide.surroundings)
         self._enough_message: Message | None = None
         self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
-        self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.tabs.setCurrentIndex)
+        self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.show_numbered_tab)
         self._pokes = self.workspace.panel(PokesPanel)
         self._followed = (
             (controller.session_opened, self._begin_session), (controller.ticked, self._take_tick),
@@ -238,6 +253,7 @@ class SessionView(QObject):
             panel.message_ready.connect(lambda sentence: self.said.emit(Message(sentence)))
         # A panel follows the session only while it is visible: at once, not from the next tick on.
         workspace.tabs.currentChanged.connect(lambda _: self.follow_again())
+        workspace.docks.detached_changed.connect(self.follow_again)
         self._pokes.selection_changed.connect(self.refresh_allowed)
         self.picking.said.connect(self.said)
 
@@ -408,7 +424,7 @@ class SessionView(QObject):
 
     def select_poke(self, poke: int) -> None:
         # Opened first: a hidden list does not have the newest pokes.
-        self.workspace.tabs.setCurrentWidget(self._pokes)
+        self.workspace.show_tab(PokesPanel.title)
         self._pokes.select(poke)
 
     def undo(self) -> None:
@@ -570,27 +586,20 @@ class SessionView(QObject):
 
     # Opening and closing
 
-    def _splitters(self) -> dict[str, QSplitter]:
-        return {"window/across": self.workspace.across, "window/right": self.workspace.right}
-
     def restore(self) -> None:
-        """Restore splitters, the open tab and the choices of panels."""
-        for name, splitter in self._splitters().items():
-            state = self._settings.value(name)
-            if isinstance(state, QByteArray):
-                splitter.restoreState(state)
+        """Restore the arrangement, the open tab and the choices of panels."""
+        self.workspace.docks.restore(self._settings)
         for panel in self.workspace.panels.values():
             panel.restore(self._settings)
         self.workspace.show_tab(str(self._settings.value("window/tab", "")))
         self.follow_switches()
 
     def save(self) -> None:
-        """Save splitters, the open tab and the choices of panels; nothing before the panels were laid out."""
+        """Save the arrangement, the open tab and the choices of panels; nothing before the panels were laid out."""
         current = self.workspace.current_panel()
         if current is None:
             return
-        for name, splitter in self._splitters().items():
-            self._settings.setValue(name, splitter.saveState())
+        self.workspace.docks.save(self._settings)
         for panel in self.workspace.panels.values():
             panel.save(self._settings)
         self._settings.setValue("window/tab", current.title)

@@ -96,6 +96,9 @@ def style_sheet(colours: Colours) -> str:
     QMenuBar::item:selected {{ background: {colours.raised}; }}
     QStatusBar {{ border-top: 1px solid {colours.line}; }}
     QStatusBar::item {{ border: none; }}
+    QMainWindow::separator {{ width: {WIDGET_GAP_PX}px; height: {WIDGET_GAP_PX}px; background: {colours.window}; }}
+    QDockWidget {{ color: {colours.muted}; }}
+    QDockWidget::title {{ background: {colours.window}; padding: 1px 4px; text-align: left; }}
     QSplitter::handle {{ background: {colours.window}; }}
     QTabWidget::pane {{ border: none; border-top: 1px solid {colours.line}; background: {colours.panel}; }}
     QTabBar::tab {{ padding: 6px 10px; border: none; color: {colours.muted}; background: transparent; }}

@@ -75,7 +75,10 @@ class Curves(QWidget):
         self.plot.item.setXRange(-TIME_AXIS_SPAN_S, 0.0, padding=0.0)
         self.plot.item.setYRange(-floor, floor, padding=0.02)
         ticks = np.arange(-TIME_AXIS_SPAN_S, TIME_TICK_PERIOD_S / 2, TIME_TICK_PERIOD_S).tolist()
-        self.plot.item.getAxis("bottom").setTicks([[(at, f"{at:g}" if at else "0 s") for at in ticks]])
+        axis = self.plot.item.getAxis("bottom")
+        axis.setTicks([[(at, f"{at:g}" if at else "0 s") for at in ticks]])
+        # Half of the last number is beyond the end of the axis.
+        axis.setStyle(hideOverlappingLabels=False)
         # Half a line above, and half a number at the right: neither the number at the upper end nor "0 s" is cut.
         self.plot.item.layout.setContentsMargins(0, 7, scaled(RIGHT_MARGIN_PX), 0)
         self.curves = [self.plot.add_curve() for _ in range(3)]

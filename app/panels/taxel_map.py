@@ -546,8 +546,7 @@ class MapCard(QFrame):
             self.legend.setText("   ".join(texts))
             self.legend.setAccessibleDescription(", ".join(words for _, words in entries))
         if is_changed:
-            self.progress.setText(
-                f"{summary_words(state.estimates)}  \N{MIDDLE DOT}  {poke_count_words(state.snapshot.poke_counts)}"
-            )
-            self.errors.setText(error_words(state.estimates, state.snapshot.part_size))
+            self.progress.setText(summary_words(state.estimates))
+            errors = error_words(state.estimates, state.snapshot.part_size)
+            self.errors.setText("\n".join(filter(None, (poke_count_words(state.snapshot.poke_counts), errors))))
             self.methods.setCurrentIndex(self.methods.findData(state.method))

@@ -60,6 +60,10 @@ def test_the_time_axis_names_its_unit_and_ends_before_the_edge(qtbot):
         box = curves.plot.item.vb.sceneBoundingRect()
         width = QFontMetrics(axis.font()).horizontalAdvance("0 s")
         assert box.right() + width / 2 <= curves.plot.width()
+        qtbot.wait(20)
+        picture = pixels(curves.plot)[..., :3].astype(int)
+        corner = picture[round(box.bottom()) + 4 :, round(box.right() + 2) :]
+        assert np.ptp(corner.sum(axis=2)) > 200, "the s is seen"
 
 
 @pytest.mark.parametrize("choice", [Choice.DARK, Choice.LIGHT])
