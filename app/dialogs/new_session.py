@@ -340,7 +340,7 @@ class NewSessionDialog(Dialog):
         self.area = scrolled(inner)
         self.area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         if is_new:
-            self.attempt = self.buttons.addButton("Try it with a simulated &hand", QDialogButtonBox.ButtonRole.ActionRole)
+            self.attempt = self.buttons.addButton("Try it with a si&mulated hand", QDialogButtonBox.ButtonRole.ActionRole)
             self.attempt.setToolTip(TRY_HELP)
             self.attempt.setAutoDefault(False)
             self.attempt.clicked.connect(self._try_simulated)

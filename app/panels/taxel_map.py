@@ -548,5 +548,6 @@ class MapCard(QFrame):
         if is_changed:
             self.progress.setText(summary_words(state.estimates))
             errors = error_words(state.estimates, state.snapshot.part_size)
-            self.errors.setText("\n".join(filter(None, (poke_count_words(state.snapshot.poke_counts), errors))))
+            # Two lines also without an error, so that the map keeps its place.
+            self.errors.setText(f"{poke_count_words(state.snapshot.poke_counts)}\n{errors}")
             self.methods.setCurrentIndex(self.methods.findData(state.method))

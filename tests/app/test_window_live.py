@@ -216,7 +216,7 @@ def test_a_recorded_session_is_looked_through_at_1280_by_720(bench, recorded, qt
     window, workspace = bench.window, bench.window.session_view.workspace
     assert (window.width(), window.height()) == (1280, 720)
     assert scroll_ranges(window) == (0, 0)
-    assert workspace.view.width() > workspace.right.width()
+    assert workspace.view.width() > workspace.docks.panels.width()
     for index in range(workspace.tabs.count()):
         bench.key(Qt.Key(Qt.Key.Key_1 + index))
         assert workspace.tabs.currentIndex() == index
