@@ -33,6 +33,9 @@ EXTRA_PACKAGES = {
     "--ros2": ("cyclonedds", "rosbags"),
     "--rosbag": ("rosbags", "ruamel-yaml"),
     "--robometry": ("h5py",),
+    "--hdf5": ("h5py",),
+    "--parquet": ("pyarrow",),
+    "--excel": ("openpyxl",),
     "--physics": ("mujoco",),
 }
 """Packages of an extra of `pyproject.toml`, by the option of `start.py` that installs it."""

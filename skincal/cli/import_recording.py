@@ -16,7 +16,8 @@ import typer
 from skincal.cli.record import OutOption, SceneOption, check_pose, find_scene, finish, stopping, warn
 from skincal.cli.solve import Json
 from skincal.cli.terminal import ProgressLine
-from skincal.files.importers.registry import RECORDING_IMPORTERS, Importer, RecordedPlace
+from skincal.files.importers.registry import RECORDING_IMPORTERS, Importer, RecordedPlace, importer_of
+from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def add_to(app: typer.Typer) -> None:
         streams = "--wrench ft --skin skin" if each.one_stream else each.example
         example = f"Example: skincal import {each.name} {streams} --pose 1 --scene icub-forearm --out monday"
         purpose = f"Make a session of a recording: {each.title}."
-        make = _files_command if each.one_stream else _topics_command
+        make = _files_command if each.one_stream else _arrays_command if each.name == "arrays" else _topics_command
         importing.command(each.name, help=purpose, epilog=example)(make(each))
     app.add_typer(importing, name="import")
 
@@ -83,6 +84,58 @@ def _topics_command(importer: Importer) -> Callable[..., None]:
     return command
 
 
+def _arrays_command(importer: Importer) -> Callable[..., None]:
+    """Make the command of the importer of arrays, which also states their times."""
+
+    def command(
+        path: Annotated[Path, typer.Argument(help="File with arrays: .npz, .h5, .mat, .parquet, text frames; or a folder.")],
+        scene: SceneOption, out: OutOption, wrench: str | None = None, skin: str | None = None, joints: str | None = None,
+        time: Annotated[
+            str | None,
+            typer.Option(help="Array of the times, such as t or t:ms, or the rows a second. Default: a likely array."),
+        ] = None,
+        episode: Annotated[int | None, typer.Option(help="Episode of a LeRobot data set. Default: all, in turn.")] = None,
+        pose: _PoseOption = None, as_json: Json = False,
+    ) -> None:  # fmt: skip
+        from skincal.session.importing import find_topics
+
+        loaded = find_scene(scene)
+        check_pose(loaded, pose, streamed=True)
+        texts = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+        named = {stream: _array_place(path, text) for stream, text in texts.items() if text}
+        topics = {stream: place.topic for stream, place in named.items()}
+        places, others = find_topics(path, topics, loaded, pose)
+        check_pose(loaded, pose, streamed=Stream.JOINTS in places)
+        options = [f"time={time}"] if time else []
+        options += [f"episode={episode}"] if episode is not None else []
+        places = {stream: _with_options(named.get(stream, place), path, options) for stream, place in places.items()}
+        _import(importer, places, loaded, pose, out, as_json, others)
+
+    help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
+    command.__annotations__ |= {name: Annotated[str | None, help_of[name]] for name in help_of}
+    return command
+
+
+def _array_place(path: Path, text: str) -> RecordedPlace:
+    """Read the name of an array, or `FILE::NAME` of another file, or another file alone."""
+    if Path(text).is_file():
+        return RecordedPlace(Path(text))
+    file, separator, _ = text.partition("::")
+    return RecordedPlace.parse(text) if separator and Path(file).exists() else RecordedPlace(path, text)
+
+
+def _with_options(place: RecordedPlace, path: Path, options: Sequence[str]) -> RecordedPlace:
+    """Append options to the name of an array in `path`; its own ones stay."""
+    if options and place.path == path and not importer_of(path).asks_if_tied:
+        raise InputError(f"{path}: is a table, whose columns name their times; leave out --{options[0].partition('=')[0]}.")
+    own = place.topic.partition("?")[2]
+    names = {each.partition("=")[0] for each in own.split("&")}
+    added = [each for each in options if each.partition("=")[0] not in names]
+    if place.path != path or not place.topic or not added:
+        return place
+    return RecordedPlace(path, f"{place.topic}{'&' if own else '?'}{'&'.join(added)}")
+
+
 def _import(
     importer: Importer,
     places: Mapping[Stream, RecordedPlace],
@@ -92,12 +145,18 @@ def _import(
     as_json: bool,
     findings: Sequence[str] = (),
 ) -> None:
+    from skincal.files.importers.preview import open_places
     from skincal.session.importing import joint_columns, new_session, play_recording
 
     read_share = importer.reading_share
     with _progress() as go_on:
-        recording = importer.open_recording(
-            places, joint_columns(scene), lambda share: go_on(read_share * share), scene.skin.channels
+        others = {importer_of(place.path).name for place in places.values()} - {importer.name}
+        recording = open_places(
+            places,
+            joint_columns(scene),
+            lambda share: go_on(read_share * share),
+            scene.skin.channels,
+            None if others and importer.asks_if_tied else importer,
         )
         # Modules live as long as the command: looking through them for garbage takes a tenth of the time.
         gc.freeze()

@@ -14,7 +14,7 @@ _TIME_UNIT = (
 TIME_COLUMN_RE = re.compile(
     r"(?:t|[%_]*time|zeit|uhrzeit|zeitpunkt|zeitstempel|temps|horodatage|tiempo|tempo|"
     r"datetime|date[ _/]?time|elapsed(?:[ _]time)?|clock|rosbagtimestamp|"
-    rf"(?:.*[./])?(?:stamp|timestamp|time[ _]stamp))(?:[ _/,]*(?:in )?[\[(]?{_TIME_UNIT}[\])]?)?"
+    rf"(?:.*[./])?(?:stamp|timestamp|time[ _]stamp))(?:(?!s$)[ _/,]*(?:in )?[\[(]?{_TIME_UNIT}[\])]?|s)?"
 )
 CLOCK_COLUMN_RE = re.compile(r"(ms|us|msec|usec|millis|micros|milliseconds|microseconds)(?:\(\))?")
 COUNTER_COLUMN_RE = re.compile(

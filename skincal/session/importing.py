@@ -201,6 +201,8 @@ def find_topics(
     if wanted - named.keys() or (needs_joints and Stream.JOINTS not in named):
         found = guess_streams([path], scene.skin.channels, joint_columns(scene))
         guessed = found.places
+        for stream in (each for each in Stream if each in wanted - named.keys()):
+            found.check_tied(stream)
         if needs_joints and Stream.JOINTS in guessed:
             wanted.add(Stream.JOINTS)
         others = found.sentences_on_others(wanted - named.keys())

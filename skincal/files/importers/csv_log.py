@@ -40,7 +40,7 @@ from skincal.devices.decoding import TIME_STAMP_MAX_S, WRENCH_VALUES
 from skincal.devices.netft import FORCE_UNITS
 from skincal.files.importers.labview import ABSOLUTE_MIN_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
-from skincal.files.importers.table_columns import TableColumns, TimeColumns, ValueColumns, comment_units, names_time
+from skincal.files.importers.table_columns import UNIX_NS, TableColumns, TimeColumns, ValueColumns, comment_units, names_time
 from skincal.files.importers.table_form import EMPTY_WORDS, TableForm, read_form
 from skincal.files.importers.table_values import (
     FIELD_SHOWN_MAX_CHARS,
@@ -51,7 +51,15 @@ from skincal.files.importers.table_values import (
     time_of_day_reader,
     to_float,
 )
-from skincal.files.importers.timeline import FINER_TIMES, OpenRecording, Timeline, check_overlap, late_streams
+from skincal.files.importers.timeline import (
+    FINER_TIMES,
+    OpenRecording,
+    Timeline,
+    check_assumed_seconds,
+    check_overlap,
+    late_streams,
+)
+from skincal.files.importers.workbook import SHEET_MARK, is_workbook, sheets_of
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Stream
@@ -60,12 +68,6 @@ from skincal.streams.links import LinkSpec
 ROWS_PARSED_AT_ONCE = 64
 MAX_CACHED_FIELDS = 1 << 12
 """Raw values of a skin repeat, so their text is kept."""
-MAX_ROW_INTERVAL_S = 0.2
-"""A tool holds still for 0.3 s in a poke: rows further apart, if their time has no unit, are not seconds."""
-MIN_ROW_INTERVAL_S = 1e-5
-"""No sensor of a rig is read faster than 100,000 times a second."""
-UNIX_NS = (1e18, 5e18)
-"""Nanoseconds since 1970 of the years 2001 to 2128; as seconds they would be no time of any clock."""
 NANOSECONDS_MIN = 1000
 """A column of nanoseconds has a value of at least this."""
 ECHO_COLUMNS = 3
@@ -88,13 +90,16 @@ class _Table:
 
     def __init__(self, stream: Stream, place: RecordedPlace, channels: int = 0) -> None:
         self.stream, self.path = stream, place.path
-        self._form = form = read_form(place.path, names_time)
+        # A stream of a workbook may name its sheet, as `FT!` or `Log!force`.
+        sheet, mark, begin = place.topic.partition(SHEET_MARK)
+        sheet, within = (sheet, begin) if mark and is_workbook(place.path) else ("", place.topic)
+        self._form = form = read_form(place.path, names_time, sheet)
         self.named = bool(form.names)
         """Whether it has a header."""
         columns = TableColumns(form) if self.named else None
         if columns:
             self._time, self._number = columns.time, columns.number
-            values = columns.of_stream(stream, place.topic, channels)
+            values = columns.of_stream(stream, within, channels)
             has_others = len(columns.wrench) + len(columns.joints) + len(columns.others) > len(values.at)
         else:
             self._time, self._number = _unnamed_time(form), None
@@ -281,16 +286,8 @@ def _check_times(table: _Table, timeline: Timeline) -> None:
             f"{table.path}: most of its rows have the same time as the row before, such as "
             f"{table.first_time[:FIELD_SHOWN_MAX_CHARS]!r}. {FINER_TIMES}"
         )
-    if table.unit_assumed and 0 < timeline.interval < MIN_ROW_INTERVAL_S:
-        raise InputError(
-            f"{table.path}: its rows lie {timeline.interval:.2g} s apart, since its time names no unit and was read as "
-            f"seconds; expected at least {MIN_ROW_INTERVAL_S:g} s. Spreadsheets may write days: write seconds as t_s."
-        )
-    if table.unit_assumed and table.stream is not Stream.JOINTS and timeline.interval > MAX_ROW_INTERVAL_S:
-        raise InputError(
-            f"{table.path}: its rows lie {timeline.interval:.4g} s apart, since its time names no unit and was read as "
-            f"seconds; expected no more than {MAX_ROW_INTERVAL_S:g} s: name the time's column t_ms, t_us or t_ns."
-        )
+    if table.unit_assumed:
+        check_assumed_seconds(table.path, table.stream, timeline.interval, "name the time's column t_ms, t_us or t_ns")
 
 
 def guess_streams(path: Path) -> list[StreamGuess]:
@@ -298,8 +295,22 @@ def guess_streams(path: Path) -> list[StreamGuess]:
 
     Raises InputError: it cannot be read, or no column is the time.
     """
-    form = read_form(path, names_time)
-    place = RecordedPlace(path)
+    if not is_workbook(path):
+        return _guesses_of(read_form(path, names_time), "")
+    sheets = sheets_of(path)
+    guesses: list[StreamGuess] = []
+    for sheet in sheets:
+        form = read_form(path, names_time, sheet)
+        with contextlib.suppress(InputError):
+            guesses += _guesses_of(form, f"{sheet}{SHEET_MARK}" if len(sheets) > 1 else "")
+    if not guesses:
+        raise InputError(f"{path}: no sheet has a column that names a time; it has {', '.join(sheets)}. Name it t_s or t_ms.")
+    return guesses
+
+
+def _guesses_of(form: TableForm, sheet: str) -> list[StreamGuess]:
+    path = form.path
+    place = RecordedPlace(path, sheet)
     if not form.names:
         return [StreamGuess(place, None, len(_Table(Stream.SKIN, place).values))]
     columns = TableColumns(form)
@@ -311,7 +322,7 @@ def guess_streams(path: Path) -> list[StreamGuess]:
     if guesses and not families:
         return guesses
     if guesses or len(families) > 1:
-        return guesses + [StreamGuess(RecordedPlace(path, base), Stream.SKIN, width) for base, width in families]
+        return guesses + [StreamGuess(RecordedPlace(path, f"{sheet}{base}"), Stream.SKIN, width) for base, width in families]
     return [StreamGuess(place, Stream.SKIN, len(columns.of_stream(Stream.SKIN, "", 0).at))]
 
 

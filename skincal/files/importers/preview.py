@@ -14,13 +14,14 @@ import numpy as np
 from skincal.devices.decoding import WRENCH_VALUES
 from skincal.files.importers.registry import (
     RANK_OF_GUESS_BY_CHANNELS,
+    RECORDING_IMPORTERS,
     Importer,
     RecordedPlace,
     StreamGuess,
     find_recordings,
     importer_of,
 )
-from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
+from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording, check_overlap, late_streams
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Batch, Stream
@@ -67,6 +68,10 @@ class RecordingFiles:
         default_factory=dict[Stream, tuple[RecordedPlace, ...]], compare=False, kw_only=True
     )
     """Topics that may hold a stream, too, in the order of their likeliness."""
+    tied: Mapping[Stream, tuple[RecordedPlace, ...]] = field(
+        default_factory=dict[Stream, tuple[RecordedPlace, ...]], compare=False, kw_only=True
+    )
+    """Places that are equally likely, for an importer that leaves this choice to the operator."""
 
     @property
     def places(self) -> dict[Stream, RecordedPlace]:
@@ -83,27 +88,70 @@ class RecordingFiles:
             if stream in proposed and (others := self.others.get(stream, ())[:OTHER_TOPICS_LISTED_MAX])
         ]
 
+    def check_tied(self, stream: Stream) -> None:
+        """Raise InputError: two places are equally likely to be the stream, and the operator has to choose."""
+        if names := [each.topic or str(each) for each in self.tied.get(stream, ())][:OTHER_TOPICS_LISTED_MAX]:
+            raise InputError(f"The {stream.value} may be {' or '.join(names)}; name the one that is meant.")
+
     @property
     def importer(self) -> Importer:
-        """Importer that reads all of them.
+        """Importer that reads the skin; other streams may be files of another kind.
 
-        Raises InputError: sensor or skin are missing, or they are of two kinds.
+        Raises InputError: sensor or skin are missing.
         """
         if self.wrench is None or self.skin is None:
+            self.check_tied(Stream.WRENCH if self.wrench is None else Stream.SKIN)
             missing = "the force/torque sensor" if self.wrench is None else "the skin"
             raise InputError(f"No recording of {missing} is named; name the file or folder that holds it.")
-        found = {each.name: each for each in (importer_of(place.path) for place in self.places.values())}
-        if len(found) > 1:
-            titles = ", ".join(each.title for each in found.values())
-            raise InputError(f"The files are of different kinds ({titles}); expected one kind of recording.")
-        return found.popitem()[1]
+        return importer_of(self.skin.path)
 
     def open(self, joints: Sequence[str] = (), go_on: Callable[[float], bool] = lambda _: True) -> OpenRecording:
         """Read the recording through; the parameters are those of `Importer.open_recording`.
 
         Raises InputError: as for `importer`, or a file cannot be read.
         """
-        return self.importer.open_recording(self.places, joints, go_on, self.channels)
+        _ = self.importer
+        return open_places(self.places, joints, go_on, self.channels)
+
+
+def open_places(
+    places: Mapping[Stream, RecordedPlace],
+    joints: Sequence[str] = (),
+    go_on: Callable[[float], bool] = lambda _: True,
+    channels: int = 0,
+    importer: Importer | None = None,
+) -> OpenRecording:
+    """Read the places of one recording through, each by the importer of its file.
+
+    Parameters
+    ----------
+    joints, go_on, channels : as of `Importer.open_recording`
+    importer : of every file that no other importer claims; `None` to choose by each file
+
+    Raises InputError: a place cannot be read, or the streams do not fit together.
+    """
+    kinds: dict[str, dict[Stream, RecordedPlace]] = {}
+    for stream, place in places.items():
+        chosen = importer or importer_of(place.path)
+        kinds.setdefault(chosen.name, {})[stream] = place
+    by_name = {each.name: each for each in RECORDING_IMPORTERS}
+    opened = [by_name[name].open_recording(each, joints, go_on, channels) for name, each in kinds.items()]
+    if len(opened) == 1:
+        return opened[0]
+    timelines = tuple(each for one in opened for each in one.timelines)
+    check_overlap(timelines)
+    titles = " and ".join(by_name[name].title for name in kinds)
+    return OpenRecording(
+        tuple(each for one in opened for each in one.links),
+        timelines,
+        tuple(each for one in opened for each in one.sources),
+        (
+            *(each for one in opened for each in one.findings),
+            *late_streams(timelines),
+            f"The files are of two kinds ({titles}): their clocks must agree, since readings are paired by their times.",
+        ),
+        next((one.frame_shape for one in opened if one.frame_shape), ()),
+    )
 
 
 def guess_streams(paths: Sequence[Path], channels: int = 0, joints: Sequence[str] = ()) -> RecordingFiles:
@@ -124,32 +172,42 @@ def guess_streams(paths: Sequence[Path], channels: int = 0, joints: Sequence[str
     # The sentence on a single file says more.
     guesses = (
         list(importer_of(files[0]).guess_streams(files[0]))
-        if _has_topics(files)
+        if _has_topics(files) or (len(paths) == 1 and files == [paths[0]] and paths[0].is_file())
         else [guess for path in files for guess in _guesses(path)]
     )
     if not guesses:
         names = ", ".join(str(path) for path in paths)
         raise InputError(
-            f"{names}: no recording was found; expected sensor and skin in yarpdatadumper folders, CSV files or a bag of ROS."
+            f"{names}: no recording was found; expected sensor and skin in yarpdatadumper folders, CSV files, arrays or a bag "
+            "of ROS."
         )
     likely = dict[Stream, list[RecordedPlace]]()
+    likeliness = dict[Stream, list[object]]()
     wanted = set(filter(None, joints))
-    for guess in sorted(guesses, key=lambda guess: _order(guess, channels, wanted)):
+    for guess in sorted(dict.fromkeys(guesses), key=lambda guess: _order(guess, channels, wanted)):
         if guess.rank < RANK_OF_GUESS_BY_CHANNELS or guess.width == channels:
-            likely.setdefault(_likely_stream(guess, channels), []).append(guess.place)
+            stream = _likely_stream(guess, channels)
+            likely.setdefault(stream, []).append(guess.place)
+            likeliness.setdefault(stream, []).append(_order(guess, channels, wanted)[:-2])
     # Nothing has measured a command.
     found = {stream: next((each for each in places if not is_command(each.topic)), None) for stream, places in likely.items()}
     candidates = tuple(sorted(guess.place for guess in guesses))
     others = {
         stream: tuple(each for each in places if each.topic and each != found[stream]) for stream, places in likely.items()
     }
+    tied = dict[Stream, tuple[RecordedPlace, ...]]()
+    for stream, places in likely.items():
+        equal = [place for place, each in zip(places, likeliness[stream], strict=True) if each == likeliness[stream][0]]
+        if len(equal) > 1 and all(importer_of(place.path).asks_if_tied for place in equal):
+            tied[stream], found[stream] = tuple(equal), None
     return RecordingFiles(
-        found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates, others=others
-    )
+        found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS),
+        candidates=candidates, others=others, tied=tied,
+    )  # fmt: skip
 
 
 def _order(guess: StreamGuess, channels: int, joints: set[str]) -> tuple[object, ...]:
-    """Key that sorts guesses by their likeliness."""
+    """Key that sorts guesses by their likeliness; width and place, the last two, only break ties."""
     stream = _likely_stream(guess, channels)
     lacking = len(joints) - len(joints & set(guess.joints)) if stream is Stream.JOINTS else 0
     name = name_rank(guess.place.topic, stream) if guess.place.topic else 0
@@ -208,6 +266,8 @@ class RecordingPreview:
     """(n,) float, s from the beginning: every `FORCE_CURVE_BIN_S` of the first `PREVIEWED_TIME_S`..."""
     force: FloatArray
     """(n,) float, N: largest deviation of the force from its median in each bin; NaN without a reading."""
+    frame: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    """(rows, columns) float: mean frame of the skin; one row if the recording states no shape, empty without readings."""
 
     def misfits(self, scene: Scene, pose: str) -> tuple[str, ...]:
         """Say why a session cannot be made of it for a scene, in sentences.
@@ -275,7 +335,18 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
         findings += freeze_sentences(monitor.freezes, SESSION_START_TIME_NS)
         findings += [f"{name}: {binary_skin(monitor.levels)}"] if monitor.levels in BINARY_LEVELS else []
     findings += files.sentences_on_others(files.others.keys())
-    return RecordingPreview(importer, tuple(streams), tuple(findings), *_force_curve(readings[Stream.WRENCH.value]))
+    curve = _force_curve(readings[Stream.WRENCH.value])
+    frame = _mean_frame(_values(readings[Stream.SKIN.value]), opened.frame_shape)
+    return RecordingPreview(importer, tuple(streams), tuple(findings), *curve, frame)
+
+
+def _mean_frame(values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Average (n, channels) readings to the picture of a frame; a channel without a reading is NaN."""
+    if not values.size:
+        return np.empty((0, 0))
+    counts = np.isfinite(values).sum(axis=0)
+    mean = np.where(np.isfinite(values), values, 0.0).sum(axis=0) / np.where(counts, counts, np.nan)
+    return mean.reshape(shape if len(shape) == 2 and shape[0] * shape[1] == len(mean) else (1, -1))
 
 
 def _values(batches: Sequence[Batch]) -> FloatArray:

@@ -94,11 +94,20 @@ class Importer:
     """Whether a file or folder holds one stream, so that those beside it belong to the same recording."""
     knows_channels: bool = False
     """Whether the number of channels decides which columns of a file are the skin."""
+    claims_suffixes: tuple[str, ...] = ()
+    """Of other importers' files that are its own by their content, as `claims(path)` of its module says."""
+    asks_if_tied: bool = False
+    """Whether the operator chooses between two places that are as likely."""
 
     @property
     def guess_streams(self) -> Callable[[Path], Sequence[StreamGuess]]:
         """Function of the module."""
         return self._function("guess_streams")
+
+    @property
+    def claims(self) -> Callable[[Path], bool]:
+        """Function of the module."""
+        return self._function("claims")
 
     def open_recording(
         self,
@@ -123,8 +132,10 @@ class Importer:
             `go_on` said no.
         """
         read = self._function("open_recording")
-        if self.knows_channels:
+        if self.knows_channels and self.one_stream:
             return read(places, channels)
+        if self.knows_channels:
+            return read(places, joints, go_on, channels)
         return read(places) if self.one_stream else read(places, joints, go_on)
 
     def _function(self, name: str) -> Any:
@@ -135,7 +146,7 @@ RECORDING_IMPORTERS = (
     Importer(
         "csv",
         "CSV tables",
-        (".csv", ".tsv", ".txt", ".lvm"),
+        (".csv", ".tsv", ".txt", ".lvm", ".xlsx", ".xlsm", ".xls"),
         "csv_log",
         {
             Stream.WRENCH: "CSV file: time and fx fy fz mx my mz. FILE::NAME takes the columns whose names begin so.",
@@ -173,6 +184,23 @@ RECORDING_IMPORTERS = (
         one_stream=False,
     ),
     Importer(
+        "arrays",
+        "Named arrays",
+        (".npz", ".npy", ".h5", ".hdf5", ".mat", ".parquet", ".asf", ".pkl", ".pickle"),
+        "arrays",
+        {
+            Stream.WRENCH: "Array of the force/torque sensor: NAME, NAME[0:6], FORCE+TORQUE, NAME:N,Nmm, or FILE::NAME.",
+            Stream.SKIN: "Array of the skin: NAME, NAME[6:22], A+B for patches; NAME?order=columns counts down the columns.",
+            Stream.JOINTS: "Array of the joint angles: NAME:rad or NAME:deg. Default: a likely one; none with --pose.",
+        },
+        folder_patterns=("meta/info.json", "*.npy"),
+        example="log.h5 --wrench ft/wrench --skin tactile --time t",
+        one_stream=False,
+        knows_channels=True,
+        claims_suffixes=(".mat", ".txt", ".csv", ".tsv", ".asc"),
+        asks_if_tied=True,
+    ),
+    Importer(
         "yarp",
         "Logs of yarpdatadumper",
         (".log",),
@@ -189,7 +217,11 @@ RECORDING_IMPORTERS = (
 
 def importer_of(path: Path) -> Importer:
     """Choose the importer of a file or folder by its name, or by the files in it; `yarp` if nothing tells."""
-    named = (each for each in RECORDING_IMPORTERS if path.suffix.lower() in each.suffixes)
+    suffix = path.suffix.lower()
+    claiming = [each for each in RECORDING_IMPORTERS if suffix in each.claims_suffixes and path.is_file()]
+    if claimed := next((each for each in claiming if each.claims(path)), None):
+        return claimed
+    named = (each for each in RECORDING_IMPORTERS if suffix in each.suffixes)
     marked = (each for each in RECORDING_IMPORTERS if each.marker and (path / each.marker).is_file())
     whole = (each for each in RECORDING_IMPORTERS if _is_whole_recording(path, each))
     return next(named, None) or next(marked, None) or next(whole, RECORDING_IMPORTERS[-1])

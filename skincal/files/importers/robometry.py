@@ -28,6 +28,7 @@ from skincal.model.readings import Stream
 from skincal.streams.decoders.records import pack_records
 from skincal.streams.links import LinkSpec
 
+MAT_7_3_MARK = b"MATLAB 7.3"
 SEPARATOR_TEXT = "::"
 """Between the names of nested channels."""
 CHANNEL_NAME_MAX_DEPTH = 8
@@ -50,6 +51,10 @@ READ_ERRORS = (OSError, RuntimeError, MemoryError, OverflowError)
 _SKIN_RE = re.compile(r"skin|tactile|taxel|touch", re.IGNORECASE)
 _WRENCH_RE = re.compile(r"(?:^|::)(?:FTs?|force_?torque)", re.IGNORECASE)
 _POSITIONS_RE = re.compile(r"(?:^|::)joints?_state::(?:joint_)?positions$")
+
+
+class _NoChannelsError(InputError):
+    """A file of MATLAB is no log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +93,23 @@ def guess_streams(path: Path) -> list[StreamGuess]:
     if not guesses:
         raise InputError(f"{path}: no channel of a force/torque sensor, skin or joints; it has {_list_names(channels)}.")
     return guesses
+
+
+def is_log(path: Path) -> bool:
+    """Check whether a MATLAB file has channels of robometry, with data and timestamps.
+
+    One of version 7.3 that cannot be opened counts as a log: its sentence says why.
+    """
+    try:
+        with open_regular(path) as file:
+            if not file.read(len(MAT_7_3_MARK)).startswith(MAT_7_3_MARK):
+                return False
+        _read_channels(path)
+    except _NoChannelsError:
+        return False
+    except InputError:
+        return True
+    return True
 
 
 def _stream_of(channel: _Channel) -> Stream | None:
@@ -257,7 +279,8 @@ def _open(path: Path) -> Any:
     if head.startswith(b"MATLAB 5.0"):
         raise InputError(
             f"{path}: is a MATLAB file of version 5; expected version 7.3: set mat_file_version to v7_3 in the logger, or in "
-            "MATLAB: s = load('FILE'); save('NEW', '-struct', 's', '-v7.3')"
+            "MATLAB: s = load('FILE'); save('NEW', '-struct', 's', '-v7.3'). Matrices of your own are read by "
+            "skincal import arrays."
         )
     try:
         return h5py.File(path, "r")
@@ -278,7 +301,7 @@ def _read_channels(path: Path) -> tuple[dict[str, _Channel], str]:
         except (*READ_ERRORS, ArithmeticError, LookupError, ValueError, TypeError, AttributeError) as error:
             raise InputError(f"{path}: its channels cannot be read ({error}); the file is damaged.") from None
     if not channels:
-        raise InputError(f"{path}: has no channel with data and timestamps; expected a log of robometry.")
+        raise _NoChannelsError(f"{path}: has no channel with data and timestamps; expected a log of robometry.")
     for name, channel in channels.items():
         if _POSITIONS_RE.search(name) and not channel.elements:
             # Older logs have the names of the joints once for all channels.

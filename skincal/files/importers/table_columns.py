@@ -29,6 +29,8 @@ from skincal.files.importers.table_values import is_date, is_time_of_day, to_flo
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Stream
 
+UNIX_NS = (1e18, 5e18)
+"""Nanoseconds since 1970 of the years 2001 to 2128; as seconds they would be no time of any clock."""
 NAMES_SHOWN_MAX = 8
 _DATE_COLUMN_RE = re.compile(r"(?:date|day|datum)(?: \[.*\])?")
 _SECONDS_COLUMN_RE = re.compile(r"((?:.*[./_ ])?)(?:sec|secs|seconds)")
@@ -36,6 +38,8 @@ _NANOSECONDS_COLUMN_RE = re.compile(r"((?:.*[./_ ])?)(?:nanosec|nanosecs|nsec|ns
 _STATUS_COLUMN_RE = re.compile(r"(?:.*[./_ ])?status(?: ?\(hex\))?")
 _HEADER_FIELD_RE = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
 _NUMBERED_COLUMN_RE = re.compile(r"((?:.*[./])?\D*?)(\d+)[\])]?(?:[ _]*[\[(]\D[^\])]*[\])])?")
+_GRID_COLUMN_RE = re.compile(r"((?:.*[./])?\D*?)(\d+)(\D+)(\d+)([\])]?)")
+"""Row and column of a taxel in a mat: `r0c0`, `t_0_1`, `skin/0/1`."""
 _NUMBER_WITHIN_RE = re.compile(r"(\D*)(\d+)(\D+)")
 """A number with a word behind it: `t0_raw`."""
 _HEX_NUMBER_RE = re.compile("[0-9a-f]{1,4}")
@@ -78,13 +82,22 @@ class _Family:
     """Behind the number."""
     at: dict[int, int] = field(default_factory=dict[int, int])
     """Column by number."""
+    grid_width: int = 0
+    """Columns of a mat, whose taxels are numbered along its rows; 0 for one number a name."""
+    grid_first: tuple[int, int] = (0, 0)
+    """First row and first column of a mat."""
+    between: str = ""
+    """Between row and column."""
 
     def __str__(self) -> str:
         first, last = self.name(min(self.at)), self.name(max(self.at))
         return f"{first} to {last}" if last != first else first
 
     def name(self, number: int) -> str:
-        return f"{self.base}{number}{self.end}"
+        if not self.grid_width:
+            return f"{self.base}{number}{self.end}"
+        row, column = divmod(number, self.grid_width)
+        return f"{self.base}{row + self.grid_first[0]}{self.between}{column + self.grid_first[1]}{self.end}"
 
     @property
     def span(self) -> int:
@@ -127,7 +140,7 @@ class TableColumns:
 
     def _is_free(self, column: int) -> bool:
         name = self.names[column]
-        return bool(name) and column not in (*self.time.columns, self.number, *self.texts) and not _is_known(name)
+        return bool(name) and column not in (*self.time.columns, self.number, *self.texts) and not is_known_name(name)
 
     def _is_text(self, column: int) -> bool:
         fields = [row[column] for row in self._form.examples if column < len(row) and row[column]]
@@ -276,7 +289,7 @@ class TableColumns:
         unnamed = [k for k in self.others if k not in known and (not has_more or _family_base(self.names[k]) in bases)]
         if unnamed or not known:
             raise InputError(self._unnamed_joints(unnamed or self.others))
-        factors = [1.0 if _joint_unit(self.names[k]) == "deg" else math.degrees(1.0) for k in known]
+        factors = [1.0 if joint_unit(self.names[k]) == "deg" else math.degrees(1.0) for k in known]
         return ValueColumns(tuple(known), tuple(factors))
 
     def _unnamed_joints(self, columns: Sequence[int]) -> str:
@@ -311,7 +324,30 @@ class TableColumns:
                     "expected one column a channel: leave out one of them."
                 )
             family.at[number] = column
+        for family in found.values():
+            self._add_first(family, columns)
         return list(found.values())
+
+    def _add_first(self, family: _Family, columns: Sequence[int]) -> None:
+        """Add the column without a number: pandas numbers equal names from the second on, `skin skin.1 skin.2`."""
+        if family.base.endswith(".") and min(family.at) == 1:
+            first = next((k for k in columns if self.names[k] == family.base[:-1]), None)
+            family.at |= {} if first is None else {0: first}
+
+    def _grids(self, columns: Sequence[int]) -> list[_Family]:
+        """Find mats: columns whose names differ in a row and a column. Their taxels are numbered along the rows."""
+        found: dict[tuple[str, str, str], dict[tuple[int, int], int]] = {}
+        for column in columns:
+            if (named := _GRID_COLUMN_RE.fullmatch(self.names[column])) is not None:
+                found.setdefault((named[1], named[3], named[5]), {})[int(named[2]), int(named[4])] = column
+        grids: list[_Family] = []
+        for (base, between, end), at in found.items():
+            rows, places = [row for row, _ in at], [place for _, place in at]
+            first, width = (min(rows), min(places)), max(places) - min(places) + 1
+            if len({*rows}) > 1 and len({*places}) > 1 and width < 2 * len({*places}):
+                numbered = {(row - first[0]) * width + place - first[1]: column for (row, place), column in at.items()}
+                grids.append(_Family(base, end, numbered, width, first, between))
+        return grids
 
     def _hexadecimal(self, family: _Family, columns: Sequence[int]) -> _Family | None:
         """Return the family whose numbers are hexadecimal, if with these all numbers from 0 on are there: `t9`, `ta`."""
@@ -324,15 +360,22 @@ class TableColumns:
 
     def skin_families(self) -> list[tuple[str, int]]:
         """List begin of the names and number of channels of each family that may be a skin."""
-        families = [each for each in self._families(self.others) if len(each.at) > 1]
-        return [(each.base, len(self._in_order(each, 0).at)) for each in families]
+        families = [each for each in (*self._families(self.others), *self._grids(self.others)) if len(each.at) > 1]
+        return [(self._common_begin(each), len(self._in_order(each, 0).at)) for each in families]
+
+    def _common_begin(self, family: _Family) -> str:
+        """Return the begin of the names of a family, also of one whose first name has no number."""
+        first = family.at.get(0)
+        return family.base[:-1] if first is not None and self.names[first] == family.base[:-1] else family.base
 
     def _skin_columns(self, columns: list[int], channels: int) -> ValueColumns:
         if not columns:
             raise InputError(f"{self.path}: no column besides the time; expected one a channel, such as t0, t1, ...")
-        families = self._families(columns) or self._families(columns, _NUMBER_WITHIN_RE)
+        grids = self._grids(columns)
+        families = self._families(columns) or grids or self._families(columns, _NUMBER_WITHIN_RE)
         families = [self._hexadecimal(each, columns) or each for each in families]
         fitting = [each for each in families if channels and channels in (len(each.at), each.span)]
+        fitting = fitting or [each for each in grids if channels and channels in (len(each.at), each.span)]
         if len(fitting) > 1:
             bases = " or ".join(f"{self.path.name}::{each.base}" for each in fitting)
             advice = f"name it: {bases}" if len({each.base for each in fitting}) == len(fitting) else "leave out the others"
@@ -352,16 +395,36 @@ class TableColumns:
             chosen = large
         else:
             raise InputError(self._wrong_width(columns, families, channels))
+        if chosen.grid_width:
+            self._check_grid(chosen)
         found = self._in_order(chosen, channels)
         if channels and len(found.at) != channels:
             raise InputError(self._wrong_width(columns, families, channels))
         left = [k for k in columns if k not in found.at]
         more = f" and {len(left) - NAMES_SHOWN_MAX} more" if len(left) > NAMES_SHOWN_MAX else ""
+        mat = (
+            f"the names are rows and columns of a mat: taken in the order of the file, channel 0 is {chosen.name(0)}, channel "
+            f"{len(found.at) - 1} is {chosen.name(max(chosen.at))}."
+        )
         findings = [
             *found.findings,
+            *([mat] if chosen.grid_width else []),
             *([f"columns {self._list_names(left)}{more} are not read; the taxels are {chosen}."] if left else []),
         ]
         return ValueColumns(found.at, found.factors, tuple(findings))
+
+    def _check_grid(self, grid: _Family) -> None:
+        """Raise InputError: the columns of a mat are not in the order of its rows, so that two numberings are possible."""
+        at = [grid.at[number] for number in sorted(grid.at)]
+        if at != sorted(at):
+            names = self._list_names(sorted(at)[:5])
+            raise InputError(self._unordered(names))
+
+    def _unordered(self, names: str) -> str:
+        return (
+            f"{self.path}: the numbers in the names ({names}, ...) do not rise in the order of the file; expected one number a "
+            "name, which is the channel: name the taxels t0, t1, ..."
+        )
 
     def _as_they_stand(self, columns: Sequence[int], families: Sequence[_Family], channels: int) -> ValueColumns:
         """Take columns of several families, or without numbers, by distinct numbers, else in the order of the file.
@@ -383,10 +446,7 @@ class TableColumns:
             return ValueColumns(tuple(sorted(columns, key=number_of.__getitem__)), (1.0,) * len(columns))
         names = [self.names[k] for k in columns]
         if not _counts_up(names):
-            raise InputError(
-                f"{self.path}: the numbers in the names ({self._list_names(columns[:5])}, ...) do not rise in the order of the "
-                "file; expected one number a name, which is the channel: name the taxels t0, t1, ..."
-            )
+            raise InputError(self._unordered(self._list_names(columns[:5])))
         finding = (
             f"the names have no one number a channel: taken in the order of the file, channel 0 is {names[0]}, "
             f"channel {len(names) - 1} is {names[-1]}."
@@ -414,7 +474,8 @@ class TableColumns:
         )
         if fills:
             at = tuple(family.at.get(number, -1) for number in range(numbers[0], numbers[-1] + 1))
-            finding = f"{plural(len(missing), 'column')} missing ({names}): no readings of that channel."
+            those = "that channel" if len(missing) == 1 else "those channels"
+            finding = f"{plural(len(missing), 'column')} missing ({names}): no readings of {those}."
         else:
             at = tuple(family.at[number] for number in numbers)
             finding = (
@@ -501,13 +562,20 @@ def _facts(pattern: str, text: str) -> dict[str, re.Match[str]]:
     return {kind: each for kind, each in found.items() if each}
 
 
-def _is_known(name: str) -> bool:
+def is_known_name(name: str) -> bool:
     """Check whether a name is of a time, a counter, a status or the header of a message."""
     patterns = (TIME_COLUMN_RE, CLOCK_COLUMN_RE, _DATE_COLUMN_RE, COUNTER_COLUMN_RE, _STATUS_COLUMN_RE, _HEADER_FIELD_RE)
     return any(pattern.fullmatch(name) for pattern in patterns)
 
 
-def _joint_unit(name: str) -> str:
+def time_unit_of(name: str) -> str | None:
+    """Return the unit in the name of a time; `None` if it has none, or is no time."""
+    found = TIME_COLUMN_RE.fullmatch(name) or CLOCK_COLUMN_RE.fullmatch(name)
+    return short_unit(found[1]) if found else None
+
+
+def joint_unit(name: str) -> str:
+    """Return the unit at the end of a joint's name; empty without."""
     found = _JOINT_COLUMN_RE.fullmatch(name)
     return found[1] if found else ""
 

@@ -28,6 +28,7 @@ from skincal.files.importers.table_values import (
     time_kind,
     to_float,
 )
+from skincal.files.importers.workbook import is_workbook, sheets_of
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
 
@@ -37,6 +38,8 @@ COLUMN_SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
 """The first of these in a line of names separates the columns, else spaces do."""
 HEAD_LINES = 60
 """Lines that are searched for the names and the first rows."""
+SHEET_ENCODING = "sheet "
+"""Begins the encoding of a table that is a sheet of a workbook; its name follows."""
 ENCODING_PROBE_BYTES = 1 << 16
 MAX_JOINED_LINES = 1000
 """Lines of a field in quotes, such as an array of numpy."""
@@ -122,12 +125,16 @@ class TableForm:
         return any(line[0] == mark or line[-1] == mark or any(sign in line for sign in signs) for line in self.lines())
 
 
-def read_form(path: Path, names_time: NamesTime) -> TableForm:
+def read_form(path: Path, names_time: NamesTime, sheet: str = "") -> TableForm:
     """Find the form of a table.
+
+    Parameters
+    ----------
+    sheet : of a workbook; empty for its first one with a time
 
     Raises InputError: the file cannot be read, is empty, is no text, or a list in it is cut short.
     """
-    encoding = _find_encoding(path)
+    encoding = _find_encoding(path) if not is_workbook(path) else f"{SHEET_ENCODING}{_find_sheet(path, names_time, sheet)}"
     head = list(islice(_lines(path, encoding, "\t", comments=True), HEAD_LINES))
     if head and is_labview(head[0]):
         return _labview_form(path, encoding, head)
@@ -136,7 +143,7 @@ def read_form(path: Path, names_time: NamesTime) -> TableForm:
     if "\ufffd" in head[0] or not re.sub(r"\s", " ", head[0]).isprintable():
         raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
     separator_line = _SEPARATOR_LINE_RE.fullmatch(head[0])
-    separators: tuple[str | None, ...] = (*COLUMN_SEPARATORS, None)
+    separators: tuple[str | None, ...] = (*COLUMN_SEPARATORS, None) if not is_workbook(path) else ("\t",)
     if separator_line:
         # A tab at the end of the line is stripped.
         separators = (separator_line[1] or "\t",)
@@ -352,6 +359,9 @@ def _lines(path: Path, encoding: str, separator: str | None, *, comments: bool =
 
     A field in quotes may have line ends in it.
     """
+    if encoding.startswith(SHEET_ENCODING):
+        yield from _comment_free(sheets_of(path)[encoding.removeprefix(SHEET_ENCODING)], comments=comments)
+        return
     try:
         with TextIOWrapper(open_regular(path), encoding=encoding, errors="replace") as file:
             texts = iter(partial(file.readline, MAX_LINE_CHARS), "")
@@ -366,6 +376,26 @@ def _lines(path: Path, encoding: str, separator: str | None, *, comments: bool =
                     yield line
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
+
+
+def _comment_free(lines: Sequence[str], *, comments: bool) -> Iterator[str]:
+    return (line for line in lines if comments or not line.startswith("#"))
+
+
+def _find_sheet(path: Path, names_time: NamesTime, sheet: str) -> str:
+    """Find a sheet by its name, or the first one that names a time.
+
+    Raises InputError: the workbook has no such sheet, or is empty.
+    """
+    sheets = sheets_of(path)
+    known = {name.lower(): name for name in sheets}
+    if not sheets or (sheet and sheet.lower() not in known):
+        seen = ", ".join(sheets) or "no sheet with a value"
+        raise InputError(f"{path}: has no sheet {sheet or 'with rows'}; it has {seen}.")
+    if sheet:
+        return known[sheet.lower()]
+    timed = (name for name, lines in sheets.items() if _named_form(lines[:HEAD_LINES], "\t", names_time))
+    return next(timed, next(iter(sheets)))
 
 
 def _joined(line: str, texts: Iterator[str], path: Path) -> str:

@@ -48,6 +48,10 @@ CHUNK_MAX_LINES = 128
 """Bounds the memory of a chunk."""
 STEPS_IN_MEDIAN_INTERVAL = 500
 """Number of steps in the median for the usual interval: 5 s at 100 Hz."""
+MAX_ROW_INTERVAL_S = 0.2
+"""A tool holds still for 0.3 s in a poke: rows further apart, if their time has no unit, are not seconds."""
+MIN_ROW_INTERVAL_S = 1e-5
+"""No sensor of a rig is read faster than 100,000 times a second."""
 COARSE_STEP_MIN_S = 0.05
 """If most lines repeat the time of the line before and the others go on by more than this, the times have too few digits: a
 poke is held still for 0.3 s."""
@@ -320,6 +324,28 @@ def check_overlap(timelines: Sequence[Timeline]) -> None:
             )
 
 
+def check_assumed_seconds(path: object, stream: Stream, interval: float, advice: str) -> None:
+    """Check times that were read as seconds, since nothing names their unit.
+
+    Parameters
+    ----------
+    interval : usual time from row to row, s
+    advice : how to state the unit
+
+    Raises InputError: the rows are so near or so far apart that they hardly are seconds.
+    """
+    if 0 < interval < MIN_ROW_INTERVAL_S:
+        raise InputError(
+            f"{path}: its rows lie {interval:.2g} s apart, since its time names no unit and was read as seconds; expected at "
+            f"least {MIN_ROW_INTERVAL_S:g} s. Spreadsheets may write days: write seconds as t_s."
+        )
+    if stream is not Stream.JOINTS and interval > MAX_ROW_INTERVAL_S:
+        raise InputError(
+            f"{path}: its rows lie {interval:.4g} s apart, since its time names no unit and was read as seconds; expected no "
+            f"more than {MAX_ROW_INTERVAL_S:g} s: {advice}."
+        )
+
+
 def late_streams(timelines: Sequence[Timeline]) -> list[str]:
     """Report streams that start later or end earlier than the others: nothing is paired there."""
     first, last = min(each.first for each in timelines), max(each.last for each in timelines)
@@ -348,6 +374,8 @@ class OpenRecording:
     sources: tuple[Lines, ...]
     findings: tuple[str, ...]
     """Sentences."""
+    frame_shape: tuple[int, ...] = ()
+    """Rows and columns of a frame of the skin; empty if the recording does not state them."""
 
     @property
     def span_ns(self) -> int:

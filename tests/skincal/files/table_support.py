@@ -10,6 +10,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace
+from skincal.files.importers.timeline import OpenRecording
 from skincal.geometry import FloatArray
 from skincal.model.readings import Loss, Stream
 from skincal.session.pipeline import Pipeline
@@ -114,9 +115,13 @@ class Imported:
 
 def import_tables(wrench: RecordedPlace, skin: RecordedPlace, channels: int = CHANNELS) -> Imported:
     """Import two tables, or one twice, to positions."""
-    scene = small_scene(channels=channels, layout=False)
     importer = next(each for each in RECORDING_IMPORTERS if each.name == "csv")
-    opened = importer.open_recording({Stream.WRENCH: wrench, Stream.SKIN: skin}, channels=channels)
+    return positions_of(importer.open_recording({Stream.WRENCH: wrench, Stream.SKIN: skin}, channels=channels), channels)
+
+
+def positions_of(opened: OpenRecording, channels: int = CHANNELS) -> Imported:
+    """Play a recording to positions."""
+    scene = small_scene(channels=channels, layout=False)
     pipeline = Pipeline(scene, opened.links, None)
     for chunk in pipeline.ahead(opened.chunks()):
         pipeline.feed(chunk)

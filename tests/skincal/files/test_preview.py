@@ -11,7 +11,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
 from tests.approved import approved
-from tests.skincal.import_support import write_csv, write_log, write_yarp
+from tests.skincal.import_support import EPOCH, write_csv, write_log, write_yarp
 from tests.skincal.poke_script import PERIOD_S, Script, small_scene, some_pokes
 
 SAMPLES = some_pokes(small_scene(), 3).samples
@@ -63,7 +63,9 @@ def test_the_skin_of_a_folder_with_many_ports_is_found(tmp_path):
 def test_what_is_no_recording_is_refused(tmp_path):
     (tmp_path / "note.csv").write_text("some words,and more\n")
     (tmp_path / "empty").mkdir()
-    for paths in ([tmp_path / "note.csv"], [tmp_path / "empty"], [tmp_path / "gone"]):
+    with pytest.raises(InputError, match="no column is the time; seen some words, and more"):
+        guess_streams([tmp_path / "note.csv"])
+    for paths in ([tmp_path / "empty"], [tmp_path / "gone"]):
         with pytest.raises(InputError, match="no recording was found"):
             guess_streams(paths)
 
@@ -82,9 +84,15 @@ def test_both_devices_are_needed(files, sentence):
     assert str(refusal.value) == known[sentence]
 
 
-def test_two_kinds_do_not_go_together():
-    with pytest.raises(InputError, match="one kind"):
-        files_of(Path("a.csv"), Path("b")).open()
+def test_files_of_two_kinds_are_read_together_and_it_is_said(tmp_path):
+    yarp, tables = write_yarp(tmp_path / "yarp", SAMPLES, per_frame=1), write_csv(tmp_path / "tables", SAMPLES)
+    shifted = [line.split(",", 1) for line in (tables / "b.csv").read_text().splitlines()[1:]]
+    head = (tables / "b.csv").read_text().splitlines()[0]
+    rows = [f"{EPOCH + float(time):.6f},{rest}" for time, rest in shifted]
+    (tables / "b.csv").write_text("\n".join([head, *rows, ""]))
+    opened = files_of(yarp / "left_ft", tables / "b.csv").open()
+    assert [timeline.lines for timeline in opened.timelines] == [len(SAMPLES)] * 2
+    assert any("two kinds (Logs of yarpdatadumper and CSV tables): their clocks must agree" in each for each in opened.findings)
 
 
 def test_a_look_says_what_is_there(tmp_path):

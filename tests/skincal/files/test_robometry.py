@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skincal.files.importers.preview import guess_streams
-from skincal.files.importers.registry import RecordedPlace, importer_of
+from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace, importer_of
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from tests.skincal.files.test_rosbag import readings
@@ -170,11 +170,12 @@ def test_wrong_channels_are_named(tmp_path, options, words):
 def test_other_and_damaged_files_give_a_sentence(tmp_path, rng):
     old = tmp_path / "old.mat"
     old.write_bytes(b"MATLAB 5.0 MAT-file, Platform: GLNXA64".ljust(200, b"\0"))
-    with pytest.raises(InputError, match="version 5; expected version 7"):
-        guess_streams([old])
+    read = next(each for each in RECORDING_IMPORTERS if each.name == "robometry").guess_streams
+    with pytest.raises(InputError, match=r"version 5; expected version 7.*skincal import arrays"):
+        read(old)
     empty = MatFile(tmp_path / "empty.mat").close()
     with pytest.raises(InputError, match="no channel with data and timestamps"):
-        guess_streams([empty])
+        read(empty)
     for name, shape, words in (
         ("rows", (10**11, 6), "announces 100000000000 rows of 6 values; expected at most"),
         ("width", (10, 2**40), "announces 10 rows of 1099511627776 values; expected at most"),
