@@ -488,7 +488,7 @@ class SessionView(QObject):
 
     def ask_export(self) -> None:
         """Ask for format, method and file, write it and show the remarks on it."""
-        stem = self._documents / self.workspace.part.scene.name
+        stem = self._folder() / self.workspace.part.scene.name
         dialog = ExportDialog(self.workspace.methods, self.method, stem, self.workspace.window())
 
         def write(format_: str, path: Path, method: Method, options: ExportOptions) -> None:
@@ -533,9 +533,11 @@ class SessionView(QObject):
         path = self._ask_file("Write the report", f"{self.workspace.part.scene.name}-report.html", "Report (*.html)")
         if path is not None:
             self.said.emit(Message(REPORTING, found=True))
-            self._controller.report(
-                path, self.method, lambda verdict: self.said.emit(Message(report_words(path, verdict))), self._tell_failure
-            )
+
+            def tell_written(verdict: str) -> None:
+                self.said.emit(Message(report_words(path, verdict), file=path))
+
+            self._controller.report(path, self.method, tell_written, self._tell_failure)
 
     def ask_picture(self) -> None:
         path = self._ask_file("Save 3D picture", "skincal.png", "Picture (*.png)")
@@ -578,8 +580,10 @@ class SessionView(QObject):
         self.follow_again()
 
     def _folder(self) -> Path:
+        """Return the session's folder, which files are proposed for; while it is not saved, that of the documents."""
         # A dialog would take a missing folder for the name of a file.
-        return self._documents if self._documents.is_dir() else Path.home()
+        folders = (self._controller.folder, self._documents)
+        return next((folder for folder in folders if folder is not None and folder.is_dir()), Path.home())
 
     def _tell_failure(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))

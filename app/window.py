@@ -222,6 +222,7 @@ class Window(QMainWindow):
         controller.session_opened.connect(lambda _: self.player.get_ready())
         controller.running_changed.connect(self._follow_running)
         self.messages.list_wanted.connect(self.show_messages)
+        self.messages.file_wanted.connect(self.open_file)
         self.stack.currentChanged.connect(lambda _: self.messages.show_newest())
         controller.said.connect(self.tell)
         controller.stored.connect(self._show_storage)
@@ -393,6 +394,11 @@ class Window(QMainWindow):
 
     def show_about(self) -> None:
         self._offer("About skincal", about_words(qVersion()))
+
+    def open_file(self, path: Path) -> None:
+        """Open a written file in the program that the desktop has for it."""
+        if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
+            self.tell_failure(f"No program was found that opens {path}. Open it in a browser.")
 
     def open_documents(self) -> None:
         """Open the documents folder in the desktop's file manager."""

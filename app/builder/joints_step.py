@@ -33,10 +33,12 @@ class JointRow:
         self.slider.setAccessibleName(f"angle of {name}")
         self.slider.setRange(round(low * SLIDER_STEPS_PER_DEGREE), round(high * SLIDER_STEPS_PER_DEGREE))
         self.slider.setSingleStep(SLIDER_STEPS_PER_DEGREE)
+        self.limits = f"{low:.0f} to {high:.0f}\N{DEGREE SIGN}" if limits is not None else ""
+        self.slider.setToolTip(self.limits or "This joint has no limits in the URDF.")
         self.slider.setPageStep(10 * SLIDER_STEPS_PER_DEGREE)
         self.angle = number_field(f"angle of {name} in degrees", "\N{DEGREE SIGN}", 360.0)
-        self.fixed = QCheckBox("not streamed")
-        self.fixed.setAccessibleName(f"{name} is not streamed and stays at this angle")
+        self.fixed = QCheckBox("fixed, not in the stream")
+        self.fixed.setAccessibleName(f"{name} is fixed at this angle, not in the stream")
         self.fixed.setVisible(can_fix)
         grid.addWidget(self.label, at, 0, 1, 3)
         grid.addWidget(self.slider, at + 1, 0)
@@ -45,7 +47,7 @@ class JointRow:
 
     def show_angle(self, radians: float, words: str, *, is_fixed: bool) -> None:
         degrees = float(np.degrees(radians))
-        self.label.setText(f"{self.name}   {words}".rstrip())
+        self.label.setText("   ".join(filter(None, (self.name, words, self.limits))))
         with QSignalBlocker(self.slider), QSignalBlocker(self.fixed):
             self.slider.setValue(round(degrees * SLIDER_STEPS_PER_DEGREE))
             self.fixed.setChecked(is_fixed)
@@ -61,7 +63,8 @@ class JointsStep(Step):
     name = "joints"
     tab = "Joints"
     title = "Joints"
-    hint = "These joints lie between sensor and part. Move them here, or connect their stream: the arm in the view follows."
+    absent = "No joint moves between sensor and part: there is nothing to set."
+    hint = "These joints lie between sensor and part. Move them here, or connect their stream: the robot in the view follows."
 
     def __init__(self) -> None:
         super().__init__()

@@ -61,6 +61,7 @@ class BuilderPage(QWidget):
         self._saved = self.history.now
         self._previewer, self._threads = PartPreviewer(), ThreadService("draft", self)
         self._is_busy = self._must_repeat = False
+        self._warned_step: Step | None = None  # The step whose missing things Next has said
         self._when_settled: Callable[[], object] | None = None  # Waits until the newest change is previewed
         self._arrange()
         self._connect()
@@ -223,6 +224,7 @@ class BuilderPage(QWidget):
 
     def show_step(self, step: Step) -> None:
         self.open_step.leave()
+        self._warned_step = None
         self.stack.setCurrentIndex(self.steps.index(step))
         step.enter()
         self._show_tabs()
@@ -230,17 +232,29 @@ class BuilderPage(QWidget):
         self.show_picture()
 
     def _show_numbered(self, number: int) -> None:
-        """Open the step with this number among the shown ones."""
-        shown = self._shown_steps()
-        if number <= len(shown):
-            self.show_step(shown[number - 1])
+        """Open the step with this number; if it has nothing to decide, say why."""
+        step = self.steps[number - 1]
+        if step in self._shown_steps():
+            self.show_step(step)
+        else:
+            self.findings.setText(f"\N{BULLET} {step.absent}")
 
     def _go(self, way: int) -> None:
-        steps = self._shown_steps()
+        """Open the next step, after a note on missing things, or the one before."""
+        steps, needed = self._shown_steps(), self._needed(self.open_step)
+        if way > 0 and needed and self._warned_step is not self.open_step:
+            self._warned_step = self.open_step
+            self.findings.setText(f"\N{BALLOT X} {needed[0]} Press Next again to do it later.")
+            return
         at = steps.index(self.open_step) + way
         if 0 <= at < len(steps):
             self.show_step(steps[at])
             self.open_step.setFocus()
+
+    def _needed(self, step: Step | None = None) -> list[str]:
+        """List what is missing or wrong, of one step or of all, so that nothing can start."""
+        lines = () if self.preview is None else summarize(self.preview)
+        return [line.text for line in lines if line.state is State.NEEDED and (step is None or line.step == step.name)]
 
     def _shown_steps(self) -> list[Step]:
         preview = self.preview
@@ -256,10 +270,9 @@ class BuilderPage(QWidget):
         signs = {State.COMPLETE: " \N{CHECK MARK}", State.OPTIONAL: "", State.NEEDED: ""}
         for index, step in enumerate(self.steps):
             tab = self.tabs.button(index)
-            tab.setVisible(step in shown)
-            tab.setText(
-                f"{shown.index(step) + 1 if step in shown else ''} {step.tab}{signs[states.get(step.name, State.OPTIONAL)]}"
-            )
+            tab.setEnabled(step in shown)
+            tab.setToolTip("" if step in shown else step.absent)
+            tab.setText(f"{index + 1} {step.tab}{signs[states.get(step.name, State.OPTIONAL)]}")
             tab.setChecked(step is self.open_step)
         at = shown.index(self.open_step)
         self.back.setEnabled(at > 0)
@@ -267,7 +280,7 @@ class BuilderPage(QWidget):
         self.next.setVisible(not is_last)
         self.start.setVisible(is_last)
         self.start.setEnabled(preview is not None and can_start(preview))
-        needed = [] if preview is None else [line.text for line in summarize(preview) if line.state is State.NEEDED]
+        needed = self._needed()
         self.start.setToolTip(escape_tooltip(needed[0]) if needed else "")
 
     def _show_findings(self) -> None:

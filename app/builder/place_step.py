@@ -63,6 +63,7 @@ class PlaceStep(Step):
     name = "place"
     tab = "Place"
     title = "Place the layout"
+    absent = "There is no layout to place: choose one in step 4, Skin."
     hint = (
         "Click the part where the middle of the layout lies. Drag the layout to slide it. Drag the ring around it to turn it, "
         "or turn the wheel over it. A drag elsewhere turns the view."

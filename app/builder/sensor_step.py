@@ -78,7 +78,7 @@ class SensorStep(Step):
         ]
         for each, name in zip(self.turns, "xyz", strict=True):
             each.setAccessibleName(f"turn the sensor by 90 degrees about its {name} axis")
-        below = row_of(self.under, QLabel("origin"), self.bottom_gap, QLabel("below"))
+        below = row_of(QLabel("Origin"), self.bottom_gap, QLabel("below the part:"), self.under)
         make_form(
             below, row_of(self.same, self.pick), self.pick_note, ("Pos&ition", self.origin), ("", self.add_point),
             ("&z points to", self.direction), ("Turn", row_of(*self.turns)), within=self.free_form, margins=0,
@@ -103,8 +103,9 @@ class SensorStep(Step):
             self.direction.show_value(shown[:3, 2])
         for widget in self.turns:
             widget.setEnabled(pose is not None)
-        self.under.setEnabled(preview.surface is not None)
-        self.pick.setEnabled(preview.surface is not None)
+        for widget in (self.under, self.pick):
+            widget.setEnabled(preview.surface is not None)
+            widget.setToolTip("" if preview.surface is not None else "First choose the mesh of the part in step 1.")
         self._show_signs(preview)
         self._show_picking()
 

@@ -34,7 +34,7 @@ from skincal.session.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, r
 from skincal.session.touch_watch import TouchWatch
 from skincal.words.layout_words import unsaid_kind_finding
 
-POLARITY_CHOICES = {"up": "rise under pressure", "down": "fall under pressure"}
+POLARITY_CHOICES = {"up": "values rise", "down": "values fall"}
 LAYOUT_CHOICES = {
     "none": "none: the guide searches for the taxels",
     "file": "a file: .toml, .ini of iCub, table of positions",
@@ -49,6 +49,8 @@ LAYOUT_FILES = f"Layout ({' '.join(LAYOUT_ENDINGS)});;All files (*)"
 KIND_NAMES = {"triangle_12": "triangle, 12 taxels (iCub, first skin)", "triangle_10pad": "triangle, 10 taxels (iCub, V2)"}
 UNSAID_KIND = " The file does not say what the skin is: it is taken for rigid boards."
 TOUCH_HINT = "Optional: connect the skin, keep hands off for a second, then press it. The channels that answer are marked."
+
+NO_WIDTH_HINT = "To read the skin here, first choose a layout or type how many values a frame has."
 
 
 class SkinStep(Step):
@@ -78,7 +80,7 @@ class SkinStep(Step):
         for page in pages:
             self.pages.addWidget(page)
         self.found = QLabel(wordWrap=True)
-        choices = ("V&alues a frame", self.channels), ("They", self.polarity), ("Layo&ut", self.layout_kind)
+        choices = ("V&alues a frame", self.channels), ("Under pressure", self.polarity), ("Layo&ut", self.layout_kind)
         self.form = make_form(*choices, self.pages, ("The skin &is", self.material), self.found)
         self.live = LiveRow(Stream.SKIN)
         self.live.read.connect(self._take_frames)
@@ -87,7 +89,7 @@ class SkinStep(Step):
         self.touched = secondary_label(TOUCH_HINT, wrap=True)
         self.use_polarity = button("Use this: they fall", run=self._use_polarity)
         self.use_polarity.setVisible(False)
-        touch = self.live, self.touched, row_of(self.again, self.use_polarity)
+        touch = self.touched, self.live, row_of(self.again, self.use_polarity)
         self.fill(self.form, *touch)
         self._watch: TouchWatch | None = None
         self._falls = False
@@ -149,6 +151,8 @@ class SkinStep(Step):
             self.found.setText(f"{many}, channels up to {layout.width - 1}.{unsaid}")
         width = draft.channels or (0 if layout is None else layout.width)
         self.live.setEnabled(width > 0)
+        if self._watch is None:
+            self.touched.setText(TOUCH_HINT if width else NO_WIDTH_HINT)
         self.live.set_widths(max(1, width), 0)
 
     def _choose_kind(self) -> None:

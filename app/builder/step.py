@@ -33,6 +33,8 @@ class Step(QWidget):
     tab: ClassVar[str]
     title: ClassVar[str]
     hint: ClassVar[str]
+    absent: ClassVar[str] = ""
+    """Why the step has nothing to decide, where it does not apply."""
 
     changed = Signal(object, str)
     """`PartDraft`, and the kind of the change: repeated changes of one kind are undone together. Empty for a change alone."""

@@ -33,6 +33,7 @@ class MessageBar(QFrame):
 
     kept_changed = Signal()  # `kept` has a new message
     list_wanted = Signal()
+    file_wanted = Signal(object)  # `Path` of the written file that the message names
 
     def __init__(self, covered: Callable[[], QWidget]) -> None:
         super().__init__()
@@ -45,17 +46,20 @@ class MessageBar(QFrame):
         self.text = QLabel(wordWrap=True, textFormat=Qt.TextFormat.PlainText)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.list_button, self.close_button = QPushButton("All  (F4)", flat=True), QPushButton(flat=True)
+        self.open_button = QPushButton("Open", flat=True)
         self.show_key(wanted=True)
-        for button in (self.list_button, self.close_button):
+        for button in (self.open_button, self.list_button, self.close_button):
             # Tab passes by: the keys do both.
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list_button.setAccessibleName("all messages")
         self._timer = QTimer(self, singleShot=True)
         margins = (2 * WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
-        make_row((self.text, 1), self.list_button, self.close_button, within=self, margins=margins)
+        make_row((self.text, 1), self.open_button, self.list_button, self.close_button, within=self, margins=margins)
         self.setFrameShape(QFrame.Shape.Box)
         self.setAutoFillBackground(True)
         self.setAccessibleName("message")
+        self.open_button.setAccessibleName("open the written file")
+        self.open_button.clicked.connect(self._open_file)
         self.list_button.clicked.connect(self.list_wanted)
         self.close_button.clicked.connect(self.dismiss)
         self._timer.timeout.connect(self._expire)
@@ -73,6 +77,10 @@ class MessageBar(QFrame):
     def show_key(self, *, wanted: bool) -> None:
         """Name the key that dismisses a message, unless it does something else now."""
         self.close_button.setText("Dismiss  (Esc)" if wanted else "Dismiss")
+
+    def _open_file(self) -> None:
+        if self._waiting and self._waiting[-1].file is not None:
+            self.file_wanted.emit(self._waiting[-1].file)
 
     def dismiss(self) -> None:
         if self._waiting:
@@ -118,8 +126,9 @@ class MessageBar(QFrame):
         text = colours.window if newest.error else colours.text
         for role in (QPalette.ColorRole.WindowText, QPalette.ColorRole.ButtonText):
             palette.setColor(role, text)
-        for widget in (self, self.text, self.list_button, self.close_button):
+        for widget in (self, self.text, self.open_button, self.list_button, self.close_button):
             widget.setPalette(palette)
+        self.open_button.setVisible(newest.file is not None)
         self.text.setText(f"{message_sign(newest)}  {newest.text}")
         self.place()
         self.show()

@@ -13,7 +13,7 @@ from PySide6.QtCore import QObject, QTimer, Signal
 from app.session.opening import Addresses, OpenRequest, begin_session, find_scene, link_specs, open_recorded
 from app.session.recording import Recording, SessionFolder, stop_all
 from app.state.running import Running
-from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, kept_words, refused_words
+from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, empty_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService, raise_sentences
 from skincal.files.formats import NO_OPTIONS, ExportOptions
@@ -53,6 +53,8 @@ OPERATOR_PACES = (1, 2, 4)  # Speed of the simulated operator between pokes, rel
 DEMO_SPEED_FACTOR = 2  # A poke takes 1.5 s, and the modules method finishes in two minutes
 DEMO_FIRST_MODULE_POKES = 2
 """The demonstration shows the taxels of a module within seconds; in any other session the landmarks come first."""
+EMPTY_SESSION_MAX_S = 300.0
+"""s. A new session without a poke that ends earlier is not kept; readings of a longer time may be wanted."""
 ANY_PORT = "0"  # The system chooses a free port
 
 
@@ -145,6 +147,7 @@ class Controller(QObject):
         self._truth = b""
         self.guided: GuidedSession | None = None  # Guide, press coach and checks; `None` before the part is loaded
         self._size_at_open: tuple[tuple[HistoryEntry, ...], int] = (), 0
+        self._opened_s = 0.0  # Of the host's monotonic clock
         self._links_confirmed = True  # The operator named the links or agreed to them
         self._shown: Snapshot | None = None
         self._shown_ns = self._solving_since_ns = 0
@@ -203,9 +206,17 @@ class Controller(QObject):
         """End the recording in the background. A provisional one without changes is discarded."""
         if self._recording is not None and not self.unsaved_pokes:
             self._recording.storage.discard()
+        if self._recording is not None and self._is_empty(self._recording) and self._recording.storage.discard_empty():
+            self.said.emit(Message(empty_words(self._recording.storage.folder), found=True))
         recording, self._recording = self._recording, None
         if recording is not None:
             self._endings.submit(recording.end, lambda _: None, self._say_failure)
+
+    def _is_empty(self, recording: Recording) -> bool:
+        """Whether a session ends soon after its beginning, without a poke or an action."""
+        pipeline = recording.pipeline
+        is_short = time.monotonic() - self._opened_s < EMPTY_SESSION_MAX_S
+        return is_short and not pipeline.snapshot().pokes and _session_size(pipeline) == self._size_at_open
 
     def stop(self) -> None:
         """Stop the timer and the device readers; the window gets no more updates."""
@@ -356,7 +367,7 @@ class Controller(QObject):
 
     def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
         self._recording = recording
-        self._size_at_open = _session_size(recording.pipeline)
+        self._size_at_open, self._opened_s = _session_size(recording.pipeline), time.monotonic()
         if connect:
             recording.start()
         self._set_running(Running.STREAMING if connect else Running.OFFLINE)

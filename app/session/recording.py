@@ -33,6 +33,7 @@ class SessionFolder:
         self._folder = None if request.copied else request.session or request.folder
         self.is_provisional = self._folder is None
         self._discarded = False
+        self._is_new = request.session is None
         self._made: list[Path] = []  # Created folders, the innermost first
 
     @property
@@ -50,6 +51,10 @@ class SessionFolder:
             The shipped session cannot be copied.
         """
         if self._folder is not None:
+            if self._is_new:
+                from skincal.session.importing import missing_folders
+
+                self._made = missing_folders(self._folder)
             return self._folder
         from skincal.session.importing import missing_folders
 
@@ -75,6 +80,11 @@ class SessionFolder:
     def discard(self) -> None:
         """Have `finish` remove a provisional session."""
         self._discarded = self.is_provisional
+
+    def discard_empty(self) -> bool:
+        """Have `finish` remove a new session with a named folder that did not exist before; return whether it will."""
+        self._discarded = self._discarded or (self._is_new and bool(self._made))
+        return self._discarded
 
     def finish(self) -> None:
         """Delete a discarded session, but no files of others. Call it after the journal is closed."""

@@ -28,6 +28,8 @@ class Message:
     """Asks for an action, and stays until that is done."""
     found: bool = False
     """Reports a finding, neither a success nor an error."""
+    file: Path | None = None
+    """Written file that a button of the message opens."""
 
 
 def message_sign(message: Message) -> str:
@@ -69,6 +71,11 @@ def look_words(sentence: str) -> str:
 def kept_words(folder: Path) -> str:
     """Report that a session is saved."""
     return f"This session is saved in {folder}."
+
+
+def empty_words(folder: Path) -> str:
+    """Report that a session without a poke is not kept."""
+    return f"The session that was open had no poke, and is not kept. Its folder was {folder}."
 
 
 def report_words(path: Path, verdict: str) -> str:

@@ -182,7 +182,7 @@ def simulate(
     settings = DeviceSettings(emulated=spoken, flicker=SERVED_MOMENT_NOISE_NM, start_quiet_s=REST_BEFORE_FIRST_SERVED_POKE_S)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
-        _print_links(server, known if as_json else {})
+        _print_links(server, known, loaded, as_json=as_json)
         with _target_client(hand, targets):
             _run(server, hand, operator, pokes)
 
@@ -230,7 +230,7 @@ def _serve_robot(scene: Scene, targets: str | None, seed: int, effects: str, *, 
         closing(Server(devices, tcp=tcp)) as server,
         stopping() as stop,
     ):
-        _print_links(server, devices.truth() if as_json else {})
+        _print_links(server, devices.truth(), scene, as_json=as_json)
         threading.Thread(target=_listen, args=(None, threading.Event(), stop), name="orders", daemon=True).start()
         server.run(stop)
 
@@ -326,15 +326,32 @@ SERVING_NOTICE = "The devices are served until it ends ({key}) or Ctrl-C."
 STDIN_ENDED = "Standard input ended, and so did the devices."
 
 
-def _print_links(server: Server, known: dict[str, Any]) -> None:
-    """Print the links' addresses on one line; for a program (--json) also the true taxel positions."""
+def _print_links(server: Server, known: dict[str, Any], scene: Scene, *, as_json: bool) -> None:
+    """Print the links' addresses: for a program as JSON on one line, with --json also the true positions; else in words."""
     links = [
         {"name": link.name, "address": link.address, "carries": [stream.value for stream in link.carries]}
         for link in server.links
     ]
-    say(json.dumps({"links": links, **known}))
+    if as_json or not sys.stdout.isatty():
+        say(json.dumps({"links": links, **(known if as_json else {})}))
+    else:
+        for line in link_lines({link.carries[0].value: link.address for link in server.links}, scene.path):
+            say(line)
     # A pipe holds lines back, and who started this waits for this one.
     sys.stdout.flush()
+
+
+def link_lines(addresses: dict[str, str], scene: Path) -> list[str]:
+    """Write the addresses of served devices, by stream, and the commands that read them."""
+    from skincal.words.link_words import STREAM_NAMES
+
+    options = " ".join(f"--{stream} {address}" for stream, address in addresses.items())
+    return [
+        *(f"{STREAM_NAMES[Stream(stream)]:<20} {address}" for stream, address in addresses.items()),
+        "Type these addresses into the window (Ctrl+N), or give them to a command in another terminal:",
+        f"  skincal --scene {scene} {options}",
+        f"  skincal record --scene {scene} {options} --out FOLDER",
+    ]
 
 
 def _run(server: Server, hand: AutoOperator | ScriptedOperator, operator: OperatorKind, pokes: int | None) -> None:

@@ -57,6 +57,8 @@ def _part(preview: PartPreview) -> SummaryLine:
     problem = preview.problems.get("part")
     if problem is not None:
         return SummaryLine("part", State.NEEDED, problem)
+    if preview.draft.mesh is None and preview.draft.urdf is None and preview.draft.source is None:
+        return SummaryLine("part", State.NEEDED, "Choose the mesh of the part, or the URDF of its robot.")
     if preview.size_mm is None:
         cost = "no mesh: the surface method is not available, and taxels need pokes from several directions"
         return SummaryLine("part", State.OPTIONAL if preview.draft.source is not None else State.NEEDED, cost)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QFileDialog
 
 from app.dialogs.verdict_dialog import VerdictDialog
@@ -55,6 +56,11 @@ def test_a_report_is_written_beside_the_window_also_from_the_verdict_or_it_is_sa
     path = tmp_path / "monday.html"
     bench.until(lambda: str(path) in said(bench), OPEN_MS)
     told = said(bench).partition(approved("report.written", path=path))[2]
+    opened = []
+    monkeypatch.setattr(QDesktopServices, "openUrl", lambda url: opened.append(url.toLocalFile()) or True)
+    assert bench.window.messages.open_button.isVisible()
+    bench.window.messages.open_button.click()
+    assert opened == [str(path)]
     text = path.read_text(encoding="utf-8")
     assert told
     assert told in text

@@ -273,5 +273,20 @@ def test_a_tab_is_found_by_its_place_and_files_are_proposed_in_a_folder_that_exi
     proposed = []
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *given: proposed.append(given[2]) or (str(tmp_path / "a"), ""))
     bench.key(Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)
-    assert Path(proposed[0]).parent.is_dir()
+    assert Path(proposed[0]).parent == recorded, "next to the session"
     assert (tmp_path / "a.png").is_file()
+
+
+@pytest.mark.parametrize("minutes", [0, 6])
+def test_a_session_without_a_poke_that_ends_at_once_leaves_no_folder(bench, tmp_path, minutes):
+    folder = tmp_path / "made" / "empty"
+    bench.open_served("flat-patch", folder=folder)
+    assert folder.is_dir()
+    if bench.snapshot.pokes:
+        pytest.skip("the simulated hand was faster")
+    bench.controller._opened_s -= 60.0 * minutes
+    bench.controller.leave()
+    bench.controller._endings.wait()
+    assert folder.exists() is (minutes > 0)
+    said = approved("message.empty", folder=folder)
+    assert any(message.text == said for message in bench.messages) is (minutes == 0)

@@ -87,7 +87,7 @@ def test_a_part_is_described_with_the_keyboard_alone(bench, tube):  # noqa: F811
         build.push(sensor.add_point)
     assert np.array(build.draft.sensor_pose)[:3, 3] == pytest.approx(np.zeros(3), abs=1e-4)
     assert np.array(build.draft.sensor_pose)[:3, 2] == pytest.approx([0, 0, 1], abs=1e-4)
-    build.press(Qt.Key.Key_3, Qt.KeyboardModifier.AltModifier)
+    build.press(Qt.Key.Key_4, Qt.KeyboardModifier.AltModifier)
     assert build.page.open_step is skin
     build.type_into(skin.channels, "24")
     build.tab_to(skin.layout_kind)
@@ -389,3 +389,27 @@ def test_the_new_session_dialog_has_the_simulated_hand_too(bench):
         dialog.attempt.click()
     assert bench.controller.has_simulator
     assert bench.controller.can_keep, "its folder is asked about"
+
+
+def test_the_numbers_of_the_steps_stay_and_an_empty_step_says_what_is_missing(bench, tube):  # noqa: F811
+    bench.window.ask_part()
+    build = Keys(bench)
+    build.activate()
+    tabs = build.page.tabs.buttons()
+    assert [tab.text().split()[:2] for tab in tabs] == [
+        ["1", "Part"], ["2", "Sensor"], ["3", "Joints"], ["4", "Skin"], ["5", "Place"], ["6", "Check"]
+    ]  # fmt: skip
+    assert [tab.isEnabled() for tab in tabs] == [True, True, False, True, False, True]
+    build.press(Qt.Key.Key_3, Qt.KeyboardModifier.AltModifier)
+    assert "No joint moves" in build.page.findings.text()
+    assert build.page.open_step is build.page.steps[0]
+    build.page.next.click()
+    assert "Choose the mesh of the part" in build.page.findings.text()
+    assert build.page.open_step is build.page.steps[0]
+    build.page.take_part(tube)
+    build.settle()
+    build.page.next.click()
+    assert build.page.open_step is build.page.steps[1]
+    for step in (1, 3):
+        build.page.next.click()
+        assert build.page.open_step is build.page.steps[step]

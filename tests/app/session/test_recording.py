@@ -125,6 +125,21 @@ def test_a_recording_in_a_named_folder_is_never_discarded(tmp_path, kind):
     assert contents(storage.folder) == held
 
 
+@pytest.mark.parametrize(("is_there", "goes"), [(False, True), (True, False)])
+def test_an_empty_session_goes_with_its_folder_unless_that_was_there(tmp_path, is_there, goes):
+    folder = tmp_path / "a" / "monday"
+    if is_there:
+        folder.mkdir(parents=True)
+    storage = SessionFolder(OpenRequest(folder=folder), tmp_path / "documents")
+    writer.create_session(storage.prepare(), write_scene(tmp_path / "source"), LINKS).close()
+    assert storage.discard_empty() is goes
+    storage.finish()
+    assert folder.exists() is folder.parent.exists() is not goes
+    opened = SessionFolder(OpenRequest(session=folder), tmp_path / "documents")
+    assert opened.prepare() == folder
+    assert not opened.discard_empty()
+
+
 SAMPLE = resource("sessions/sample")
 
 

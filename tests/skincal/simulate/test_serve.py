@@ -210,3 +210,15 @@ def test_to_a_program_served_devices_say_nothing_but_their_links(monkeypatch, ca
     monkeypatch.setattr(sys, "stdin", Typed(until=lambda: True))
     assert main(["simulate", "--scene", "flat-patch", "--serve", "--tcp"]) == 0
     assert capsys.readouterr().err == ""
+
+
+def test_on_a_terminal_the_addresses_are_given_with_the_commands_that_read_them(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", Typed(until=lambda: True))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    assert main(["simulate", "--scene", "flat-patch", "--serve", "--tcp"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    address = {line.rsplit(" ", 1)[0].strip(): line.rsplit(" ", 1)[1] for line in lines[:2]}
+    assert set(address) == {"force/torque sensor", "skin"}
+    for line, program in zip(lines[-2:], ("skincal --scene", "skincal record --scene"), strict=True):
+        assert line.strip().startswith(program)
+        assert f"--wrench {address['force/torque sensor']} --skin {address['skin']}" in line
