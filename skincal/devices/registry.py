@@ -6,7 +6,7 @@ A device's address is `SCHEME://HOST:PORT/PATH?key=value`, or `SCHEME:PORT` for 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from types import MappingProxyType
 from typing import Any
@@ -48,6 +48,8 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
 FORMATS = tuple(name for entry in FAMILIES.values() for name in entry.formats)
 """Names of all formats of devices."""
 CHECKSUMMED_FORMATS = tuple(name for entry in FAMILIES.values() for name in entry.checksummed)
+OPTIONS_WITH_VALUE = ("send", "after", "channels", "of", "format", "endian")
+"""Options that cannot be left empty; any other empty one is as if it were not there."""
 _FILE_OF_SCHEME = {scheme: file for file, entry in FAMILIES.items() for scheme in entry.schemes}
 _FILE_OF_FORMAT = {name: file for file, entry in FAMILIES.items() for name in entry.formats}
 
@@ -91,8 +93,10 @@ def parse_device(address: str) -> DeviceAddress | None:
             allowed = ", ".join(route.options) or "none"
             raise InputError(f"{address}: unknown option {unknown[0]!r}. Allowed options: {allowed}.")
         empty = [key for key, value in found.options.items() if not value]
-        if empty:
-            raise InputError(f"{address}: option {empty[0]!r} has no value; expected {empty[0]}=VALUE.")
+        needs_value = next((key for key in empty if key in OPTIONS_WITH_VALUE), "")
+        if needs_value:
+            raise InputError(f"{address}: option {needs_value!r} has no value; expected {needs_value}=VALUE.")
+        found = replace(found, options={key: value for key, value in found.options.items() if value})
         if route.check(found):
             return found
     examples = " or ".join(route.usage for route in routes)
