@@ -107,7 +107,7 @@ def style_sheet(colours: Colours) -> str:
     QTabBar::tab:selected:focus {{ border: 1px solid {colours.accent}; border-bottom-width: 2px; padding: 5px 9px 6px 9px; }}
     QTabBar {{ outline: none; }}
     QScrollArea {{ border: 1px solid {colours.panel}; }}
-    QScrollArea#pages {{ border: none; }}
+    QScrollArea#pages, QScrollArea[frameless="true"] {{ border: none; }}
     QScrollArea:focus {{ border: 1px solid {colours.accent}; }}
     QHeaderView::section {{ color: {colours.muted}; background: {colours.panel}; border: none; padding: 4px 4px;
         border-bottom: 1px solid {colours.line}; }}

@@ -21,6 +21,7 @@ def count_field(name: str, least: int, most: int) -> QSpinBox:
     box.setRange(least, most)
     box.setKeyboardTracking(False)
     box.setAccessibleName(name)
+    box.setMinimumHeight(QComboBox().sizeHint().height())
     return box
 
 

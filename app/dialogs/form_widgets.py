@@ -72,6 +72,8 @@ def number_field(name: str, suffix: str, limit: float, decimals: int = 1, prefix
     box.setLocale(QLocale.c())  # a decimal point, as in all numbers of the window
     box.setRange(-limit, limit)
     box.setAccessibleName(name)
+    # Without its arrows a number box is lower than the other fields.
+    box.setMinimumHeight(QComboBox().sizeHint().height())
     return box
 
 

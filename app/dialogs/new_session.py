@@ -338,6 +338,7 @@ class NewSessionDialog(Dialog):
         form.addWidget(self.objection, form.rowCount(), 0, 1, 4)
         form.setRowStretch(form.rowCount(), 1)
         self.area = scrolled(inner)
+        self.area.setProperty("frameless", True)
         self.area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         if is_new:
             self.attempt = self.buttons.addButton("Try it with a si&mulated hand", QDialogButtonBox.ButtonRole.ActionRole)
