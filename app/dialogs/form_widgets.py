@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QLocale, QPointF, Signal
+from PySide6.QtCore import QLocale, QPointF, QRectF, Signal
 from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFileDialog, QHBoxLayout, QLabel, QPushButton, QWidget
 
@@ -86,6 +86,37 @@ def path_row(title: str, field: QWidget, choose: Callable[[], object]) -> tuple[
     button.setAccessibleName(f"choose: {name}")
     button.clicked.connect(lambda: choose())
     return label, make_row((field, 1), button)
+
+
+class FramePicture(Painted):
+    """Mean frame of a skin as a picture: the larger a value, the stronger the colour."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._frame = np.empty((0, 0))
+        self.setAccessibleName(name)
+
+    def show_frame(self, frame: FloatArray, words: str) -> None:
+        """Draw a (rows, columns) frame; a channel without a reading stays empty. `words` describe it to screen readers."""
+        self._frame = frame
+        self.setAccessibleDescription(words)
+        self.update()
+
+    def paint(self, painter: QPainter, colours: Colours) -> None:
+        known = self._frame[np.isfinite(self._frame)]
+        if not known.size:
+            return
+        rows, columns = self._frame.shape
+        side = min((self.width() - 4.0) / columns, (self.height() - 4.0) / rows)
+        low, span = float(known.min()), float(np.ptp(known)) or 1.0
+        painter.setPen(QPen(QColor(colours.line), 1.0))
+        colour = QColor(colours.accent)
+        for row, values in enumerate(self._frame.tolist()):
+            for column, value in enumerate(values):
+                if np.isfinite(value):
+                    colour.setAlphaF(0.1 + 0.9 * (value - low) / span)
+                    painter.fillRect(QRectF(2.0 + column * side, 2.0 + row * side, side, side), colour)
+        painter.drawRect(QRectF(2.0, 2.0, columns * side, rows * side))
 
 
 class Sparkline(Painted):

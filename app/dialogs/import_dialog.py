@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.dialogs.dialog import Dialog, StandardButton
-from app.dialogs.form_widgets import BUTTON_ELLIPSIS, ScenePicker, Sparkline, path_row
+from app.dialogs.form_widgets import BUTTON_ELLIPSIS, FramePicture, ScenePicker, Sparkline, path_row
 from app.panels.drop_target import DropTarget
 from app.panels.layouts import make_column, make_form, make_row, scrolled
 from app.panels.widgets import choose_session_folder, fit_rows, fit_to_screen, put_rows, secondary_label, table
@@ -35,6 +35,7 @@ from app.text.import_text import (
     READING_TEXT,
     STOPPING_TEXT,
     curve_words,
+    frame_words,
     kind_words,
     stream_row,
 )
@@ -99,6 +100,7 @@ class ImportDialog(Dialog):
         self.kind = secondary_label(wrap=True)
         self.streams = table("streams of the recording", HEADINGS)
         self.curve, self.curve_words = Sparkline("force of the recording"), secondary_label(wrap=True)
+        self.frame, self.frame_words = FramePicture("mean frame of the skin"), secondary_label(wrap=True)
         self.findings = QListWidget()
         self.objection = QLabel(wordWrap=True)
         self.progress = QProgressBar(minimum=0, maximum=1000)
@@ -134,8 +136,9 @@ class ImportDialog(Dialog):
         self.findings.setAccessibleName("remarks")
         self.findings.setMinimumHeight(scaled(60))
         self.curve.setMinimumHeight(max(60, scaled(60)))
+        self.frame.setMinimumHeight(max(80, scaled(80)))
         inner = QWidget()
-        shown = self.form, self.kind, self.streams, self.curve_words, self.curve, self.findings
+        shown = self.form, self.kind, self.streams, self.curve_words, self.curve, self.frame_words, self.frame, self.findings
         make_column(*shown, 1, within=inner, margins=(0, 0, WIDGET_GAP_PX, 0))
         self.progress.setAccessibleName("import")
         self.progress.hide()
@@ -196,7 +199,8 @@ class ImportDialog(Dialog):
         files = RecordingFiles(*(RecordedPlace.parse(text) if text else None for text in texts))
         # The topics that the operator typed have no others.
         proposed = self._proposed.places.items() & files.places.items()
-        return replace(files, others={stream: self._proposed.others.get(stream, ()) for stream, _ in proposed})
+        others = {stream: self._proposed.others.get(stream, ()) for stream, _ in proposed}
+        return replace(files, tied=self._proposed.tied, others=others)
 
     def _choose_recording_folder(self) -> None:
         path = QFileDialog.getExistingDirectory(self, "Folder of a recording")
@@ -266,10 +270,15 @@ class ImportDialog(Dialog):
         words = "" if preview is None else curve_words(preview)
         self.curve_words.setText(words)
         self.curve.show_curve(np.empty((0, 2)) if preview is None else force_points(preview), words)
+        seen = "" if preview is None else frame_words(preview)
+        self.frame_words.setText(seen)
+        self.frame.show_frame(np.empty((0, 0)) if preview is None else preview.frame, seen)
         self.findings.clear()
         self.findings.addItems([] if preview is None else list(preview.findings))
         for widget in (self.streams, self.curve_words, self.curve):
             widget.setVisible(preview is not None)
+        for widget in (self.frame_words, self.frame):
+            widget.setVisible(preview is not None and preview.frame.size > 0)
         self.findings.setVisible(self.findings.count() > 0)
         self._update_problems()
 

@@ -46,6 +46,16 @@ def curve_words(preview: RecordingPreview) -> str:
     return f"Change of force, first {number(preview.times[-1], 0)} s: up to {number(known.max(), 1)} N."
 
 
+def frame_words(preview: RecordingPreview) -> str:
+    """Describe the mean frame of the skin; empty without readings."""
+    known = preview.frame[np.isfinite(preview.frame)]
+    if not known.size:
+        return ""
+    rows, columns = preview.frame.shape
+    size = f"{rows} x {columns}" if rows > 1 else f"{columns} channels in a row"
+    return f"Mean frame, {size}: {number(known.min(), 1)} to {number(known.max(), 1)}. Channel 0 is at the top left."
+
+
 def imported_words(imported: Imported) -> str:
     """Announce the imported session."""
     pokes = count(imported.pokes, "poke")

@@ -50,7 +50,8 @@ def urdf_text(calibration: Calibration, method: Method) -> str | bytes:
     elements: list[ET.Element] = []
     for name, position, angles in named_poses(calibration, taxels):
         elements.append(_urdf_link(name, calibration.options.inertia))
-        joint = ET.Element("joint", name=f"{name}_joint", type="fixed")
+        # Importers of NVIDIA's simulators merge a link on a fixed joint with its parent, unless the joint says so.
+        joint = ET.Element("joint", name=f"{name}_joint", type="fixed", dont_collapse="true")
         ET.SubElement(joint, "parent", link=link)
         ET.SubElement(joint, "child", link=name)
         ET.SubElement(joint, "origin", xyz=number_words(position), rpy=number_words(angles))

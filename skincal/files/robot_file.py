@@ -22,6 +22,11 @@ from skincal.model.given import read_regular
 from skincal.model.urdf import MAX_URDF_BYTES
 from skincal.model.urdf_xml import parse_xml
 
+_XACRO_EXPRESSION_RE = re.compile(r"\$[({][^)}]*[)}]")
+_INCLUDE_SENTENCE = (
+    ' Links and names of models that it includes with merge="true" are in other files, which are not compared: a name '
+    "that is there, too, is refused by Gazebo (choose another --prefix)."
+)
 SDF_MIN_VERSION = (1, 7)
 """Older ones have no frames that are attached to a link."""
 
@@ -38,6 +43,10 @@ class _RobotContent:
     """Of all links, joints, frames and sensors."""
     relative_meshes: int
     """Meshes whose file is named from the robot's folder."""
+    links: int
+    """Links that have a mass in other programs, stated or not."""
+    has_merged: bool
+    """Whether a model takes over the links of another file (`<include merge="true">`)."""
 
     @property
     def mass(self) -> float | None:
@@ -95,13 +104,23 @@ def check_robot(path: Path, content: bytes, names: Sequence[str], what: str) -> 
     if wrong or after.moving != before.moving or kept != before.masses:
         raise RuntimeError(f"{path}: the file with taxels differs from the robot; names {wrong[:3]}")
     mass, more = before.mass, after.mass
-    weighed = "its masses" if mass is None or more is None else f"the mass of {mass:.6g} kg"
+    weighed = _weighed(before, mass)
     added = 0.0 if mass is None or more is None else more - mass
     heavier = f" (the taxels have {added * 1e6:.3g} mg)" if len(after.masses) > len(before.masses) else ""
     return (
         f"{what} added to {path.name}: {weighed} and {plural(len(before.moving), 'moving joint')} are unchanged{heavier}, "
-        "every name is found."
+        f"every name is found.{_INCLUDE_SENTENCE if before.has_merged else ''}"
     )
+
+
+def _weighed(robot: _RobotContent, mass: float | None) -> str:
+    """Name the masses that were compared: of the links that state one."""
+    if not robot.masses:
+        return "its links, which state no mass,"
+    if mass is None:
+        return "its masses"
+    stated = f" of {len(robot.masses)} of its {robot.links} links" if len(robot.masses) < robot.links else ""
+    return f"the mass of {mass:.6g} kg{stated}"
 
 
 def mesh_sentences(out: Path, into: Path) -> list[str]:
@@ -133,9 +152,23 @@ def _read_robot(path: Path, tag: str) -> tuple[bytes, ET.Element]:
     if root.tag != tag:
         advice = f"; choose the format {other}" if root.tag in ("robot", "sdf") else ""
         raise InputError(f"{path}: begins with <{root.tag}>; expected <{tag}>, a robot's {what}{advice}.")
-    if any(element.tag.startswith("xacro:") for element in root.iter()):
-        raise InputError(f"{path}: is a xacro file; make a URDF of it first: xacro {path.name} > robot.urdf.")
+    if leftover := _xacro_leftover(root):
+        raise InputError(
+            f"{path}: is a xacro file (it has {leftover}); make a URDF of it first: xacro {path.name} > robot.urdf."
+        )
     return data, root
+
+
+def _xacro_leftover(root: ET.Element) -> str:
+    """Find an element or an expression of xacro, which programs would read as a name; empty without."""
+    attributes = [pair for element in root.iter() for pair in element.attrib.items()]
+    prefixes = {name.partition(":")[2] for name, value in attributes if name.startswith("xmlns:") and "xacro" in value}
+    for element in root.iter():
+        prefix, colon, _ = element.tag.partition(":")
+        if colon and prefix in (prefixes | {"xacro"}):
+            return f"<{element.tag}>"
+    texts = [value for _, value in attributes] + [element.text or "" for element in root.iter()]
+    return next((text.strip()[:60] for text in texts if _XACRO_EXPRESSION_RE.search(text)), "")
 
 
 def _holder(root: ET.Element, link: str, path: Path) -> ET.Element:
@@ -146,6 +179,8 @@ def _holder(root: ET.Element, link: str, path: Path) -> ET.Element:
         known = [each.get("name", "") for model in models for each in model.findall("link")]
         near = difflib.get_close_matches(link, known, 3, 0.5) or known[:3]
         advice = f"the nearest are {', '.join(near)}" if near else "it has none at all"
+        if any(model.find("include") is not None for model in models):
+            advice += ". Links of an included model are in that model's file: add the taxels there"
         raise InputError(f"{path}: has no link {link!r}, on which the taxels are; {advice}. Choose the robot of this part.")
     if len(holders) > 1:
         named = ", ".join(each.get("name", "?") for each in holders[:3])
@@ -231,7 +266,10 @@ def _content(root: ET.Element) -> _RobotContent:
             if joint.get("type") != "fixed"
         ]
         names += _names(holder)
+    # In SDF a link without a mass has 1 kg, in URDF none.
+    links = len(masses) if root.tag == "robot" else sum(len(holder.findall("link")) for holder in root.iter("model"))
+    merged = any(each.get("merge", "").lower() in ("true", "1") for each in root.iter("include"))
     meshes = [each.get("filename", "") for tag in ("mesh", "texture") for each in root.iter(tag)]
     meshes += [each.text or "" for each in root.iter("uri")]
     relative = [name for each in meshes if (name := each.strip()) and "://" not in name and not name.startswith("/")]
-    return _RobotContent(masses, tuple(moving), tuple(names), len(relative))
+    return _RobotContent(masses, tuple(moving), tuple(names), len(relative), links, merged)

@@ -91,6 +91,7 @@ def test_a_recording_is_imported_by_keys_and_opens(bench, scene, samples, tmp_pa
     rows = [[dialog.streams.topLevelItem(k).text(column) for column in (0, 4)] for k in range(2)]
     assert rows == [["Force/torque sensor", "6"], ["Skin", "24"]]
     assert "up to" in dialog.curve.accessibleDescription()
+    assert "channels in a row" in dialog.frame_words.text()
     assert files_under(bench.documents) == [], "nothing is written before it is asked for"
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
         while dialog.focusWidget() is not dialog.start:
@@ -279,6 +280,9 @@ def test_every_control_has_a_name_and_is_reached_by_the_tab_key(bench, scene, sa
     names = [button.accessibleName() for button in dialog.findChildren(QPushButton) if button.accessibleName()]
     assert len(set(names)) == len(names) == 5
     with_curve = pixels(dialog.curve)
+    with_frame = pixels(dialog.frame)
+    dialog.frame.show_frame(np.empty((0, 0)), "")
+    assert changed(with_frame, pixels(dialog.frame)) > 100
     dialog.curve.show_curve(np.empty((0, 2)), "")
     assert changed(with_curve, pixels(dialog.curve)) > 100
 

@@ -128,7 +128,8 @@ def test_a_tactile_sensor_in_the_robot_is_read_as_known_positions(part, calibrat
 def test_frames_go_into_the_model_that_has_the_link(calibration, tmp_path):
     robot, out = write_robot(tmp_path / "world.sdf", SDF), tmp_path / "out.sdf"
     said = write_calibration(calibration, "sdf", out, Method.FREE, ExportOptions(into=robot))
-    assert "33 taxels are added to world.sdf: the mass of 3 kg and 1 moving joint are unchanged, every name is found." in said
+    mass = "the mass of 3 kg of 2 of its 4 links"
+    assert f"33 taxels are added to world.sdf: {mass} and 1 moving joint are unchanged, every name is found." in said
     arm = ET.parse(out).find("world/model[@name='arm']")
     frames = arm.findall("frame")
     assert len(frames) == 33
@@ -219,3 +220,36 @@ def test_lines_of_taxels_are_short(calibration, tmp_path):
     """PyBullet cuts lines after 8191 characters."""
     write_calibration(calibration, "urdf", tmp_path / "out.urdf", Method.FREE, ExportOptions(inertia=Inertia.TINY))
     assert max(len(line) for line in (tmp_path / "out.urdf").read_text().splitlines()) < 200
+
+
+@pytest.mark.parametrize(
+    ("head", "link", "left"),
+    [
+        ("", '<link name="${prefix}base"/>', r"\$\{prefix\}base"),
+        ("", '<link name="$(arg side)_base"/>', r"\$\(arg side\)_base"),
+        (' xmlns:x="http://www.ros.org/wiki/xacro"', '<x:include filename="a.xacro"/>', "<x:include>"),
+    ],
+)
+def test_leftovers_of_xacro_are_refused_by_name(calibration, tmp_path, head, link, left):
+    text = URDF.replace('name="arm"', f'name="arm"{head}').replace(
+        '<link name="r_forearm_dh_frame"/>', f'{link}<link name="{LINK}"/>'
+    )
+    into = write_robot(tmp_path / "robot.urdf", text)
+    with pytest.raises(InputError, match=rf"is a xacro file \(it has {left}\); make a URDF of it first: xacro"):
+        write_calibration(calibration, "urdf", tmp_path / "out.urdf", Method.FREE, ExportOptions(into=into))
+
+
+def said(robot):
+    return check_robot(robot, robot.read_bytes(), [], "None is")
+
+
+def test_masses_that_sdf_does_not_state_and_merged_models_are_named(tmp_path):
+    robot = write_robot(tmp_path / "robot.sdf", SDF.replace("<mass>2.5</mass>", "").replace("<mass>0.5</mass>", ""))
+    assert "its links, which state no mass, and 1 moving joint are unchanged" in check_robot(
+        robot, robot.read_bytes(), [], "None is"
+    )
+    robot = write_robot(tmp_path / "robot.sdf", SDF.replace("<mass>2.5</mass>", ""))
+    assert "the mass of 0.5 kg of 1 of its 4 links and" in said(robot)
+    merged = SDF.replace('<model name="arm">', '<model name="arm"><include merge="true"><uri>model://hand</uri></include>')
+    robot = write_robot(tmp_path / "robot.sdf", merged)
+    assert 'that it includes with merge="true" are in other files' in said(robot)
