@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, cross_matrix
-from skincal.mesh.file_numbers import decode_text, parse_numbers, parse_wholes
-from skincal.mesh.findings import FindingKind, words_finding
-from skincal.mesh.polygons import NO_POLYGONS, Polygons, cut_fan, cut_strip, place_polygons
+from skincal.mesh.file_numbers import decode_text, is_utf16, parse_numbers, parse_wholes
+from skincal.mesh.findings import FindingKind, count_finding, words_finding
+from skincal.mesh.polygons import NO_POLYGONS, Polygons, check_matrix, cut_fan, cut_strip, join_by_points, place_polygons
 
 MAX_NODES = 100_000
 """Nodes of a scene with all instances. A node that names another twice, and so on, has two to the power of its depth."""
@@ -38,7 +38,12 @@ def read_collada(data: bytes) -> Polygons:
     file = _File(_parse_xml(data))
     unit, up = file.unit(), file.up_axis()
     findings = (words_finding(FindingKind.UP_AXIS, up[0].lower()),) if up in ("X_UP", "Y_UP") else ()
-    return place_polygons(file.placed_geometries(), unit, findings)
+    if file.lacks_length():
+        findings = (*findings, words_finding(FindingKind.UNIT_WITHOUT_LENGTH, "1 m"))
+    polygons = place_polygons(file.placed_geometries(), unit, findings)
+    if not file.short_lists:
+        return polygons
+    return polygons._replace(findings=(*findings, count_finding(FindingKind.SHORT_LISTS, file.short_lists)))
 
 
 def _parse_xml(data: bytes) -> Element:
@@ -61,7 +66,8 @@ def _parse_xml(data: bytes) -> Element:
         depth -= 1
         builder.end(tag.rpartition(":")[2])
 
-    parser, builder = expat.ParserCreate(), TreeBuilder()
+    # A text in UTF-16 is UTF-8 by now, whatever its first line says.
+    parser, builder = expat.ParserCreate("utf-8" if is_utf16(data) else None), TreeBuilder()
     parser.buffer_text = True
     parser.StartDoctypeDeclHandler = refuse_doctype
     parser.StartElementHandler, parser.EndElementHandler = start, end
@@ -83,16 +89,25 @@ class _File:
         self._root = root
         self._by_id: dict[str, Element] = {}
         for element in root.iter():
-            self._by_id.setdefault(element.get("id", ""), element)
+            if element.get("id"):
+                self._by_id.setdefault(element.get("id", ""), element)
+        self._points: dict[int, FloatArray] = {}
+        self.short_lists = 0
+        """Elements that announce more faces than they have."""
         self._geometries: dict[int, list[Polygons]] = {}
 
     def unit(self) -> float:
         """Metres per unit."""
         unit = self._root.find("asset/unit")
-        (metres,) = parse_numbers([("1" if unit is None else unit.get("meter", "1")).strip().encode()])
+        metres = 1.0 if unit is None else _metres(unit)
         if not 0 < metres < np.inf:
             raise ValueError(f"its unit is {metres:g} m; a length above 0 was expected")
-        return float(metres)
+        return metres
+
+    def lacks_length(self) -> bool:
+        """Whether the file names a unit without its length."""
+        unit = self._root.find("asset/unit")
+        return unit is not None and "meter" not in unit.attrib
 
     def up_axis(self) -> str:
         """`X_UP`, `Y_UP` or `Z_UP`; empty if the file does not say."""
@@ -109,20 +124,24 @@ class _File:
         waiting, seen = [(node, np.eye(4)) for node in reversed(top.findall("node"))], 0
         while waiting:
             node, above = waiting.pop()
-            matrix = above @ _node_matrix(node)
+            with np.errstate(over="ignore", invalid="ignore"):
+                matrix = above @ _node_matrix(node)
             for child in node:
                 if child.tag == "instance_geometry":
+                    seen += 1
                     yield from ((part, matrix) for part in self._parts(self._named(child, "url")))
                 elif child.tag == "instance_controller":
                     raise ValueError("bones or blend shapes move it (instance_controller): apply them in the modelling program")
             below = [each if each.tag == "node" else self._named(each, "url") for each in node if _is_node(each)]
             seen += len(below)
             if seen > MAX_NODES:
-                raise ValueError(f"its scene has over {MAX_NODES} nodes: a node names others many times, or itself")
+                raise ValueError(f"its scene has over {MAX_NODES} nodes and geometries: a node names others many times, or itself")
             waiting += [(each, matrix) for each in reversed(below)]
 
     def _named(self, element: Element, attribute: str) -> Element:
         url = element.get(attribute, "").strip()
+        if url == "#":
+            raise ValueError(f"{element.tag} names nothing ({url!r})")
         if not url.startswith("#"):
             raise ValueError(f"{element.tag} names {url[:80]!r}, which is not in this file: save all in one file")
         if url[1:] not in self._by_id:
@@ -139,7 +158,12 @@ class _File:
             unknown = [child.tag for child in mesh if child.tag not in (*FACE_TAGS, *TAGS_WITHOUT_SURFACE)]
             if unknown:
                 raise ValueError(f"a mesh has {unknown[0][:40]}, which is not read: export triangles")
-            self._geometries[id(geometry)] = [self._read_faces(child) for child in mesh if child.tag in FACE_TAGS]
+            own = geometry.find("asset/unit")
+            if own is not None and _metres(own) != self.unit():
+                raise ValueError("a geometry has a unit of its own (asset), which is not read: export it in the file's unit")
+            self._geometries[id(geometry)] = join_by_points(
+                [self._read_faces(child) for child in mesh if child.tag in FACE_TAGS]
+            )
         return self._geometries[id(geometry)]
 
     def _read_faces(self, faces: Element) -> Polygons:
@@ -170,10 +194,18 @@ class _File:
             cut = cut_strip if faces.tag == "tristrips" else cut_fan
             triangles = np.concatenate([np.empty((0, 3), dtype=np.int64), *map(cut, lists)])
             corners, sizes = triangles.ravel(), np.full(len(triangles), 3)
-        return Polygons(self._read_points(points), corners, sizes)
+        (announced,) = parse_wholes([faces.get("count", "0").encode()])
+        found = len(lists) if faces.tag in ("tristrips", "trifans") else len(sizes)
+        self.short_lists += int(announced > found)
+        return Polygons(self._points_of(self._named(points, "source")), corners, sizes)
 
-    def _read_points(self, given: Element) -> FloatArray:
-        source = self._named(given, "source")
+    def _points_of(self, source: Element) -> FloatArray:
+        """Read points once: faces of several materials share them."""
+        if id(source) not in self._points:
+            self._points[id(source)] = self._read_points(source)
+        return self._points[id(source)]
+
+    def _read_points(self, source: Element) -> FloatArray:
         if source.tag == "vertices":
             inputs = [each for each in source.findall("input") if each.get("semantic") == "POSITION"]
             if not inputs:
@@ -197,6 +229,12 @@ class _File:
 
 Number = TypeVar("Number", np.float64, np.int64)
 _ACCESSOR_DEFAULTS = (("count", "0"), ("stride", "1"), ("offset", "0"))
+
+
+def _metres(unit: Element) -> float:
+    """Read the length of a unit; 1 m without one."""
+    (metres,) = parse_numbers([unit.get("meter", "1").strip().encode()])
+    return float(metres)
 
 
 def _is_position(given: Element) -> bool:
@@ -231,7 +269,7 @@ def _node_matrix(node: Element) -> FloatArray:
             raise ValueError(f"{step.tag} of a node has {len(numbers)} numbers; {_TRANSFORM_NUMBERS[step.tag]} were expected")
         each = np.eye(4)
         if step.tag == "matrix":
-            each = numbers.reshape(4, 4)
+            each = check_matrix(numbers.reshape(4, 4))
         elif step.tag == "translate":
             each[:3, 3] = numbers
         elif step.tag == "scale":

@@ -22,9 +22,14 @@ def decode_text(data: bytes) -> bytes:
     return drop_mark(data)
 
 
+def is_utf16(data: bytes) -> bool:
+    """Whether a text begins with the byte order mark of UTF-16."""
+    return data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+
+
 def drop_mark(data: bytes) -> bytes:
     """Drop a byte order mark; a text in UTF-16 becomes UTF-8."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+    if is_utf16(data):
         return data.decode("utf-16").encode()
     return data.removeprefix(codecs.BOM_UTF8)
 
@@ -55,6 +60,15 @@ def _check_length(words: list[bytes]) -> None:
     longest = max(map(len, words), default=0)
     if longest > NUMBER_TEXT_MAX_CHARS:
         raise ValueError(f"a number of {longest} letters")
+    if any(b"_" in word for word in words):
+        raise ValueError(f"{show_word(next(word for word in words if b'_' in word))!r} is no number")
+
+
+def _python_number(word: bytes) -> bytes:
+    """Return a word that Python reads as files mean it: 1_0 is 10 in Python alone."""
+    if b"_" in word:
+        raise ValueError
+    return word
 
 
 def show_word(word: bytes) -> str:
@@ -65,7 +79,7 @@ def show_word(word: bytes) -> str:
 def parse_whole(word: bytes) -> int:
     """Parse a whole number."""
     try:
-        return int(word)
+        return int(_python_number(word))
     except ValueError:
         raise ValueError(f"{show_word(word)!r} is no whole number") from None
 
@@ -73,7 +87,7 @@ def parse_whole(word: bytes) -> int:
 def parse_number(word: bytes) -> float:
     """Parse a number."""
     try:
-        return float(word)
+        return float(_python_number(word))
     except ValueError:
         seen = show_word(word)
         if re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", seen):

@@ -26,6 +26,11 @@ class FindingKind(Enum):
         "triangles may differ from those of other programs; export triangles to fix them."
     )
     CROSSING = "Polygons that cross themselves, left out: {}. Export the part as triangles."
+    TOO_LARGE = "Polygons with too many corners to be cut here, left out: {}. Export the part as triangles."
+    SHORT_LISTS = (
+        "Elements that announce more faces than they have: {}. Compare the part with the drawing, faces may be missing."
+    )
+    UNIT_WITHOUT_LENGTH = "The file's unit has no length; COLLADA takes {}. Check the size of the part."
     UNIT_REPLACED = "The file says that its unit is {}; the unit that the scene names is used."
     UP_AXIS = (
         "In this file the {} axis points up. Its axes are used unturned, as RViz and Gazebo use those of COLLADA. If the part "

@@ -21,7 +21,17 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.file_numbers import decode_text
 from skincal.mesh.findings import FindingKind, MeshFinding, count_finding, words_finding
-from skincal.mesh.polygons import MAX_PLACED_CORNERS, NO_POLYGONS, Polygons, cut_fan, cut_strip, place_polygons, triangles_of
+from skincal.mesh.polygons import (
+    MAX_PLACED_CORNERS,
+    NO_POLYGONS,
+    Polygons,
+    check_matrix,
+    cut_fan,
+    cut_strip,
+    join_by_points,
+    place_polygons,
+    triangles_of,
+)
 from skincal.model.given import parse_json
 
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
@@ -42,7 +52,7 @@ def read_gltf(data: bytes) -> Polygons:
         return NO_POLYGONS
     document, binary, findings = _open_glb(data) if data.startswith(MAGIC) else (_parse(decode_text(data)), None, ())
     findings = (*findings, words_finding(FindingKind.GLTF_AXES, ""))
-    return place_polygons(_File(_typed(document), binary).placed_meshes(), 1.0, findings)
+    return place_polygons(_File(_typed(document), binary, len(data)).placed_meshes(), 1.0, findings)
 
 
 def _open_glb(data: bytes) -> tuple[Any, bytes | None, tuple[MeshFinding, ...]]:
@@ -78,8 +88,8 @@ def _parse(text: bytes) -> Any:
 class _File:
     """A glTF document with its numbers."""
 
-    def __init__(self, document: dict[str, Any], binary: bytes | None) -> None:
-        self._document, self._binary = document, binary
+    def __init__(self, document: dict[str, Any], binary: bytes | None, size: int) -> None:
+        self._document, self._binary, self._size = document, binary, size
         version = _entry(document, "asset").get("version", "")
         if not str(version).startswith("2"):
             raise ValueError(f"its version is {str(version)[:20]!r}; 2.0 was expected")
@@ -88,6 +98,7 @@ class _File:
                 raise ValueError(f"it needs the extension {str(name)[:60]}, which is not read: export it without")
         self._buffers: dict[int, bytes] = {}
         self._meshes: dict[int, list[Polygons]] = {}
+        self._positions: dict[int, FloatArray] = {}
 
     def placed_meshes(self) -> Iterator[tuple[Polygons, FloatArray]]:
         """List the triangles of the scene with their matrices, (4, 4)."""
@@ -129,15 +140,21 @@ class _File:
         if any(weight != 0 for weight in (*node_weights, *_list(mesh, "weights"))):
             raise ValueError("blend shapes move it (weights): apply them in the modelling program")
         if index not in self._meshes:
-            parts = (self._read_primitive(_typed(each)) for each in _list(mesh, "primitives"))
-            self._meshes[index] = [part for part in parts if part is not None]
+            parts = [self._read_primitive(_typed(each)) for each in _list(mesh, "primitives")]
+            self._meshes[index] = join_by_points([part for part in parts if part is not None])
         return self._meshes[index]
+
+    def _points(self, index: int) -> FloatArray:
+        """Read positions once: primitives of several materials share them."""
+        if index not in self._positions:
+            self._positions[index] = self._numbers(index, "VEC3").astype(float)
+        return self._positions[index]
 
     def _read_primitive(self, primitive: dict[str, Any]) -> Polygons | None:
         mode = _whole(primitive, "mode", _TRIANGLES)
         if mode in range(_TRIANGLES):
             return None
-        points = self._numbers(_whole(_entry(primitive, "attributes"), "POSITION"), "VEC3").astype(float)
+        points = self._points(_whole(_entry(primitive, "attributes"), "POSITION"))
         corners: IntArray = np.arange(len(points))
         if "indices" in primitive:
             given = self._numbers(_whole(primitive, "indices"), "SCALAR")
@@ -165,6 +182,9 @@ class _File:
         if "bufferView" in accessor:
             numbers = self._view(accessor, number_type, count, width).copy()
         elif "sparse" in accessor:
+            # Zeros are not in the file. But a corner that counts is named by an index, which has a byte at least.
+            if count > self._size:
+                raise ValueError(f"accessor {index} announces {count} entries in a file of {self._size} bytes")
             numbers = np.zeros((count, width), number_type)
         else:
             raise ValueError(f"accessor {index} has no numbers; they may be compressed: export it without compression")
@@ -227,7 +247,7 @@ def _number_type(entry: dict[str, Any]) -> np.dtype[Any]:
 
 def _node_matrix(node: dict[str, Any]) -> FloatArray:
     if "matrix" in node:
-        return _vector(node, "matrix", [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]).reshape(4, 4).T
+        return check_matrix(_vector(node, "matrix", [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]).reshape(4, 4).T)
     matrix = np.eye(4)
     *axis, real = _vector(node, "rotation", [0, 0, 0, 1])
     length = float(np.linalg.norm([*axis, real]))

@@ -113,8 +113,9 @@ def _choose_scale(spec: SurfaceSpec, file_unit: float | None) -> tuple[float, li
 
 def _check_size(spec: SurfaceSpec, scale: float, corners: FloatArray) -> MeshFinding:
     stretches = np.linalg.norm(spec.link_from_mesh[:3, :3], axis=0)
-    box = (corners.max(axis=0) - corners.min(axis=0)) * stretches
-    raw = float(np.linalg.norm(box))
+    with np.errstate(over="ignore"):
+        box = (corners.max(axis=0) - corners.min(axis=0)) * stretches
+        raw = float(np.linalg.norm(box))
     unit = min(UNITS, key=lambda name: abs(UNITS[name] - scale))
     diagonal = raw * scale
     if MIN_DIAGONAL_M <= diagonal <= MAX_DIAGONAL_M:

@@ -25,6 +25,8 @@ MAX_EAR_TESTS = 300_000
 """Corners tried as ears in one file, some seconds. A face of 1,000 corners takes about 3,000."""
 MAX_PLACED_CORNERS = 20_000_000
 """Corners and vertices of a scene: four million triangles, as many as the largest file may have."""
+LAST_ROW_TOLERANCE = 1e-6
+"""Of the last row of a node's matrix, in text with six digits."""
 EAR_ROUNDING = 1e-12
 """Doubled area of a triangle, over the squared size of its polygon, that counts as zero."""
 
@@ -65,6 +67,25 @@ def check_corners(polygons: Polygons) -> None:
         raise ValueError(f"triangles name vertices {corners.min()} to {corners.max()}, and there are {count}")
 
 
+def check_matrix(matrix: FloatArray) -> FloatArray:
+    """Return a node's matrix (4, 4). Raises ValueError: its last row is not 0 0 0 1, so that it is no motion and no scale."""
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > LAST_ROW_TOLERANCE:
+        row = " ".join(f"{number:g}" for number in matrix[3])
+        raise ValueError(f"the last row of a node's matrix is {row}; 0 0 0 1 was expected")
+    return matrix
+
+
+def join_by_points(parts: Sequence[Polygons]) -> list[Polygons]:
+    """Join the parts that have the same array of vertices: those of several materials."""
+    of: dict[int, list[Polygons]] = {}
+    for part in parts:
+        of.setdefault(id(part.vertices), []).append(part)
+    return [
+        same[0]._replace(corners=np.concatenate([s.corners for s in same]), sizes=np.concatenate([s.sizes for s in same]))
+        for same in of.values()
+    ]
+
+
 def cut_strip(corners: IntArray) -> IntArray:
     """Cut a strip into triangles, (n, 3): every second one is turned."""
     triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1) if len(corners) > 2 else np.empty((0, 3), np.int64)
@@ -88,8 +109,10 @@ def place_polygons(parts: Iterable[tuple[Polygons, FloatArray]], unit: float, fi
         if corner_count > MAX_PLACED_CORNERS:
             raise ValueError(f"its scene has over {MAX_PLACED_CORNERS} corners: a part names others many times")
         check_corners(part)
-        is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
-        vertices.append(part.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        # Vertices that are too large are refused later, with their number.
+        with np.errstate(over="ignore", invalid="ignore"):
+            is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
+            vertices.append(part.vertices @ matrix[:3, :3].T + matrix[:3, 3])
         corners.append((part.corners[::-1] if is_mirrored else part.corners) + vertex_count)
         sizes.append(part.sizes[::-1] if is_mirrored else part.sizes)
         vertex_count += len(part.vertices)
@@ -106,6 +129,8 @@ class CutPolygons:
     """Polygons with a corner far off their plane."""
     crossing: int
     """Polygons without triangles: they cross themselves."""
+    too_large: int
+    """Polygons without triangles: the ears of the file's polygons are too many to try."""
 
 
 def cut_polygons(vertices: FloatArray, corners: IntArray, sizes: IntArray) -> CutPolygons:
@@ -118,7 +143,7 @@ def cut_polygons(vertices: FloatArray, corners: IntArray, sizes: IntArray) -> Cu
     sizes : (n,) corners of each polygon, at least 3
     """
     if (sizes == 3).all():
-        return CutPolygons(corners.reshape(-1, 3), 0, 0)
+        return CutPolygons(corners.reshape(-1, 3), 0, 0, 0)
     first = np.cumsum(sizes) - sizes
     first_triangle = np.cumsum(sizes - 2) - (sizes - 2)
     polygon = np.repeat(np.arange(len(sizes)), sizes - 2)
@@ -129,7 +154,7 @@ def cut_polygons(vertices: FloatArray, corners: IntArray, sizes: IntArray) -> Cu
         normals, is_fan = _judge_fans(vertices[triangles], polygon, len(sizes))
         not_flat = _count_not_flat(vertices[corners], normals, first, sizes)
         keep = np.ones(len(triangles), dtype=bool)
-        crossing, tests_left = 0, MAX_EAR_TESTS
+        crossing, too_large, tests_left = 0, 0, MAX_EAR_TESTS
         for each in np.flatnonzero(~is_fan):
             own = corners[first[each] : first[each] + sizes[each]]
             ears, tests = _cut_ears(_in_plane(vertices[own], normals[each]), tests_left)
@@ -137,10 +162,11 @@ def cut_polygons(vertices: FloatArray, corners: IntArray, sizes: IntArray) -> Cu
             place = slice(first_triangle[each], first_triangle[each] + sizes[each] - 2)
             if ears is None:
                 keep[place] = False
-                crossing += 1
+                is_unfinished = tests_left <= 0
+                crossing, too_large = crossing + (not is_unfinished), too_large + is_unfinished
             else:
                 triangles[place] = own[ears]
-    return CutPolygons(triangles[keep], not_flat, crossing)
+    return CutPolygons(triangles[keep], not_flat, crossing, too_large)
 
 
 def _judge_fans(fans: FloatArray, polygon: IntArray, count: int) -> tuple[FloatArray, NDArray[np.bool_]]:

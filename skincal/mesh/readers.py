@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ def read_mesh(path: Path, data: bytes) -> FileMesh:
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise InputError(f"{path}: not a readable {path.suffix[1:].upper()} mesh ({error}); export the mesh again.") from None
     cut = cut_polygons(read.vertices, read.corners, read.sizes)
-    counts = {FindingKind.NOT_FLAT: cut.not_flat, FindingKind.CROSSING: cut.crossing}
+    counts = {FindingKind.NOT_FLAT: cut.not_flat, FindingKind.CROSSING: cut.crossing, FindingKind.TOO_LARGE: cut.too_large}
     found = (count_finding(kind, count) for kind, count in counts.items() if count)
     return FileMesh(read.vertices, cut.triangles, (*read.findings, *found), read.unit)
 
@@ -104,8 +104,10 @@ def _read_stl(data: bytes) -> Polygons:
     loops = len(re.findall(rb"\bendloop\b", text, re.IGNORECASE))
     if len(corners) != 3 * loops:
         raise ValueError(f"{len(corners)} corners in {loops} triangles")
-    has_end = re.search(rb"\bendsolid\b", text, re.IGNORECASE) is not None
-    return _soup(corners, () if has_end or not loops else (words_finding(FindingKind.NO_END, ""),))
+    begins, ends = (
+        len(re.findall(rb"^\s*" + word + rb"\b", text, re.IGNORECASE | re.MULTILINE)) for word in (b"solid", b"endsolid")
+    )
+    return _soup(corners, () if ends >= begins or not loops else (words_finding(FindingKind.NO_END, ""),))
 
 
 def _soup(corners: FloatArray, findings: tuple[MeshFinding, ...]) -> Polygons:
@@ -136,6 +138,8 @@ def _read_obj(data: bytes) -> Polygons:
         elif words and words[0] == b"f":
             known = len(points) // 3
             indices = [parse_whole(word.partition(b"/")[0]) for word in words[1:]]
+            if 0 in indices:
+                raise ValueError("a face names vertex 0, and OBJ counts from 1")
             # Indices count from 1; a negative one counts back from the last vertex read so far.
             corners.extend([i - 1 if i > 0 else known + i for i in indices])
             sizes.append(len(indices))
@@ -201,6 +205,9 @@ def _read_ply(data: bytes) -> Polygons:
             records = body.table(element)
             if records is None:
                 raise ValueError(f"the file ends before its {element.count} vertices")
+            missing = [axis for axis in "xyz" if axis not in (records.dtype.names or ())]
+            if missing:
+                raise ValueError(f"its vertices have no {missing[0]}")
             vertices = np.stack([records[axis][:, 0] for axis in "xyz"]).astype(float).T
         elif element.name == "face":
             faces = _ply_faces(element, body)
@@ -218,12 +225,19 @@ def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
         raise ValueError("no PLY header")
     order, types, elements = "", dict.fromkeys(_TYPES, "f8"), list[_Element]()
     for words in lines[1:]:
+        kinds = [word for word in words[1:-1] if word != "list"] if words[:1] == ["property"] else []
+        if unknown := [kind for kind in kinds if kind not in _TYPES]:
+            raise ValueError(f"{unknown[0][:20]!r} is no number type of PLY")
+        if kinds and not elements:
+            raise ValueError("a property comes before the first element")
         match words:
+            case ["format", name, _] if name not in _ORDERS:
+                raise ValueError(f"the format {name[:30]!r} is not one of {', '.join(_ORDERS)}")
             case ["format", name, _]:
                 order = _ORDERS[name]
                 types = _TYPES if order else types
             case ["element", name, count]:
-                elements.append(_Element(name, int(count), []))
+                elements.append(_Element(name, parse_whole(count.encode()), []))
             case ["property", "list", count_kind, kind, name]:
                 elements[-1].properties.append(_Property(name, types[kind], types[count_kind]))
             case ["property", kind, name]:
@@ -250,8 +264,8 @@ class _Body:
         return len(self._data) - self._at
 
     def _take(self, kind: str, count: int) -> list[float]:
-        if count < 0:
-            raise ValueError(f"a list of {count} numbers")
+        if not 0 <= count <= self.left // np.dtype(kind).itemsize:
+            raise ValueError(f"{count} numbers are announced, and {self.left} bytes follow: it may be cut off")
         numbers = np.frombuffer(self._data, self._order + kind, count, self._at)
         self._at += numbers.nbytes
         return numbers.astype(float).tolist()
@@ -259,7 +273,7 @@ class _Body:
     def row(self, element: _Element) -> list[list[float]]:
         """Read the next record: the numbers of each property."""
         return [
-            self._take(item.kind, int(self._take(item.count_kind, 1)[0]) if item.count_kind else 1)
+            self._take(item.kind, int(_whole_numbers(np.array(self._take(item.count_kind, 1)))[0]) if item.count_kind else 1)
             for item in element.properties
         ]
 
@@ -280,6 +294,16 @@ class _Body:
         return records
 
 
+def _whole_numbers(numbers: NDArray[Any]) -> IntArray:
+    """Convert indices. Raises ValueError: one is no whole number."""
+    # NaN and numbers beyond the range become some other number.
+    with np.errstate(invalid="ignore"):
+        whole = numbers.astype(np.int64)
+    if (whole != numbers).any():
+        raise ValueError(f"a face names vertex {float(numbers[whole != numbers][0]):g}; a whole number was expected")
+    return whole
+
+
 def _ply_faces(element: _Element, body: _Body) -> Polygons:
     names = [item.name if item.count_kind else "" for item in element.properties]
     named = next((name for name in names if name in _FACE_LISTS), None)
@@ -287,8 +311,9 @@ def _ply_faces(element: _Element, body: _Body) -> Polygons:
         raise ValueError("faces without vertex_indices; triangle strips are not read")
     records = body.table(element)
     if records is not None:
-        return triangles_of(NO_POLYGONS.vertices, records[named].astype(np.int64))
-    polygons = [[int(index) for index in body.row(element)[names.index(named)]] for _ in range(element.count)]
+        return triangles_of(NO_POLYGONS.vertices, _whole_numbers(records[named]))
+    place = names.index(named)
+    polygons = [_whole_numbers(np.array(body.row(element)[place])).tolist() for _ in range(element.count)]
     corners = [corner for polygon in polygons for corner in polygon]
     return polygons_of(NO_POLYGONS.vertices, corners, [len(polygon) for polygon in polygons])
 
