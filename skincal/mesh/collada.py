@@ -66,7 +66,7 @@ def _parse_xml(data: bytes) -> Element:
         depth -= 1
         builder.end(tag.rpartition(":")[2])
 
-    # A text in UTF-16 is UTF-8 by now, whatever its first line says.
+    # A text in UTF-16 is UTF-8 by now, in spite of its first line.
     parser, builder = expat.ParserCreate("utf-8" if is_utf16(data) else None), TreeBuilder()
     parser.buffer_text = True
     parser.StartDoctypeDeclHandler = refuse_doctype
@@ -135,7 +135,9 @@ class _File:
             below = [each if each.tag == "node" else self._named(each, "url") for each in node if _is_node(each)]
             seen += len(below)
             if seen > MAX_NODES:
-                raise ValueError(f"its scene has over {MAX_NODES} nodes and geometries: a node names others many times, or itself")
+                raise ValueError(
+                    f"its scene has over {MAX_NODES} nodes: a node names others or geometries many times, or itself"
+                )
             waiting += [(each, matrix) for each in reversed(below)]
 
     def _named(self, element: Element, attribute: str) -> Element:
