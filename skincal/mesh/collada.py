@@ -135,9 +135,7 @@ class _File:
             below = [each if each.tag == "node" else self._named(each, "url") for each in node if _is_node(each)]
             seen += len(below)
             if seen > MAX_NODES:
-                raise ValueError(
-                    f"its scene has over {MAX_NODES} nodes: a node names others or geometries many times, or itself"
-                )
+                raise ValueError(f"its scene has over {MAX_NODES} nodes: a node names others many times, geometries, or itself")
             waiting += [(each, matrix) for each in reversed(below)]
 
     def _named(self, element: Element, attribute: str) -> Element:
