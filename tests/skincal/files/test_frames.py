@@ -1,7 +1,9 @@
 """Frames of taxels for robot descriptions, read back by parsers of their own."""
 
 import io
+import re
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -274,3 +276,17 @@ def test_the_sites_stand_in_a_frame_that_can_be_attached(calibration):
     assert [(each.tag, each.get("name")) for each in body] == [("frame", f"{LINK}_skin")]
     assert {each.tag for each in body.find("frame")} == {"site"}
     assert f'<attach model="{LINK}_skin" frame="{LINK}_skin" prefix=""/>' in text
+
+
+def test_the_lines_of_the_manual_give_each_contact_to_its_taxel(calibration, tmp_path, monkeypatch):
+    page = (Path(__file__).parents[3] / "docs" / "simulators.md").read_text(encoding="utf-8")
+    lines = re.search(r"```python\n(taxels = .*?)```", page, re.DOTALL)[1]
+    (tmp_path / "forearm.npz").write_bytes(npz_bytes(calibration, Method.SURFACE))
+    monkeypatch.chdir(tmp_path)
+    found = np.load("forearm.npz")
+    turn, shift = Rotation.from_euler("xyz", [0.3, -1.0, 2.0]).as_matrix(), np.array([1.0, 2.0, 3.0])
+    forces = np.array([[0, 0, 5.0], [3, 4, 0]])
+    points = found["position"][[4, 9]] @ turn.T + shift + 1e-4
+    names = {"numpy": np, "link_position": shift, "link_rotation": turn, "contact_points": points, "contact_forces": forces}
+    exec(lines, names)
+    assert names["answers"].tolist() == [5.0 if k in (4, 9) else 0.0 for k in range(len(found["channel"]))]
