@@ -41,7 +41,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import FittedLabel, escape_tooltip, mix, secondary_label, theme_colours
+from app.panels.widgets import ElidedLabel, FittedLabel, escape_tooltip, mix, secondary_label, theme_colours
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import GOOD_RMS, Mark, answer_levels, marks
@@ -518,6 +518,7 @@ class MapCard(QFrame):
         self.legend.setTextFormat(Qt.TextFormat.PlainText)
         self.legend.setAccessibleName("legend of the map")
         self.progress, self.errors, self.methods = FittedLabel(), secondary_label(wrap=True), QComboBox()
+        self.pokes = ElidedLabel("muted")
         for method in methods:
             self.methods.addItem(METHOD_NAMES[method].capitalize() + " method", method)
         self.methods.setVisible(len(methods) > 1)
@@ -528,11 +529,12 @@ class MapCard(QFrame):
         grid.setContentsMargins(WIDGET_GAP_PX + 4, WIDGET_GAP_PX // 2, WIDGET_GAP_PX // 2, 1)
         grid.setVerticalSpacing(0)
         grid.addWidget(self.progress, 0, 0, 1, 2)
-        grid.addWidget(self.errors, 1, 0)
-        grid.addWidget(self.methods, 1, 1)
-        grid.addWidget(self.map, 2, 0, 1, 2)
-        grid.addWidget(self.legend, 3, 0, 1, 2)
-        grid.setRowStretch(2, 1)
+        grid.addWidget(self.pokes, 1, 0, 1, 2)
+        grid.addWidget(self.errors, 2, 0)
+        grid.addWidget(self.methods, 2, 1)
+        grid.addWidget(self.map, 3, 0, 1, 2)
+        grid.addWidget(self.legend, 4, 0, 1, 2)
+        grid.setRowStretch(3, 1)
         grid.setColumnStretch(0, 1)
 
     def show_state(self, state: ViewState, *, is_changed: bool) -> None:
@@ -547,7 +549,6 @@ class MapCard(QFrame):
             self.legend.setAccessibleDescription(", ".join(words for _, words in entries))
         if is_changed:
             self.progress.setText(summary_words(state.estimates))
-            errors = error_words(state.estimates, state.snapshot.part_size)
-            # Two lines also without an error, so that the map keeps its place.
-            self.errors.setText(f"{poke_count_words(state.snapshot.poke_counts)}\n{errors}")
+            self.pokes.setText(poke_count_words(state.snapshot.poke_counts))
+            self.errors.setText(error_words(state.estimates, state.snapshot.part_size))
             self.methods.setCurrentIndex(self.methods.findData(state.method))
