@@ -189,7 +189,7 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0", "2.0"]
     assert panel.model.index(0, 1).data() == f"\N{BALLOT X} {short_rejection(slip(2))}"
     assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
-    assert panel.tally.text().startswith("2 pokes, 1 rejected (")
+    assert panel.tally.text().startswith("2 pokes: 1 accepted, 1 rejected (")
     with qtbot.waitSignal(panel.taxel_wanted) as wanted:
         panel.select(1)
     assert wanted.args == [3]
@@ -337,7 +337,7 @@ def test_every_table_is_copied_as_it_is_shown(bench, recorded):
     workspace, panel = bench.window.session_view.workspace, bench.panel(PokesPanel)
     workspace.show_tab("Pokes")
     whole = copied(bench, panel.table)
-    assert whole[0] == ["#", "Outcome", "Taxel", "Force, N", "Tilt, \N{DEGREE SIGN}", "Pitch, mm"]
+    assert whole[0] == ["#", "Outcome", "Taxel", "Force, N", "Tilt, \N{DEGREE SIGN}", "Twist, mm"]
     assert [int(row[0]) for row in whole[1:]] == [record.outcome.poke for record in bench.snapshot.pokes][::-1]
     panel.select(2)
     assert copied(bench, panel.table) == [whole[0], whole[-2]]
