@@ -15,10 +15,10 @@ from app.panels.layouts import make_form
 from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_view import Mode
 from app.session.opening import PART_FILES
+from skincal.mesh.findings import box_words
 from skincal.model.scene import UNITS
 from skincal.model.urdf import Robot
 from skincal.session.draft_preview import PartPreview
-from skincal.session.draft_summary import size_words
 from skincal.session.mesh_units import choose_unit
 from skincal.session.part_changes import with_link, with_part_file, with_unit
 from skincal.session.robot_mesh import with_own_mesh
@@ -134,7 +134,7 @@ class PartStep(Step):
         show_choice(self.unit, draft.unit)
         has_own_unit = bool(draft.mesh and draft.unit)
         doubt = "?  If that is wrong, choose another unit." if has_own_unit else ""
-        self.size_text.setText("" if preview.size_mm is None else f"{size_words(preview.size_mm)}{doubt}")
+        self.size_text.setText("" if preview.size_mm is None else f"{box_words(preview.size_mm)}{doubt}")
         has_mesh = preview.size_mm is not None
         self._show_rows(has_robot=draft.urdf is not None, has_mesh=has_mesh, has_unit=has_own_unit and has_mesh)
         self.mode = Mode.LINK if draft.urdf is not None else Mode.NONE

@@ -186,7 +186,7 @@ class ComparePanel(Panel):
         self.motion.setVisible(bool(self.motion.text()))
         rows = [] if is_same else worst_rows(found.lengths, MAX_LISTED_WORST_TAXELS).tolist()
         self.worst.show_taxels(
-            [(channels[row], f"{names.short(channels[row])}   {millimetres(float(found.lengths[row]))}") for row in rows]
+            [(channels[row], f"{names.taxel(channels[row])}   {millimetres(float(found.lengths[row]))}") for row in rows]
         )
         if self._layout is not None:
             self._show_modules(self._layout, found.modules, there)

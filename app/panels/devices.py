@@ -15,7 +15,7 @@ from app.text.outcomes import LinkWords, link_lines
 from app.text_size import scaled, set_font
 from app.theme import WIDGET_GAP_PX
 from skincal.model.readings import LinkHealth, Stream
-from skincal.words.link_words import STREAM_NAMES, beside_words
+from skincal.words.link_words import STREAM_NAMES, beside_words, outage_words
 from skincal.words.units import count
 
 MIN_SHOWN_READING_DELAY_S = 0.6  # A hand does not notice a shorter delay
@@ -82,7 +82,9 @@ class LinkCard(QFrame):
         self.detail.setText(words.detail)
         self.detail.setVisible(bool(words.detail))
         lost = "\n".join(count(n, f" {reason}", f" {reason}") for reason, n in words.losses)
-        said = count(health.readings, "good", "good") + (f"; lost:\n{lost}" if lost else ", none lost")
+        broken = outage_words(health.outages)
+        good = count(health.readings, "good", "good")
+        said = f"{good}{f', {broken}' if broken else ''}" + (f"; lost:\n{lost}" if lost else "" if broken else ", none lost")
         late = ""
         if unpaired and Stream.WRENCH in health.carries:
             late = f"{count(unpaired, 'skin frame')} had no wrench at their time: it came late, in bursts, or not at all."

@@ -159,7 +159,7 @@ class AxisDiversityPanel(QWidget):
         self.setVisible(diversity is not None)
         if diversity is None:
             return
-        self.whose.setText(f"{self._names.short(diversity.channel)}{', the target' if channel == target else ''}")
+        self.whose.setText(f"Taxel {self._names.short(diversity.channel)}{', the target' if channel == target else ''}")
         self.contacts.setText(contacts_words(diversity))
         self.spread.setText(diversity_words(diversity, state.method).capitalize())
         self.legend.setText(PICTURE_LEGENDS[state.method])
@@ -268,7 +268,7 @@ class InspectPanel(Panel):
 
     def _show_taxel(self, state: ViewState, channel: int) -> None:
         found = {method: find_estimate(state.snapshot, method, channel) for method in self._methods}
-        self.heading.setText(f"{self._names.short(channel)}   {self._names.long(channel)}")
+        self.heading.setText(self._names.long(channel).capitalize())
         for method, estimate in found.items():
             for label, text in zip(self.cells[method], estimate_cells(estimate, state.snapshot.part_size), strict=True):
                 label.setText(text)
@@ -291,7 +291,7 @@ class InspectPanel(Panel):
         put_rows(self.pokes, [poke_cells(poke) for poke in pokes])
 
     def _worst_words(self, estimate: Estimate, part_size: float) -> str:
-        name = self._names.short(estimate.channel)
+        name = self._names.taxel(estimate.channel)
         if estimate.position is not None:
             error = taxel_error_words(estimate, part_size)
             words = f"expected error {error}" if error == NOT_KNOWN_YET else f"{error} expected error"

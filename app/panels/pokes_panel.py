@@ -45,7 +45,7 @@ _COLUMN_HINTS = (
     "Moment about the push over the force: beyond the noise it shows a second contact or a torque",
 )
 
-_WIDEST_CELLS = ("00000", "", "00-00 +0", "Force", "Tilt0", "Twist0")
+_WIDEST_CELLS = ("00000", "", "0000 +0", "Force", "Tilt0", "Twist0")
 """Widest text of each column; the empty one takes the rest."""
 
 

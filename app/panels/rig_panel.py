@@ -21,7 +21,7 @@ from skincal.model.scene import ArmSpec
 from skincal.words.tip_words import tip_sentence
 from skincal.words.units import cell
 
-HEADINGS = ("Landmark", "Here", "All", "Off by, mm")
+HEADINGS = ("Landmark", "Pokes in\nthis pose", "Pokes in\nall poses", "Miss\nmm")
 _COLUMN_HINTS = (
     "A known point of the part, from the scene or added by hand; a diamond in the 3D view",
     "Its pokes in the present arm pose",

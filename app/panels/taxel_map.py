@@ -297,7 +297,7 @@ class TaxelMap(pg.GraphicsView):
         state = MARK_WORDS[Mark(int(self._marks[channel]))]
         answer = number(float(self._answers[channel]), 0)
         rival = "\nanother place fits nearly as well" if channel in self._rivals else ""
-        name = f"{self._names.short(channel)}  ({self._names.long(channel)})"
+        name = self._names.long(channel)
         needs = "" if self._guidance is None else needs_words(self._guidance, channel)
         return "\n".join(filter(None, (name, f"{state}{rival}", needs, f"answers {answer} above its baseline")))
 

@@ -27,12 +27,12 @@ ARROW_SCALES = (1, 3, 10)  # Scale factors of the arrows that show differences
 
 
 def difference_words(summary: Summary | None, pair: tuple[str, str], names: ChannelNames, channels: Sequence[int]) -> str:
-    """Summarise the difference: `"84 taxels, mean 2.1 mm, largest 6.3 mm (17-04)"`."""
+    """Summarise the difference: `"84 taxels, mean 2.1 mm, largest 6.3 mm (taxel 204)"`."""
     if pair[0] == pair[1]:
         return "Both sets are the same: choose another one."
     if summary is None:
         return "No taxel is in both sets yet."
-    largest = f"largest {millimetres(summary.largest)} ({names.short(channels[summary.row])})"
+    largest = f"largest {millimetres(summary.largest)} ({names.taxel(channels[summary.row])})"
     return f"{count(summary.known, 'taxel')}, mean {millimetres(summary.mean)}, {largest}"
 
 

@@ -146,17 +146,17 @@ def doubting(estimates: Iterable[Estimate]) -> Mapping[int, Sequence[Estimate]]:
 
 
 def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> str:
-    """Mark of a doubted poke in the list: `"weight 0.2 for 17-05"`; may be empty."""
+    """Mark of a doubted poke in the list: `"weight 0.2 for taxel 205"`; may be empty."""
     marked = [e for e in doubters if e.doubted[poke] < MARK_POKES_WITH_TRUST_BELOW]
     if not marked:
         return ""
     more = f" +{len(marked) - 1}" if len(marked) > 1 else ""
-    return f"weight {number(marked[0].doubted[poke], 1)} for {names.short(marked[0].channel)}{more}"
+    return f"weight {number(marked[0].doubted[poke], 1)} for {names.taxel(marked[0].channel)}{more}"
 
 
 def doubt_words(contact: Contact, estimate: Estimate, names: ChannelNames) -> str:
     """Give the trust in a poke for a taxel, and the reason."""
-    words = f"weight {number(estimate.doubted[contact.poke], 2)} for {names.short(estimate.channel)}"
+    words = f"weight {number(estimate.doubted[contact.poke], 2)} for {names.taxel(estimate.channel)}"
     miss = miss_of(contact, estimate)
     return words if miss is None else f"{words}: its force axis is {millimetres(miss)} from the position by the other pokes"
 

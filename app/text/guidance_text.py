@@ -40,7 +40,7 @@ FOLLOWS: Mapping[Method, str] = {
 
 
 def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
-    """Ask for a poke: `"Press taxel 17-04, lean 28° toward 17-05"`."""
+    """Ask for a poke: `"Press taxel 204, lean 28° toward taxel 205"`."""
     if target.landmark:
         return f'Press the landmark "{target.landmark}"'
     if target.channel is None:
@@ -165,11 +165,11 @@ def newly_done(before: Guidance | None, now: Guidance | None) -> frozenset[int]:
 
 
 def done_words(channels: Sequence[int], names: ChannelNames) -> str:
-    """Name newly finished taxels: `"17-04, 17-05 finished"`; empty if none are."""
+    """Name newly finished taxels: `"taxels 204, 205 finished"`; empty if none are."""
     if not channels:
         return ""
-    named = ", ".join(names.short(channel) for channel in channels[:MAX_NAMED_FINISHED_TAXELS])
-    more = len(channels) - MAX_NAMED_FINISHED_TAXELS
+    listed = ", ".join(names.short(channel) for channel in channels[:MAX_NAMED_FINISHED_TAXELS])
+    named, more = f"taxel{'s' if len(channels) > 1 else ''} {listed}", len(channels) - MAX_NAMED_FINISHED_TAXELS
     return f"{named} and {more} more finished" if more > 0 else f"{named} finished"
 
 
@@ -196,14 +196,14 @@ def contacts_words(axes: AxisDiversity) -> str:
 
 
 def lean_words(lean: LeanDirection, names: ChannelNames) -> str:
-    """Name the direction to lean to: `"toward 17-05"`."""
-    return f"{'away from' if lean.away else 'toward'} {names.short(lean.channel)}"
+    """Name the direction to lean to: `"toward taxel 205"`."""
+    return f"{'away from' if lean.away else 'toward'} {names.taxel(lean.channel)}"
 
 
 def hint_words(hint: PressHint, target: Target, names: ChannelNames) -> str:
-    """Correct the press: `"Lean 8° more toward 17-05"`."""
+    """Correct the press: `"Lean 8° more toward taxel 205"`."""
     if hint.ask is HintKind.AIM:
-        where = "the ring" if target.channel is None else names.short(target.channel)
+        where = "the ring" if target.channel is None else names.taxel(target.channel)
         return f"Move the tip {millimetres(hint.amount, 0)} toward {where}"
     if hint.ask is HintKind.LESS:
         return f"Lean {degrees(hint.amount)} less"
@@ -225,7 +225,7 @@ def pressing_words(coaching: PokeError | None, target: Target | None, names: Cha
 
 
 def _landed_words(channel: int, names: ChannelNames) -> str:
-    return f"You are on {names.short(channel)}; the poke counts for it"
+    return f"You are on {names.taxel(channel)}; the poke counts for it"
 
 
 def force_words(memory: CoachMemory, at: ViewState) -> tuple[str, str]:

@@ -56,9 +56,9 @@ def peak_channel(outcome: Outcome) -> int | None:
 
 
 def landed_words(outcome: Outcome, names: ChannelNames) -> str:
-    """Describe the outcome of a poke away from its landmark: `"accepted for 17-04: "`."""
+    """Describe the outcome of a poke away from its landmark: `"accepted for taxel 204: "`."""
     peak = peak_channel(outcome)
-    return f"accepted for {names.short(peak)}: " if isinstance(outcome, Contact) and peak is not None else "rejected: "
+    return f"accepted for {names.taxel(peak)}: " if isinstance(outcome, Contact) and peak is not None else "rejected: "
 
 
 def verdict_words(outcome: Outcome, names: ChannelNames) -> str:
@@ -71,10 +71,10 @@ def verdict_words(outcome: Outcome, names: ChannelNames) -> str:
 def accepted_words(contact: Contact, names: ChannelNames, asked: int | None = None) -> str:
     """Say for which taxel a poke counts, and which one was `asked` for instead."""
     peak = peak_channel(contact)
-    taxel = "" if peak is None else names.short(peak)
+    taxel = "" if peak is None else names.taxel(peak)
     if asked is None:
         return f"accepted: {taxel}, {newtons(force_of(contact))}"
-    return f"accepted for {taxel} (asked: {names.short(asked)})"
+    return f"accepted for {taxel} (asked: {names.taxel(asked)})"
 
 
 def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: ChannelNames) -> str:
@@ -90,7 +90,7 @@ def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: 
         pokes = count(estimate.contacts, "poke")
         error = taxel_error_words(estimate, snapshot.part_size)
         now = "" if error == NOT_KNOWN_YET else "now "
-        parts.append(f"{names.short(peak)}: expected error {now}{error} ({pokes})")
+        parts.append(f"{names.taxel(peak)}: expected error {now}{error} ({pokes})")
     elif estimate is not None and estimate.reason is not None:
         parts.append(state_sentence(estimate.reason))
     return "  \N{MIDDLE DOT}  ".join(parts)

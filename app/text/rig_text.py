@@ -110,7 +110,7 @@ def _off(pokes: Sequence[int], review: Review) -> str:
         return DASH
     if not found:
         return cell(_rms(reported), "m")
-    return " \N{RIGHTWARDS ARROW} ".join(cell(_rms(values), "m") for values in (reported, found))
+    return f"{cell(_rms(reported), 'm')}, corrected {cell(_rms(found), 'm')}"
 
 
 def _rms(values: Sequence[float]) -> float:

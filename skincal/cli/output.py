@@ -22,7 +22,7 @@ from skincal.session.results import SessionResults
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
-from skincal.words.link_words import beside_words
+from skincal.words.link_words import beside_words, outage_words
 from skincal.words.taxel_words import predicted_words, unchecked_sentence
 from skincal.words.verdict_words import verdict_sentence
 
@@ -109,6 +109,7 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
             "readings": link.readings,
             "lost": {loss.value: count for loss, count in link.losses.items() if count},
             "beside": {name: asdict(found) for name, found in link.beside.items()},
+            "outages": asdict(link.outages),
         }
         for link in links
     }
@@ -158,8 +159,9 @@ def loss_lines(links: Sequence[LinkHealth | LinkTotals]) -> list[str]:
     lines: list[str] = []
     for link in links:
         lost = ", ".join(f"{count} {loss.value}" for loss, count in link.losses.items() if count)
-        of, beside = f" of {link.format}" if link.format else "", beside_words(link.beside)
-        lines.append(f"{link.link}: {link.readings} readings{of}; lost: {lost or 'none'}" + (f"; {beside}" if beside else ""))
+        of = f" of {link.format}" if link.format else ""
+        counted = f"{link.link}: {link.readings} readings{of}; lost: {lost or 'none'}"
+        lines.append("; ".join(filter(None, (counted, outage_words(link.outages), beside_words(link.beside)))))
     return lines
 
 

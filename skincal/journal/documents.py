@@ -23,7 +23,16 @@ from skincal.model.actions import TimedAction, action_from_json, action_to_json
 from skincal.model.codec import PARSE_ERRORS, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json
-from skincal.model.readings import Chunk, LinkEvent, LinkHealth, Loss, SideReading, Stream, merge_side_readings
+from skincal.model.readings import (
+    Chunk,
+    LinkEvent,
+    LinkHealth,
+    Loss,
+    Outages,
+    SideReading,
+    Stream,
+    merge_side_readings,
+)
 from skincal.model.scene import ContactSettings, with_thresholds
 from skincal.model.tables import shown
 from skincal.streams.links import LinkSpec
@@ -64,6 +73,7 @@ class LinkTotals:
     """Other quantities of the device, by name and unit."""
     frames: tuple[str, ...] = ()
     """Frames that its messages named for the wrench."""
+    outages: Outages = field(default_factory=Outages)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +95,8 @@ class Totals:
             beside = merge_side_readings(old.beside, new.beside)
             counts = old.readings + new.readings, losses, beside
             frames = tuple(dict.fromkeys((*old.frames, *new.frames)))
-            links[new.link] = LinkTotals(new.link, new.format or old.format, *counts, frames)
+            outages = old.outages.plus(new.outages)
+            links[new.link] = LinkTotals(new.link, new.format or old.format, *counts, frames, outages)
         return Totals(tuple(links.values()), self.unpaired + unpaired, self.skin.plus(skin))
 
 
@@ -151,6 +162,7 @@ def result_to_json(result: Result) -> dict[str, Any]:
                 "lost": {loss.name: count for loss, count in link.losses.items() if count},
                 **({"beside": {name: to_json(found) for name, found in link.beside.items()}} if link.beside else {}),
                 **({"frames": list(link.frames)} if link.frames else {}),
+                **({"outages": to_json(link.outages)} if link.outages.count else {}),
             }
             for link in result.links
         }
@@ -285,4 +297,5 @@ def _read_totals(name: str, body: Mapping[str, Any]) -> LinkTotals:
     losses = {Loss[loss]: int(count) for loss, count in body["lost"].items()}
     beside = {key: from_json(SideReading, found) for key, found in body.get("beside", {}).items()}
     frames = tuple(map(str, body.get("frames", ())))
-    return LinkTotals(name, str(body["format"]), int(body["readings"]), losses, beside, frames)
+    outages = from_json(Outages, body["outages"]) if "outages" in body else Outages()
+    return LinkTotals(name, str(body["format"]), int(body["readings"]), losses, beside, frames, outages)

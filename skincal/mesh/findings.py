@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -46,7 +47,7 @@ class FindingKind(Enum):
     DUPLICATES = "Triangles that were there twice, dropped: {}."
     SLIVERS = f"Slivers (over {SLIVER_MIN_LENGTH_OVER_HEIGHT:.0f} times as long as high), used unchanged: {{}}."
     OPEN_EDGES = "The mesh has open rims, as covers have ({} edges); it is used unchanged."
-    NON_MANIFOLD = "Edges shared by three or more triangles, across which no pad is laid: {}."
+    NON_MANIFOLD = "Edges shared by three or more triangles, across which no taxel is laid: {}."
     COMPONENTS = "Pieces that share no edge: {}."
     WINDING = "Triangles wound against their neighbours, turned: {}."
     TURNED = "Triangles that pointed inward, by the shape of the part, turned: {}."
@@ -71,3 +72,8 @@ def count_finding(kind: FindingKind, count: int) -> MeshFinding:
 def words_finding(kind: FindingKind, words: str) -> MeshFinding:
     """Make a finding that is described by words."""
     return MeshFinding(kind, 0, kind.value.format(words))
+
+
+def box_words(sides_mm: Iterable[float]) -> str:
+    """Write the sides of a box in mm, the longest first: `"251.7 x 116.2 x 107.6 mm"`."""
+    return " x ".join(f"{side:.4g}" for side in sorted(sides_mm, reverse=True)) + " mm"

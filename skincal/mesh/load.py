@@ -28,6 +28,7 @@ from skincal.mesh.findings import (
     VERTEX_MERGE_DISTANCE_M,
     FindingKind,
     MeshFinding,
+    box_words,
     count_finding,
     words_finding,
 )
@@ -119,8 +120,7 @@ def _check_size(spec: SurfaceSpec, scale: float, corners: FloatArray) -> MeshFin
     unit = min(UNITS, key=lambda name: abs(UNITS[name] - scale))
     diagonal = raw * scale
     if MIN_DIAGONAL_M <= diagonal <= MAX_DIAGONAL_M:
-        sides = " x ".join(f"{side * scale * 1e3:.4g}" for side in box)
-        words = f"{sides} mm (diagonal {_length(diagonal)}, unit {unit}); check that it is so"
+        words = f"{box_words((box * scale * 1e3).tolist())} (diagonal {_length(diagonal)}, unit {unit}); check that it is so"
         return words_finding(FindingKind.SIZE, words)
     fitting = {name: raw * unit_m for name, unit_m in UNITS.items() if MIN_DIAGONAL_M <= raw * unit_m <= MAX_DIAGONAL_M}
     likely = "; ".join(f"unit {name} would give {_length(size)}" for name, size in fitting.items())

@@ -219,6 +219,19 @@ MIXTURE_MIN_READINGS = 100
 
 
 @dataclass(frozen=True, slots=True)
+class Outages:
+    """Breaks of a connection that gave readings before."""
+
+    count: int = 0
+    seconds: float = 0.0
+    """Without readings, all together."""
+
+    def plus(self, other: Outages) -> Outages:
+        """Add the outages of another part of a session."""
+        return Outages(self.count + other.count, self.seconds + other.seconds)
+
+
+@dataclass(frozen=True, slots=True)
 class LinkHealth:
     """State of a link, for the devices panel."""
 
@@ -255,6 +268,7 @@ class LinkHealth:
 
     mixed: int = 0
     """Wrenches that alternate between two series: two runs or two senders."""
+    outages: Outages = Outages()
 
     @property
     def is_mixture(self) -> bool:

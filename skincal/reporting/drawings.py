@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
+from skincal.guide.progress import GuideSettings
 from skincal.mesh.surface import Surface
 from skincal.model.skin import Layout
 from skincal.palette import BLACK, METHODS
@@ -193,9 +194,12 @@ def _dots(axes: Axes, facts: SessionFacts, places: Mapping[int, FloatArray], siz
 
 
 def _limits(facts: SessionFacts) -> dict[str, Any]:
-    """Return the ends of the colours, mm; the worst twentieth shares the darkest, or one taxel would make all others alike."""
-    errors = np.array(list(facts.errors.values())) * 1e3
-    return {"vmin": 0.0, "vmax": max(float(np.quantile(errors, 0.95)), 1e-3) if len(errors) else 1.0}
+    """Return the ends of the colours, mm; the worst twentieth shares the darkest, or one taxel would make all others alike.
+
+    The scale reaches to the wanted error at least, so that small errors are bright.
+    """
+    errors, wanted = np.array(list(facts.errors.values())) * 1e3, GuideSettings().wanted * 1e3
+    return {"vmin": 0.0, "vmax": max(float(np.quantile(errors, 0.95)), wanted) if len(errors) else wanted}
 
 
 def _colour_bar(figure: Figure, panels: Any, facts: SessionFacts) -> None:

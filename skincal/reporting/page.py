@@ -27,7 +27,7 @@ from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import PredictedError
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
-from skincal.words.link_words import beside_words
+from skincal.words.link_words import beside_words, outage_words
 from skincal.words.poke_words import REASON_WORDS, poke_count_words
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 from skincal.words.setup_words import setup_sentences
@@ -41,6 +41,10 @@ AGREES, AGAINST, OPEN = "agrees", "contradicts", "not checked"
 """Results of a check of the verdict; the template colours the first two."""
 CHECKS = ("Test pokes", "Landmarks", "Final check")
 """Figures of the verdict that are rows of its evidence."""
+COLOUR_NOTE = (
+    f"The darker, the larger the error: the scale reaches to {1e3 * GuideSettings().wanted:g} mm, the wanted error, or to the "
+    "worst twentieth if that is larger."
+)
 MAX_LISTED_CHANNEL_RANGES = 40
 """More ranges of channels in a cell are counted."""
 GUIDE_UNITS = {
@@ -153,7 +157,7 @@ def _verdict(facts: SessionFacts) -> ReportSection:
     ]
     if left:
         rows = _group_channels((left_words(each), each.channel) for each in left)
-        headings = ("Reason", "Taxels", "Channels")
+        headings = ("Reason", "Number", "Taxels")
         tables.append(ReportTable(headings, rows, f"{plural(len(left), 'taxel')} not finished"))
     return ReportSection("Verdict and evidence", tables=tables)
 
@@ -215,7 +219,7 @@ def _module_evidence(facts: SessionFacts) -> tuple[str, str]:
 
 def _part(facts: SessionFacts) -> ReportSection:
     words = f"The part from four sides ({', '.join(VIEW_NAMES)}), its taxels coloured by {error_name(facts)}."
-    note = "Each view shows the taxels of its side. Dark is wrong; the darkest are the worst twentieth."
+    note = f"Each view shows the taxels of its side. {COLOUR_NOTE}"
     return ReportSection("The part", (note,), (_picture(draw_sides(facts), "png", words),))
 
 
@@ -224,7 +228,7 @@ def _map(facts: SessionFacts) -> ReportSection:
     if layout is None:
         return ReportSection("Map", ("The scene has no layout, so there is no map.",))
     words = f"The layout unrolled, its modules with their numbers, taxels coloured by {error_name(facts)}."
-    note = "Rings are taxels that are not located, crosses those that are not used."
+    note = f"Rings are taxels that are not located, crosses disabled ones. {COLOUR_NOTE}"
     return ReportSection("Map", (note,), (_picture(draw_map(facts, layout), "svg", words),))
 
 
@@ -241,7 +245,7 @@ def _errors(facts: SessionFacts) -> ReportSection:
 
 
 METHOD_HEADINGS = (
-    "Method", "Taxels", "Predicted error, mean", "worst", "rms of the whole skin", "rms among taxels", "True error, mean", "sd",
+    "Method", "Taxels", "Predicted error, mean", "worst", "of it shared", "and single", "True error, mean", "sd",
     "95\N{NO-BREAK SPACE}%", "worst", "Neighbours / layout", "Solved in, ms",
 )  # fmt: skip
 MODULE_HEADINGS = ("Module", "Taxels known", "Mean", "95\N{NO-BREAK SPACE}%", "Worst")
@@ -259,7 +263,9 @@ def _predicted_cells(found: PredictedError | None) -> list[str]:
     """Format the four lengths of a predicted error; taxels whose error is not known yet are counted in the first cell."""
     if found is None:
         return [_mm_cell(None)] * 4
-    cells = [_mm_cell(length) for length in (found.mean, found.worst, found.whole, found.among)]
+    # Without a correction of the rig, the prediction has no part that all taxels share.
+    shared = (found.whole, found.among) if found.whole else (None, None)
+    cells = [_mm_cell(length) for length in (found.mean, found.worst, *shared)]
     if found.unknown:
         cells[0] = NOT_KNOWN_YET if math.isnan(found.mean) else f"{cells[0]} ({found.unknown} {NOT_KNOWN_YET})"
     return cells
@@ -282,7 +288,7 @@ def _taxels(facts: SessionFacts) -> ReportSection:
     if unknown:
         why = _group_channels((_state_words(estimate), estimate.channel) for estimate in unknown)
         caption = f"{plural(len(unknown), 'taxel')} without a position"
-        tables.append(ReportTable(("State and reason", "Taxels", "Channels"), why, caption))
+        tables.append(ReportTable(("State and reason", "Number", "Taxels"), why, caption))
     note = (
         "Positions are in the link's frame. The sd is along the least certain direction. The gain is the response over "
         "the force along the normal, with its sd over the pokes in which the taxel answered most."
@@ -296,7 +302,7 @@ def _state_words(estimate: Estimate) -> str:
 
 
 TAXEL_HEADINGS = (
-    "Module", "Channel", "Error, mm", "Predicted, mm", "sd, mm", "Contacts", "x, mm", "y, mm", "z, mm", "Gain, raw/N",
+    "Module", "Taxel", "State", "Error, mm", "Predicted, mm", "sd, mm", "Contacts", "x, mm", "y, mm", "z, mm", "Gain, raw/N",
     "its sd", "Pokes",
 )  # fmt: skip
 
@@ -309,7 +315,7 @@ def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tupl
     true = facts.errors.get(channel) if facts.truth is not None else None
     predicted = taxel_error_words(estimate, facts.results.snapshot.part_size).removesuffix(" mm")
     return (
-        module, str(channel), _mm_cell(true), predicted, _mm_cell(estimate.sd), str(estimate.contacts),
+        module, str(channel), estimate.state.value, _mm_cell(true), predicted, _mm_cell(estimate.sd), str(estimate.contacts),
         *(_mm_cell(each) for each in place), _number(gain.mean), _number(gain.spread), str(gain.pokes),
     )  # fmt: skip
 
@@ -367,9 +373,11 @@ def _devices(facts: SessionFacts) -> ReportSection:
     for link in facts.results.pipeline.links:
         of, carries = totals.get(link.name), ", ".join(stream.value for stream in link.carries)
         lost = "" if of is None else ", ".join(f"{count} {loss.value}" for loss, count in of.losses.items() if count)
+        lost = lost or "none"
+        lost += "" if of is None or not of.outages.count else f"; {outage_words(of.outages)}"
         told = ("", "0") if of is None else (of.format, str(of.readings))
         beside = "" if of is None else beside_words(of.beside)
-        rows.append((link.name, link.address, carries, *told, lost or "none", beside or DASH))
+        rows.append((link.name, link.address, carries, *told, lost, beside or DASH))
     unpaired = facts.results.pipeline.totals().unpaired
     said = f"{plural(unpaired, 'skin frame')} found no wrench." if unpaired else "Every skin frame found its wrench."
     headings = ("Link", "Address", "Carries", "Format", "Readings", "Lost", "Other readings")

@@ -142,7 +142,11 @@ class RosTargets:
         has_robot = self._answers.publishers > 0
         if has_robot != self._has_robot:
             self._has_robot = has_robot
-            found += [RobotChange.CAME, "A robot came, by ROS 2."] if has_robot else [RobotChange.LEFT, "The robot left ROS 2."]
+            found += (
+                [RobotChange.CAME, "A robot connected by ROS 2."]
+                if has_robot
+                else [RobotChange.LEFT, "The robot disconnected from ROS 2."]
+            )
         for message in self._take_messages():
             try:
                 text = str(self._types.decode(message.data, STRING).data)

@@ -176,7 +176,7 @@ class TargetServer:
         self._client, self._cutter = client, LineCutter()
         self._line_times.clear()
         self._put(RobotChange.CAME)
-        self._report(f"A robot came, from {host}.")
+        self._report(f"A robot connected from {host}.")
 
     def _send_pending(self) -> None:
         with self._lock:

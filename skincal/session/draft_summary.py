@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from skincal.mesh.findings import box_words
 from skincal.model.errors import plural
 from skincal.model.skin import SkinKind
 from skincal.session.draft_preview import PartPreview
@@ -62,12 +63,7 @@ def _part(preview: PartPreview) -> SummaryLine:
     if preview.size_mm is None:
         cost = "no mesh: the surface method is not available, and taxels need pokes from several directions"
         return SummaryLine("part", State.OPTIONAL if preview.draft.source is not None else State.NEEDED, cost)
-    return SummaryLine("part", State.COMPLETE, f"mesh of {size_words(preview.size_mm)}, frame {preview.draft.link}")
-
-
-def size_words(size_mm: tuple[float, float, float]) -> str:
-    """Write the sides of a box, such as `240 x 90 x 88 mm`."""
-    return " x ".join(f"{side:.0f}" if side >= 10.0 else f"{side:.1f}" for side in size_mm) + " mm"
+    return SummaryLine("part", State.COMPLETE, f"mesh of {box_words(preview.size_mm)}, frame {preview.draft.link}")
 
 
 def _sensor(preview: PartPreview) -> tuple[SummaryLine, ...]:

@@ -27,6 +27,7 @@ from skincal.model.readings import (
     LinkHealth,
     LinkState,
     Loss,
+    Outages,
     Sample,
     SideReading,
     Stream,
@@ -197,6 +198,9 @@ class LinkIntake:
         self.state, self._text = LinkState.LOST, "not opened yet"
         self._readings = 0
         self._last_ns = 0
+        self._outages = Outages()
+        self._outage_began_ns = 0
+        """Last bytes before the present outage; 0 without one."""
         self._rate: deque[tuple[int, int]] = deque(maxlen=RATE_AVERAGING_WINDOW_NS // RATE_COUNTING_STEP_NS + 1)
         """Begin of a step, ns, and its number of readings."""
 
@@ -229,6 +233,7 @@ class LinkIntake:
     def _take_chunk(self, chunk: Chunk) -> list[TimestampedBatch]:
         if self._last_ns == 0 and self.state is LinkState.LOST:
             self.state, self._text = LinkState.OPEN, ""
+        self._outages, self._outage_began_ns = self._outages_until(chunk.host_ns), 0
         self._last_ns = chunk.host_ns
         if self._ahead:
             ahead, dated = self._ahead.popleft()
@@ -259,9 +264,17 @@ class LinkIntake:
             self._side_readings_before = self.side_readings()
             self._decoder = self._new_decoder()
             self._stamper.reset_clocks()
+        if event.state in (LinkState.LOST, LinkState.FAILED) and self._last_ns and not self._outage_began_ns:
+            self._outage_began_ns = self._last_ns
         self._losses_before[Loss.DROPPED] += event.dropped
         self.state, self._text = event.state, event.text
         return self._dated(batches)
+
+    def _outages_until(self, now_ns: int) -> Outages:
+        """Count the outages, with the present one."""
+        if not self._outage_began_ns:
+            return self._outages
+        return self._outages.plus(Outages(1, max(0.0, (now_ns - self._outage_began_ns) * 1e-9)))
 
     def _dated(self, batches: Sequence[tuple[int, Batch]]) -> list[TimestampedBatch]:
         arrived = [(batch, host_ns * 1e-9) for host_ns, batch in batches]
@@ -310,6 +323,7 @@ class LinkIntake:
             levels=self.monitor.levels,
             numberless=self._numberless,
             mixed=self.monitor.mixed_readings,
+            outages=self._outages_until(now_ns),
         )
 
     def side_readings(self) -> Mapping[str, SideReading]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, plural
-from skincal.model.readings import Freeze, LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
+from skincal.model.readings import Freeze, LinkAnswer, LinkHealth, LinkVerdict, Outages, SideReading, Stream
 
 FILE_SCHEME = "file:"
 CHARS_KEPT_FOR_NEXT_SENTENCE = 30
@@ -133,6 +133,14 @@ def link_verdict_words(verdict: LinkVerdict) -> str:
             return "it sends the same reading again and again"
         case LinkAnswer.LISTENING | LinkAnswer.NO_ANSWER:
             return verdict.answer.value
+
+
+def outage_words(outages: Outages) -> str:
+    """Count the breaks of a connection: `"interrupted once, 15 s without readings"`; empty without any."""
+    if not outages.count:
+        return ""
+    times = "once" if outages.count == 1 else f"{outages.count} times"
+    return f"interrupted {times}, {outages.seconds:.0f} s without readings"
 
 
 def beside_words(beside: Mapping[str, SideReading]) -> str:

@@ -153,8 +153,13 @@ def error_words(found: PredictedError | None, off: float | None) -> str:
 
 def unchecked_sentence(off: float, landmark_pokes: int) -> str:
     """Format the possible shift of the taxels by an uncorrected sensor and arm: `off` metres, root mean square."""
-    known = f"{plural(landmark_pokes, 'landmark poke')} cannot rule that out. " if landmark_pokes else ""
+    advice = "Press landmarks to measure them."
+    if landmark_pokes:
+        advice = (
+            f"{plural(landmark_pokes, 'landmark poke')} cannot rule that out. Press landmarks again, also in other arm poses: "
+            "more pokes narrow it down."
+        )
     return (
         f"The expected error leaves out errors of sensor and arm. They usually shift the skin by about {off * 1e3:.1f} mm. "
-        f"{known}Press landmarks to measure them."
+        f"{advice}"
     )

@@ -131,30 +131,26 @@ def grouped(value: int) -> str:
 
 
 class ChannelNames:
-    """Names of channels: `17-05` is taxel 5 of module 17, as in the maker's files; `ch 12` without a layout."""
+    """Names of taxels: the channel's number, as in all files, commands and the report: `"taxel 40"`."""
 
     def __init__(self, layout: Layout | None) -> None:
         self._layout = layout
 
     def short(self, channel: int) -> str:
-        """Give the name on labels."""
-        module = self.module_index(channel)
-        if self._layout is None or module < 0:
-            return f"ch {channel}"
-        owner = self._layout.modules[module]
-        return f"{owner.id}-{channel - owner.first_channel:02d}"
+        """Give the name on labels and in lists of taxels."""
+        return str(channel)
 
     def taxel(self, channel: int) -> str:
-        """Name a channel in a sentence: `"taxel 17-04"`, without a layout `"channel 12"`."""
-        return f"taxel {self.short(channel)}" if self.module_index(channel) >= 0 else f"channel {channel}"
+        """Name a taxel in a sentence: `"taxel 40"`."""
+        return f"taxel {channel}"
 
     def long(self, channel: int) -> str:
         """Give the full name, for tooltips."""
         module = self.module_index(channel)
         if self._layout is None or module < 0:
-            return f"channel {channel}"
+            return f"taxel {channel}"
         owner = self._layout.modules[module]
-        return f"taxel {channel - owner.first_channel} of module {owner.id}, channel {channel}"
+        return f"taxel {channel}, number {channel - owner.first_channel} of module {owner.id}"
 
     def module_index(self, channel: int) -> int:
         """Find the index of the channel's module; -1 if it has none."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.model.errors import InputError
-from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Stream
+from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Outages, Stream
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
@@ -14,7 +14,7 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis, Slip
 from skincal.taxels.result import Cause, StateReason
 from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
-from skincal.words.link_words import STREAM_NAMES, link_verdict_words, silent_links
+from skincal.words.link_words import STREAM_NAMES, link_verdict_words, outage_words, silent_links
 from skincal.words.rig_words import correction_sentence, correction_words, frame_sentence, rig_sentences
 from skincal.words.taxel_words import state_sentence, unchecked_sentence
 from tests.approved import approved
@@ -282,3 +282,9 @@ def test_landmarks_are_recommended_only_where_none_was_poked():
 )
 def test_what_is_found_of_a_link_is_said_in_few_words(verdict, words):
     assert link_verdict_words(verdict) == words
+
+
+def test_breaks_of_a_connection_are_counted():
+    assert outage_words(Outages()) == ""
+    assert outage_words(Outages(1, 15.2)) == approved("links.interrupted_once", seconds=15)
+    assert outage_words(Outages(3, 40.0)) == approved("links.interrupted", times=3, seconds=40)

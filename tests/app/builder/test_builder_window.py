@@ -99,7 +99,7 @@ def choose(box, value) -> None:
 def test_a_mesh_becomes_a_part_that_is_saved_and_poked(bench, tube):
     build = Builder(bench, tube)
     assert build.page.preview.size_mm == pytest.approx((80, 80, 120), rel=1e-2)
-    assert "80 x 80 x 120 mm" in build.page.open_step.size_text.text()
+    assert "120 x 80 x 80 mm" in build.page.open_step.size_text.text()
     assert not build.page.start.isEnabled()
     sensor = build.open_step("sensor")
     sensor.bottom_gap.setValue(30.0)
@@ -197,11 +197,11 @@ def test_an_own_mesh_on_a_robot_has_its_unit_and_a_link_without_a_mesh_can_be_ch
     step.own_mesh.setText(str(tube))
     step.own_mesh.editingFinished.emit()
     build.settle()
-    assert step.size_text.text().startswith("80 x 80 x 120 mm")
+    assert step.size_text.text().startswith("120 x 80 x 80 mm")
     assert step.unit.isVisible()
     choose(step.unit, "cm")
     build.settle()
-    assert step.size_text.text().startswith("800 x 800 x 1200 mm")
+    assert step.size_text.text().startswith("1200 x 800 x 800 mm")
     choose(step.unit, "mm")
     build.settle()
     assert build.page.preview.problems.get("part") is None

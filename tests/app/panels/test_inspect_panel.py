@@ -158,7 +158,7 @@ def test_the_best_direction_is_a_diamond_and_the_tint_is_visible(panel):
 def test_the_words_follow_taxel_and_method_and_the_panel_hides_without_a_taxel(panel):
     at = framed(diversity([push(20, 0)] * 5, own=[True, True, False, False, False]))
     panel.show_state(at)
-    assert panel.whose.text() == "10-03, the target"
+    assert panel.whose.text() == "Taxel 3, the target"
     assert panel.spread.text() == diversity_words(at.diversity, Method.FREE).capitalize()
     assert panel.contacts.text() == "5 pokes, 2 with this taxel strongest"
     assert "free method" in panel.follows.text()
@@ -166,7 +166,7 @@ def test_the_words_follow_taxel_and_method_and_the_panel_hides_without_a_taxel(p
     assert panel.spread.text() == approved("guide.middle_astray", miss_mm=1.3, most_mm=1.0)
     assert "surface method" in panel.follows.text()
     panel.show_state(replace(at, selected=15, diversity=replace(diversity(), channel=15)))
-    assert panel.whose.text() == "11-03"
+    assert panel.whose.text() == "Taxel 15"
     states = (at, replace(at, selected=15), framed(None, asked=None))
     assert [state.focused_channel for state in states] == [3, 15, None]
     panel.show_state(states[2])
@@ -251,12 +251,12 @@ def test_a_doubted_poke_is_marked_with_the_taxel_and_the_reason(qtbot):
     doubters = doubting([doubted(4, p7=0.4), doubted(3, p7=0.2), doubted(5, p7=0.9, p8=1.0)])
     assert [e.channel for e in doubters[7]] == [3, 4, 5]
     assert 8 not in doubters
-    assert doubt_mark(7, doubters[7], NAMES) == "weight 0.2 for 10-03 +1"
+    assert doubt_mark(7, doubters[7], NAMES) == "weight 0.2 for taxel 3 +1"
     assert doubt_mark(7, doubters[7][2:], NAMES) == ""
-    assert doubt_words(poke, doubters[7][0], NAMES) == approved("taxel.doubted", trust="0.20", taxel="10-03", miss_mm=14.0)
+    assert doubt_words(poke, doubters[7][0], NAMES) == approved("taxel.doubted", trust="0.20", taxel="3", miss_mm=14.0)
     panel = shown(qtbot, PokesPanel(context()))
     panel.show_state(frame(session(2, {3: doubted(3, p2=0.2)}, [touch(1), touch(2)])))
-    assert panel.model.index(0, 1).data() == "\N{CIRCLE WITH LEFT HALF BLACK} weight 0.2 for 10-03"
+    assert panel.model.index(0, 1).data() == "\N{CIRCLE WITH LEFT HALF BLACK} weight 0.2 for taxel 3"
     assert "its force axis is" in panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole)
     assert panel.model.index(1, 1).data() == "\N{CHECK MARK} accepted"
 

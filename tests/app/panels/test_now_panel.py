@@ -60,10 +60,13 @@ WORST = {
 
 
 class Long:
-    """Names as long as they get: the whole body has 350 modules."""
+    """Names as long as they get: the whole body has 4200 taxels."""
 
     def short(self, channel: int) -> str:
-        return f"349-{channel % 12:02d}"
+        return f"{4100 + channel}"
+
+    def taxel(self, channel: int) -> str:
+        return f"taxel {self.short(channel)}"
 
 
 def every_headline() -> list[str]:

@@ -186,7 +186,7 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     known = {3: estimate(3, (0, 0, 0))}
     panel.show_state(frame(session(1, known, [touch(1), slip(2)])))
     row = [panel.model.index(1, column).data() for column in range(6)]
-    assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0", "2.0"]
+    assert row == ["1", "\N{CHECK MARK} accepted", "3", "11.2", "0", "2.0"]
     assert panel.model.index(0, 1).data() == f"\N{BALLOT X} {short_rejection(slip(2))}"
     assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
     assert panel.tally.text().startswith("2 pokes: 1 accepted, 1 rejected (")

@@ -119,7 +119,7 @@ def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
     with qtbot.waitSignal(taxels.taxel_clicked) as clicked:
         QTest.mouseClick(taxels.viewport(), Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
     assert clicked.args == [5]
-    assert taxels.tell(5).startswith("10-05  (taxel 5 of module 10, channel 5)\nuntouched")
+    assert taxels.tell(5).startswith("taxel 5, number 5 of module 10\nuntouched")
     taxels.show_state(frame(selected=3))
     with qtbot.waitSignal(taxels.taxel_clicked) as moved:
         QTest.keyClick(taxels, Qt.Key.Key_Left)
@@ -218,7 +218,7 @@ def test_a_target_that_is_not_on_the_map_is_left_out_and_a_skin_without_layout_h
     view = shown(qtbot, TaxelMap(bare, np.arange(24), ChannelNames(None)))
     view.show_state(frame(where=bare))
     assert len({view.place_of(c).toTuple() for c in range(24)}) == 24
-    assert view.tell(7).startswith("ch 7  (channel 7)")
+    assert view.tell(7).startswith("taxel 7")
 
 
 def test_a_done_taxel_is_shown_by_shape_and_what_is_missing_by_words(taxels):

@@ -142,9 +142,9 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
     said = {
         Cue.CONTACT: "Press harder",
         Cue.HELD: "Release",
-        Cue.ACCEPTED: "Poke 1 accepted for 10-03",
+        Cue.ACCEPTED: "Poke 1 accepted for taxel 3",
         Cue.REJECTED: "rejected: tip slid",
-        Cue.DONE: f"{NAMES.short(2)} finished",
+        Cue.DONE: f"taxel {NAMES.short(2)} finished",
         Cue.ENOUGH: approved("guide.enough", count=24),
         Cue.LOST: "Skin disconnected",
     }
@@ -160,7 +160,10 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
 
 def test_taxels_that_one_poke_finishes_are_named_until_there_are_too_many():
     _, memory = now_line(NowMemory(), at(guided=guidance(target(5))))
-    for done, words in (((1, 2), f"{NAMES.short(1)}, {NAMES.short(2)} finished"), (tuple(range(5)), "and 2 more finished")):
+    for done, words in (
+        ((1, 2), f"taxels {NAMES.short(1)}, {NAMES.short(2)} finished"),
+        (tuple(range(5)), "and 2 more finished"),
+    ):
         now, _ = now_line(memory, at(pokes=(touch(1),), guided=guidance(target(5), done=done)))
         assert words in now.detail
         assert now.headline == approved("guide.straight", taxel=NAMES.short(5))

@@ -30,10 +30,8 @@ DEGREE, ARROW, BETWEEN = "\N{DEGREE SIGN}", "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE
 def test_a_target_is_said_verb_first_with_a_neighbour_for_its_direction():
     # The middle of a triangle is channel 3; its neighbours 2 and 4 lie at its lower right and left, 7 and 11 above it.
     straight, tilted = target(3, np.radians(4.0)), target(3, TILT, (0.866, -0.5, 0.0))
-    assert target_words(guidance(straight), straight, NAMES) == approved("guide.straight", taxel="10-03")
-    assert target_words(guidance(tilted), tilted, NAMES) == approved(
-        "guide.toward", taxel="10-03", degrees=28, neighbour="10-02"
-    )
+    assert target_words(guidance(straight), straight, NAMES) == approved("guide.straight", taxel="3")
+    assert target_words(guidance(tilted), tilted, NAMES) == approved("guide.toward", taxel="3", degrees=28, neighbour="2")
 
 
 def test_the_tool_leans_to_where_its_upper_end_is():
@@ -51,11 +49,11 @@ def test_a_tool_that_leans_over_the_rim_leans_away_from_a_neighbour():
     assert lean is not None
     assert lean.away
     assert target_words(guidance(asked), asked, NAMES) == approved(
-        "guide.away", taxel="10-09", degrees=28, neighbour=NAMES.short(lean.channel)
+        "guide.away", taxel="9", degrees=28, neighbour=NAMES.short(lean.channel)
     )
     # Nobody near: the tilt is said alone.
     alone = replace(guidance(asked), places=np.full((24, 3), 1.0))
-    assert target_words(alone, asked, NAMES) == f"Press taxel 10-09, lean 28{DEGREE}"
+    assert target_words(alone, asked, NAMES) == f"Press taxel 9, lean 28{DEGREE}"
 
 
 def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
@@ -102,10 +100,10 @@ def settled(says: Guidance | None, phase: PressPhase = PressPhase.READY):
 def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_off():
     asked = target(3)
     now, _ = settled(guidance(asked))
-    assert (now.tone, now.headline) == (Tone.GO, approved("guide.straight", taxel="10-03"))
+    assert (now.tone, now.headline) == (Tone.GO, approved("guide.straight", taxel="3"))
     assert now.detail == approved("guide.depth", now_mm=12.4, then_mm=6.1, done=0, count=24)
     now, _ = settled(guidance(asked), PressPhase.TARING)
-    assert (now.headline, now.detail) == ("Hands off", approved("guide.next_while_taring", taxel="10-03"))
+    assert (now.headline, now.detail) == ("Hands off", approved("guide.next_while_taring", taxel="3"))
     now, _ = settled(guidance(done=range(24)))
     assert (now.tone, now.headline) == (Tone.GOOD, approved("guide.enough", count=24))
     assert settled(None)[0].headline == "Ready"
@@ -113,16 +111,16 @@ def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_
 
 
 @pytest.mark.parametrize(
-    ("peak", "said"), [(3, "Poke 1 accepted: 10-03, 11.2 N"), (5, "Poke 1 accepted for 10-05 (asked: 10-03)")]
+    ("peak", "said"), [(3, "Poke 1 accepted: taxel 3, 11.2 N"), (5, "Poke 1 accepted for taxel 5 (asked: taxel 3)")]
 )
 def test_a_poke_on_another_taxel_counts_where_it_landed(peak, said):
     _, memory = settled(guidance(target(3)))
     done = guided(guidance(target(7)), [touch(1, (peak,))], 2, PressPhase.TARING, 101.0)
     now, memory = now_line(memory, done)
     assert now.result == Said(Tone.GOOD, said)
-    asks = Tone.GO, approved("guide.straight", taxel="10-07")
+    asks = Tone.GO, approved("guide.straight", taxel="7")
     assert (now.tone, now.headline) == asks, "a quick hand does not wait for the line to say it"
-    assert ("asked: 10-03" in now.result.words) == (peak == 5)
+    assert ("asked: taxel 3" in now.result.words) == (peak == 5)
     # The same poke with its last tare changes nothing of it, though something else is asked for by now.
     now, memory = now_line(memory, guided(guidance(target(7)), [touch(1, (peak,))], 3, PressPhase.TARING, 101.5))
     assert now.result.words == said
@@ -133,7 +131,7 @@ def test_a_rejection_is_a_rejection_whatever_was_asked():
     _, memory = settled(guidance(target(5)))
     now, memory = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.TARING, 101.0))
     assert now.result == Said(Tone.BAD, approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5))
-    assert now.headline == approved("guide.straight", taxel="10-05"), "the target stays"
+    assert now.headline == approved("guide.straight", taxel="5"), "the target stays"
     now, _ = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.PRESSING, 101.2))
     assert now.headline == "Hold still"
 
@@ -141,7 +139,7 @@ def test_a_rejection_is_a_rejection_whatever_was_asked():
 def test_without_a_guide_every_accepted_poke_is_accepted():
     _, memory = settled(None)
     now, _ = now_line(memory, guided(None, [touch(1, (5,))], 2, PressPhase.TARING, 101.0))
-    assert now.result.words == "Poke 1 accepted: 10-05, 11.2 N"
+    assert now.result.words == "Poke 1 accepted: taxel 5, 11.2 N"
     assert now.headline == "Ready"
 
 

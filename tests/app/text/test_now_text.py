@@ -80,11 +80,11 @@ def test_small_words():
     assert [count(1, "poke"), count(2, "poke")] == ["1 poke", "2 pokes"]
     assert point_mm(np.array([0.001, -0.02, 0.0])) == "1.0  \N{MINUS SIGN}20.0  0.0"
     assert [NAMES.short(3), NAMES.short(15), NAMES.long(15)] == [
-        "10-03",
-        "11-03",
+        "3",
+        "15",
         approved("now.taxel_in_full", pad=3, module=11, channel=15),
     ]
-    assert [ChannelNames(None).short(7), ChannelNames(None).long(7)] == ["ch 7", "channel 7"]
+    assert [ChannelNames(None).short(7), ChannelNames(None).long(7)] == ["7", "taxel 7"]
 
 
 def test_a_rejection_names_its_number_and_its_limit():
@@ -102,7 +102,7 @@ def test_a_rejection_names_its_number_and_its_limit():
 
 def test_an_accepted_poke_names_the_taxel_that_answered_most_and_the_force():
     poke = touch(1, (2, 5, 4), (20.0, 90.0, 30.0))
-    assert verdict_words(poke, NAMES) == "accepted: 10-05, 11.2 N"
+    assert verdict_words(poke, NAMES) == "accepted: taxel 5, 11.2 N"
     twice = slip(1, Reason.TWO_CONTACTS, 0.0123, 0.008, "m")
     assert verdict_words(twice, NAMES) == approved("now.rejected_two_contacts")
     says = verdict_detail(twice, session(), Method.FREE, NAMES)
@@ -415,7 +415,7 @@ def test_what_was_taken_back_is_said_with_the_key_that_brings_it_again_also_whil
     now, _ = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + LAST_ACTION_SHOWN_S + 0.1))
     assert now.result is None
     now, _ = now_line(memory, frame(replace(after, pokes=(*after.pokes, *session(1, pokes=[touch(439)]).pokes)), now_s=101.0))
-    assert now.result == Said(Tone.GOOD, "Poke 439 accepted: 10-03, 11.2 N"), "a poke that ends is newer"
+    assert now.result == Said(Tone.GOOD, "Poke 439 accepted: taxel 3, 11.2 N"), "a poke that ends is newer"
 
 
 def test_what_was_done_before_the_session_was_opened_is_no_news():
@@ -438,7 +438,7 @@ def test_until_a_poke_counts_the_line_says_what_each_method_costs():
 def test_a_poke_far_off_its_landmark_is_told_with_its_number():
     words = (
         approved("now.missed", poke=1, name="corner", seen_mm=52, most_mm=34),
-        approved("now.missed_counts", poke=1, taxel="10-03", name="corner", seen_mm=52, most_mm=34),
+        approved("now.missed_counts", poke=1, taxel="3", name="corner", seen_mm=52, most_mm=34),
     )
     for poke, said, tone in zip((slip(1, Reason.NO_TAXEL), touch(1)), words, (Tone.BAD, Tone.GOOD), strict=True):
         missed = decided(session(2, pokes=[poke]), missed_landmarks={1: MissedLandmark(1, "corner", 0.052, 0.0341)})

@@ -62,7 +62,7 @@ def test_a_robot_reads_targets_and_verdicts_also_later_and_answers():
         ]
         peer.publish("/skincal/reached", String("robot 0.1 2"))
         came = until([], targets.take, 2)
-        assert came[:2] == [RobotChange.CAME, "A robot came, by ROS 2."]
+        assert came[:2] == [RobotChange.CAME, "A robot connected by ROS 2."]
         for text in ("reached 7", "skip 8 too far", "dance", ""):
             peer.publish("/skincal/reached", String(text))
         found = until(came[2:], targets.take, 3)

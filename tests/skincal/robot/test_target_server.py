@@ -64,7 +64,7 @@ def test_a_robot_hears_what_is_asked_and_answers(server):
     with robot(server) as peer:
         assert [peer.line(), peer.line()] == [GREETING, write_line(target(1))]
         peer.say("reached 1")
-        assert taken(server, 2) == [f"A robot came, from {server.host}.", Answer(AnswerKind.REACHED, 1)]
+        assert taken(server, 2) == [f"A robot connected from {server.host}.", Answer(AnswerKind.REACHED, 1)]
         server.send([Judged(1, "too soft"), target(2), Judged(2), NoTarget.ENOUGH])
         said = [peer.line() for _ in range(4)]
         assert said == ["rejected 1 too soft", write_line(target(2)), "accepted 2", "enough"]

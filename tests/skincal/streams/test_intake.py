@@ -362,3 +362,30 @@ def test_numbered_wrench_is_paired_on_a_machine_that_is_late_for_a_while():
     assert len(settled) >= 30 * 50 - 5
     error_s = [sample.wrench[0] - ramp(sample.host_s - START - 0.0105)[0] for sample in settled]
     assert np.max(np.abs(error_s)) < 0.01
+
+
+def test_a_break_of_the_connection_is_counted_with_its_time():
+    intake = Intake(4, LINKS)
+
+    def outages(now_s):
+        return {link.link: (link.outages.count, link.outages.seconds) for link in intake.health(round(now_s * 1e9))}
+
+    def say(state, at_s):
+        intake.feed(LinkEvent("wrench", round(at_s * 1e9), state, "gone" if state is LinkState.LOST else ""))
+
+    def send(at_s):
+        intake.feed(Chunk("wrench", round(at_s * 1e9), skb_wrench(round(at_s), round(at_s * 1e6), [0.0] * 6)))
+
+    say(LinkState.LOST, 0.5)
+    say(LinkState.OPEN, 1.0)
+    send(1.0)
+    assert outages(3.0) == {"wrench": (0, 0.0), "skin": (0, 0.0)}, "what never gave a reading is not interrupted"
+    say(LinkState.LOST, 4.0)
+    say(LinkState.FAILED, 5.0)
+    assert outages(7.0)["wrench"] == (1, 6.0), "since the last bytes"
+    say(LinkState.OPEN, 15.0)
+    send(16.0)
+    say(LinkState.LOST, 17.0)
+    send(20.0)
+    say(LinkState.ENDED, 21.0)
+    assert outages(40.0) == {"wrench": (2, 19.0), "skin": (0, 0.0)}
