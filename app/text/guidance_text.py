@@ -40,7 +40,7 @@ FOLLOWS: Mapping[Method, str] = {
 
 
 def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
-    """Ask for a poke: `"Press taxel 204, lean 28° toward taxel 205"`."""
+    """Ask for a poke: `"Press taxel 204, lean 28° toward 205"`."""
     if target.landmark:
         return f'Press the landmark "{target.landmark}"'
     if target.channel is None:
@@ -196,12 +196,12 @@ def contacts_words(axes: AxisDiversity) -> str:
 
 
 def lean_words(lean: LeanDirection, names: ChannelNames) -> str:
-    """Name the direction to lean to: `"toward taxel 205"`."""
-    return f"{'away from' if lean.away else 'toward'} {names.taxel(lean.channel)}"
+    """Name the direction to lean to: `"toward 205"`."""
+    return f"{'away from' if lean.away else 'toward'} {names.short(lean.channel)}"
 
 
 def hint_words(hint: PressHint, target: Target, names: ChannelNames) -> str:
-    """Correct the press: `"Lean 8° more toward taxel 205"`."""
+    """Correct the press: `"Lean 8° more toward 205"`."""
     if hint.ask is HintKind.AIM:
         where = "the ring" if target.channel is None else names.taxel(target.channel)
         return f"Move the tip {millimetres(hint.amount, 0)} toward {where}"

@@ -477,7 +477,8 @@ class Guide:
         Presses at the believed position confirm it, right or wrong, while no neighbour is near enough to answer in its place.
         """
         unanswered = self._pokes.unanswered
-        if unanswered[row]:
+        # The cell of a single taxel has no size.
+        if unanswered[row] or not np.isfinite(self._spacing):
             return np.zeros(3)
         number = len(self._pokes.contacts) + int(unanswered.sum())
         shares = (0.5 + number * np.array(CELL_SEQUENCE_STEPS)) % 1.0 - 0.5

@@ -74,8 +74,8 @@ def every_headline() -> list[str]:
     lean, names = LeanDirection(7, away=True), Long()
     says = guidance(ASKED)
     said = [verdict_words(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
-    said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), "counted for 349-11  11.2 N"]
-    said += [f"Press taxel 349-11, lean 28{DEGREE} {lean_words(lean, names)}", enough_words(guidance(done=range(24)), ())]
+    said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), f"counted for {names.taxel(11)}  11.2 N"]
+    said += [f"Press {names.taxel(11)}, lean 28{DEGREE} {lean_words(lean, names)}", enough_words(guidance(done=range(24)), ())]
     said += [
         hint_words(PressHint(ask, amount, lean), ASKED, names)
         for ask, amount in ((HintKind.AIM, 0.0149), (HintKind.MORE, 0.7), (HintKind.LESS, 0.7))

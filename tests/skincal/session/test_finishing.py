@@ -40,10 +40,12 @@ def rejected(contact, poke, reason):
 class Hand:
     """A careful hand that presses what the guide asks for, on a grid that lies 2.8 mm off its plan."""
 
-    def __init__(self, grid: str, seed: int = 1, silent: tuple[int, ...] = (), method: Method = Method.MODULES):
+    def __init__(
+        self, grid: str, seed: int = 1, silent: tuple[int, ...] = (), method: Method = Method.MODULES, kind: str = "sheet"
+    ):
         size = parse_grid(grid)
         count = size.rows * size.columns
-        layout = read_layout(size.layout_text(), Path("grid.modules.toml"), count)
+        layout = read_layout(size.layout_text().replace('kind = "sheet"', f'kind = "{kind}"'), Path("grid.modules.toml"), count)
         scene = forearm().scene
         scene = replace(scene, skin=replace(scene.skin, channels=count, layout=layout), landmarks=())
         surface = forearm().surface
@@ -82,7 +84,7 @@ class Hand:
 
 @pytest.mark.parametrize(("grid", "corners"), [("6x8@9mm", (0, 7, 40, 47)), ("4x10@6mm", (0, 9, 30, 39))])
 def test_the_guide_asks_for_touches_until_no_position_lies_beyond_them(grid, corners):
-    hand = Hand(grid)
+    hand = Hand(grid, kind="board")
     news = ModulesEnough(hand.guide.plan, hand.session.scene.noise.skin, hand.guide.surroundings)
     beyond = 0
     while not (guidance := hand.look()).enough:
@@ -142,7 +144,7 @@ def test_a_skipped_test_poke_moves_on_and_twice_skipped_taxels_end_it():
 
 def test_a_single_taxel_as_a_module_ends_without_being_finished():
     """Its turn is not determined, so no poke can be predicted from the others."""
-    hand = Hand("1x1@9mm")
+    hand = Hand("1x1@9mm", kind="board")
     guidance = hand.finish()
     assert hand.pokes < 3 * MIN_CHECKED_POKES
     assert not guidance.is_finished
