@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import Arm, FloatArray
+from skincal.geometry import Arm, FloatArray, IntArray, axis_point, move_wrench
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
@@ -32,6 +32,7 @@ from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, rigid_points
 from skincal.modules.pose import rotations
+from skincal.rig.channel_order import channel_orders
 from skincal.rig.frame_check import STANDARD_GRAVITY
 
 SETUP_CHECK_MIN_POKES = 6
@@ -68,6 +69,12 @@ TRIED_FIXED_ANGLE_STEP_DEG = 10
 DOUBT_POINT_IF_AXES_ARE_NEARER_BY = 3.0
 """Factor: force axes that pass the sensor so much nearer if the moments are about the sensor make that likely."""
 MIN_POKES_TO_DOUBT_POINT = 3
+MIN_PAIRS_FOR_OWN_ERROR = 3
+"""Pairs of pokes on one taxel that tell the rig's own errors."""
+LAYOUT_FIT_MAX_SPACINGS, LAYOUT_FIT_MAX_OWN_ERRORS = 0.75, 3.0
+"""Spacings of the layout, or own errors of the rig, that a change of the layout may leave (median)."""
+PARALLEL_MAX_SINE = 0.05
+"""Sine of the angle of two force axes below which they count as parallel."""
 
 
 class MistakeKind(Enum):
@@ -89,12 +96,18 @@ class MistakeKind(Enum):
     """The whole layout is mirrored or turned."""
     MODULES = "modules"
     """Two modules are exchanged."""
+    CHANNELS = "channels"
+    """Channels are connected in another order: blocks, rows or columns exchanged."""
     WRENCH_FRAME = "wrench frame"
     """The frame of the wrench is not known; everything else may follow from that."""
     WRENCH_POINT = "wrench point"
     """The moments are about another point than the origin of the frame that the messages name."""
     WRENCH_LABEL = "wrench label"
     """The wrench is in the sensor's frame, and its messages name another one."""
+
+
+OF_LAYOUT = (MistakeKind.LAYOUT, MistakeKind.MODULES, MistakeKind.CHANNELS)
+"""Mistakes of the layout."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +122,8 @@ class Mistake:
     scale: float = 1.0
     """Right moments over reported ones."""
     names: tuple[str, ...] = ()
-    """Joints, sensor and link of the other arm, ids of modules, or the wrench's frame and its right point."""
+    """Joints, sensor and link of the other arm, ids of modules, channels and remedy, or the wrench's frame and its
+    right point."""
     degrees: float = 0.0
     mirrored: bool = False
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -185,10 +199,12 @@ def check_setup(
         # To lay the layout takes up to a second.
         if described.cost > LAYOUT_FITS_BELOW_COST_PER_POKE * count:
             hypotheses += _layouts(asked, used, layout, scene.skin.anchor, surface)
+        hypotheses += [(prior, mistake, _at_places(asked, used, laid, order)) for prior, mistake, order in _orders(layout)]
         priors, mistakes, pokes = zip(*hypotheses, strict=True)
         found = [
             (prior + judged.cost, replace(mistake, miss=float(np.median(judged.misses)), shift=judged.shift))
             for prior, mistake, judged in zip(priors, mistakes, _judge(pokes), strict=True)
+            if prior + judged.cost <= limit and (mistake.kind not in OF_LAYOUT or _fits_layout(judged, used, scene, layout))
         ]
     best = min((cost for cost, _ in found), default=np.inf)
     likely = sorted(
@@ -201,6 +217,48 @@ def check_setup(
     by_kind = {mistake.kind: mistake for _, mistake in reversed(likely)}
     kinds = dict.fromkeys(mistake.kind for _, mistake in likely)
     return SetupDiagnosis(count, miss, tuple(by_kind[kind] for kind in kinds))
+
+
+def _orders(layout: Layout) -> list[tuple[float, Mistake, IntArray]]:
+    """List other orders of the channels as mistakes with their prior costs."""
+    found = list(channel_orders(layout))
+    return [(_prior(len(found)), Mistake(MistakeKind.CHANNELS, 0.0, names=(what, how)), order) for what, how, order in found]
+
+
+def _at_places(asked: _Pokes, used: Sequence[Contact], laid: PlacedLayout, order: IntArray) -> _Pokes:
+    """Give each channel the planned place of channel `order` (channels,)."""
+    places, normals = _planned(used, replace(laid, places=laid.places[order], normals=laid.normals[order]))
+    return replace(asked, places=places, normals=normals)
+
+
+def _fits_layout(judged: _Judged, used: Sequence[Contact], scene: Scene, layout: Layout) -> bool:
+    """Whether a change of the layout leaves pokes as near to their taxels as the rig's own errors.
+
+    A wrong explanation that is nearer than the scene leaves taxels some spacings from their places. The own errors are the
+    distances of force axes of pokes on one taxel. They are unknown without such pokes; then errors of an arm may be large.
+    """
+    lines = [(each.strongest_channel, *_force_axis(each)) for each in used]
+    apart = [_axis_distance(one[1:], other[1:]) for one, other in combinations(lines, 2) if one[0] == other[0]]
+    if scene.arm is not None and len(apart) < MIN_PAIRS_FOR_OWN_ERROR:
+        return True
+    own = float(np.median(apart)) if apart else 0.0
+    most = max(LAYOUT_FIT_MAX_SPACINGS * layout.spacing, LAYOUT_FIT_MAX_OWN_ERRORS * own)
+    return float(np.median(judged.misses)) <= most
+
+
+def _force_axis(contact: Contact) -> tuple[FloatArray, FloatArray]:
+    """Compute a point of the force axis, m, and its unit direction, link frame."""
+    force, moment = move_wrench(contact.link_from_sensor, contact.force, contact.moment)
+    return axis_point(force, moment), force / np.linalg.norm(force)
+
+
+def _axis_distance(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> float:
+    """Compute the smallest distance of two lines, m."""
+    between, across = other[0] - one[0], np.cross(one[1], other[1])
+    size = float(np.linalg.norm(across))
+    if size < PARALLEL_MAX_SINE:
+        return float(np.linalg.norm(np.cross(one[1], between)))
+    return abs(float(between @ across)) / size
 
 
 def _as_described(used: Sequence[Contact], laid: PlacedLayout) -> _Pokes:

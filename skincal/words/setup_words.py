@@ -61,6 +61,7 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
         "use that sensor and the link {names[1]}",
     ),
     MistakeKind.MODULES: ("modules {names[0]} and {names[1]} are exchanged", "exchange their first_channel in the layout"),
+    MistakeKind.CHANNELS: ("{names[0]}", "{names[1]}"),
     MistakeKind.WRENCH_POINT: (
         "the moments of the wrench are about {names[1]}, not about the origin of {names[0]}",
         'write about = "{names[1]}" in [wrench] of the scene',

@@ -160,8 +160,8 @@ def write_table(path: Path, frames: Frames, values: FloatArray, *, names: str = 
     return path
 
 
-def write_rig(folder: Path, frames: Frames, values: FloatArray, **scene: Any) -> tuple[Path, Path]:
-    """Write scene, layout and table into a folder; return scene and table."""
+def write_rig(folder: Path, frames: Frames, values: FloatArray, file: str = "", **scene: Any) -> tuple[Path, Path]:
+    """Write scene, layout (the text `file`, or the board's) and table into a folder; return scene and table."""
     folder.mkdir(parents=True, exist_ok=True)
     place = folder / "scene.toml"
     place.write_text(scene_text(frames.board, **scene))
@@ -169,7 +169,7 @@ def write_rig(folder: Path, frames: Frames, values: FloatArray, **scene: Any) ->
     corners = [(-size, -size), (size, -size), (size, size), (-size, size)]
     (folder / "plate.obj").write_text("".join(f"v {x} {y} 0\n" for x, y in corners) + "f 1 2 3\nf 1 3 4\n")
     if scene.get("layout"):
-        (folder / "modules.toml").write_text(layout_text(frames.board))
+        (folder / "modules.toml").write_text(file or layout_text(frames.board))
     return place, write_table(folder / "log.csv", frames, values)
 
 
