@@ -204,7 +204,7 @@ def check_setup(
         found = [
             (prior + judged.cost, replace(mistake, miss=float(np.median(judged.misses)), shift=judged.shift))
             for prior, mistake, judged in zip(priors, mistakes, _judge(pokes), strict=True)
-            if prior + judged.cost <= limit and (mistake.kind not in OF_LAYOUT or _fits_layout(judged, used, scene, layout))
+            if prior + judged.cost <= limit and _explains(mistake, judged, used, scene)
         ]
     best = min((cost for cost, _ in found), default=np.inf)
     likely = sorted(
@@ -231,12 +231,15 @@ def _at_places(asked: _Pokes, used: Sequence[Contact], laid: PlacedLayout, order
     return replace(asked, places=places, normals=normals)
 
 
-def _fits_layout(judged: _Judged, used: Sequence[Contact], scene: Scene, layout: Layout) -> bool:
-    """Whether a change of the layout leaves pokes as near to their taxels as the rig's own errors.
+def _explains(mistake: Mistake, judged: _Judged, used: Sequence[Contact], scene: Scene) -> bool:
+    """Whether a change of the layout, or any change without an arm, leaves pokes as near as the rig's own errors.
 
     A wrong explanation that is nearer than the scene leaves taxels some spacings from their places. The own errors are the
     distances of force axes of pokes on one taxel. They are unknown without such pokes; then errors of an arm may be large.
     """
+    layout = scene.skin.layout
+    if layout is None or (scene.arm is not None and mistake.kind not in OF_LAYOUT):
+        return True
     lines = [(each.strongest_channel, *_force_axis(each)) for each in used]
     apart = [_axis_distance(one[1:], other[1:]) for one, other in combinations(lines, 2) if one[0] == other[0]]
     if scene.arm is not None and len(apart) < MIN_PAIRS_FOR_OWN_ERROR:

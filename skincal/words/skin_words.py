@@ -94,7 +94,7 @@ def _clipped(at: SkinCondition) -> str:
         return ""
     together = (
         f" In {at.clipped_together} of them several taxels are there at once, so nothing says which one the tip is nearest to: "
-        "their answers count as equal and less, and the expected error is larger."
+        "these taxels may be off by half their spacing, and the expected error leaves that out."
         if at.clipped_together
         else " Only one taxel at a time is there, so positions stay as good."
     )
