@@ -201,7 +201,7 @@ def test_a_new_session_starts_and_its_calibration_is_written_by_the_space_bar(be
     export = dialog_of(bench, ExportDialog)
     assert export.focusWidget() is export.start
     tap(bench, Key.Key_Space)
-    path = bench.documents / "icub-right-forearm-v1-modules.txt"
+    path = recorded / "icub-right-forearm-v1-modules.txt"
     bench.until(lambda: path.exists() and "Written" in export.outcome.text(), OPEN_MS)
     assert path.read_text().startswith("name ")
     tap(bench, Key.Key_Space)
