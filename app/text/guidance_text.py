@@ -120,16 +120,16 @@ def round_pokes(pokes: int) -> int:
 
 
 def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Announce the end of the session: `"Finished: 80 of 84 (4 undetermined)"`."""
+    """Announce the end of the session: `"Finished: 80 of 84 (4 not finished)"`."""
     done, total = _count_finished(guidance, dead)
     if not total:
         return "All taxels are disabled"
     if not done:
-        return f"Not finished: none of {count(total, 'taxel')} could be determined"
+        return f"Not finished: none of {count(total, 'taxel')} could be finished"
     if guidance.tests_missing:
         return f"Not finished: {count(guidance.tests_missing, 'test poke')} could not be predicted"
     return (
-        f"Finished: {done} of {total} ({total - done} undetermined)" if done < total else f"Finished: {count(total, 'taxel')}"
+        f"Finished: {done} of {total} ({total - done} not finished)" if done < total else f"Finished: {count(total, 'taxel')}"
     )
 
 

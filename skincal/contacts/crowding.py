@@ -105,8 +105,11 @@ def _matrices(scene: Scene) -> Iterable[tuple[int, int, IntArray, IntArray]]:
     """
     channels, layout = scene.skin.channels, scene.skin.layout
     if layout is not None:
-        grid = [_lines(layout.places[:, axis], layout.spacing) for axis in (1, 0)]
-        yield int(grid[0].max()) + 1, int(grid[1].max()) + 1, grid[0], grid[1]
+        row, column = (_lines(layout.places[:, axis], layout.spacing) for axis in (1, 0))
+        rows, columns = int(row.max()) + 1, int(column.max()) + 1
+        # A strip, or modules whose taxels are on no common lines, is no matrix: all its taxels are in one row.
+        if min(rows, columns) > 1:
+            yield rows, columns, row, column
     for rows in range(MIN_MATRIX_SIDE, channels // MIN_MATRIX_SIDE + 1):
         if channels % rows == 0:
             row, column = np.divmod(np.arange(channels), channels // rows)

@@ -37,7 +37,9 @@ class Judgement:
 
     sentence: str
     enough: bool
-    """Every taxel is finished, or could not be determined."""
+    """No more pokes are requested: every taxel is finished or given up."""
+    finished: bool
+    """It is enough, a taxel is finished, and enough pokes test the result."""
     believed: bool
     """Test pokes or landmarks confirm the predicted errors."""
     doubted: bool
@@ -145,12 +147,14 @@ class Session:
         Raises InputError: the scene lacks what the method needs.
         """
         chosen, snapshot = self._method(method), self._results.snapshot
-        return taxels_of(snapshot.estimates[chosen], self._results.session.scene, chosen, snapshot.part_size)
+        # The normals of the smooth part, as in files.
+        estimates = self._results.session.calibration().estimates[chosen]
+        return taxels_of(estimates, self._results.session.scene, chosen, snapshot.part_size)
 
     def verdict(self, method: str | None = None) -> Judgement:
         """Judge the estimates of a method; `None` for the leading one. Raises InputError: as for `taxels`."""
         found = self._results.verdict(self._method(method))
-        return Judgement(verdict_sentence(found), found.enough, found.believed, found.doubted)
+        return Judgement(verdict_sentence(found), found.enough, found.is_finished, found.believed, found.doubted)
 
     def export(
         self,

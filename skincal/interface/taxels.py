@@ -74,7 +74,8 @@ class Taxels:
     error: FloatArray
     """(n,) float, metres: predicted error, square root of the covariance's trace; NaN if unknown or above the part's size."""
     state: Sequence[str]
-    """n words: `estimated`, `blind`, `unseen` or `dead` (`skincal.taxels.result.State`); `known` in a file, plan or truth."""
+    """n words: `touched`, `inferred`, `undetermined`, `untouched` or `disabled` (`skincal.taxels.result.State`); `known` in a
+    file, plan or truth."""
     contacts: IntArray
     """(n,) pokes that the taxel answered and that count."""
     module: IntArray

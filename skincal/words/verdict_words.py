@@ -58,11 +58,11 @@ def _progress_words(verdict: Verdict) -> str:
     taxels, given_up = plural(verdict.used, "taxel"), verdict.used - verdict.done
     if verdict.is_finished:
         if given_up:
-            return f"{verdict.done} of {taxels} are finished, {given_up} could not be determined"
+            return f"{verdict.done} of {taxels} are finished, {given_up} could not be finished"
         used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
         return f"All {plural(verdict.used, f'{used}taxel')} are finished" if verdict.used > 1 else "The only taxel is finished"
     if verdict.enough and not verdict.done:
-        return f"Not finished: none of {taxels} could be determined"
+        return f"Not finished: none of {taxels} could be finished"
     if given_up and not verdict.enough:
         return f"Not finished: {verdict.done} of {taxels} are finished"
     if verdict.landmarks_left:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from matplotlib.collections import PathCollection
 
 import skincal
 from skincal.cli import main
+from skincal.guide.verdict import Check
 from skincal.model.scene import resource
+from skincal.taxels.result import Method
 
 SAMPLE = resource("sessions/sample")
 
@@ -58,9 +61,13 @@ def test_a_loaded_session_has_the_numbers_of_the_command(sample, capsys, tmp_pat
     assert (tmp_path / "script.json").read_bytes() == (tmp_path / "command.json").read_bytes()
     taxels = sample.taxels("surface")
     read = json.loads((tmp_path / "script.json").read_text(encoding="utf-8"))
-    known = {each["channel"]: each for each in read["methods"]["surface"]} if "methods" in read else {}
-    for row in np.flatnonzero(taxels.is_known)[:5] if known else []:
-        np.testing.assert_array_equal(taxels.position[row], known[int(taxels.channel[row])]["position_m"])
+    known = {each["channel"]: each for each in read["estimates"]["surface"] if each["position_m"] is not None}
+    assert sorted(known) == taxels.channel[taxels.is_known].tolist()
+    for row in np.flatnonzero(taxels.is_known):
+        same = known[int(taxels.channel[row])]
+        np.testing.assert_array_equal(taxels.position[row], same["position_m"])
+        np.testing.assert_array_equal(taxels.normal[row], same["normal"])
+        assert taxels.state[row] == same["state"]
     assert taxels.compare(f"{SAMPLE}:surface").worst == 0.0
     assert taxels.compare(sample.truth).mean < 5e-3
 
@@ -120,6 +127,16 @@ def test_tables_are_frozen_and_shown_in_notebooks(sample):
     assert "millimetres" in shown
     assert sample._repr_html_().endswith("</table>")
     assert str(sample.verdict()) == sample.verdict().sentence
+
+
+@pytest.mark.parametrize(("inside", "finished"), [(9, False), (10, True)])
+def test_a_session_is_finished_only_with_enough_test_pokes(sample, monkeypatch, inside, finished):
+    found = sample._results.verdict(Method.MODULES)
+    tested = replace(found, enough=True, done=found.used, left=(), check=Check(inside, inside))
+    monkeypatch.setattr(sample._results, "verdict", lambda _method: tested)
+    judged = sample.verdict("modules")
+    assert (judged.enough, judged.finished) == (True, finished)
+    assert judged.sentence.startswith("Not finished") is not finished
 
 
 def test_a_data_frame_has_a_row_a_taxel(sample):

@@ -166,3 +166,13 @@ def test_a_spread_press_on_a_small_board_is_told_its_limit_and_the_middle_is_rig
     assert sum(isinstance(each.outcome, Contact) for each in snapshot.pokes) >= 0.97 * len(snapshot.pokes)
     assert not snapshot.dead
     assert errors(snapshot, board)[:, 0].max() < 0.001
+
+
+def test_a_press_that_spreads_along_a_strip_is_no_matrix_without_diodes(tmp_path, capsys):
+    """All taxels of a strip are in one row, so answers along it tell nothing of a second line."""
+    frames = poke(Board(rows=1, columns=10, reach=0.05, pokes_each=2))
+    import_board(tmp_path, frames, frames.plain, layout=True)
+    said = capsys.readouterr().out
+    assert "too many taxels answer" in said
+    assert "diode" not in said
+    assert "write taxels_max = 10" in said
