@@ -158,7 +158,7 @@ class Controller(QObject):
 
     def open(self, request: OpenRequest) -> None:
         """Open a session instead of the present one; returns at once, `part_loaded` and `session_opened` follow."""
-        self._release()
+        self._release(request.session)
         self._set_running(Running.OPENING)
         self._storage = storage = SessionFolder(request, self._documents)
         self.demo, self.pace = request.demo, 0 if request.robot else DEMO_SPEED_FACTOR if request.demo else 1
@@ -186,8 +186,8 @@ class Controller(QObject):
         self._release()
         self._set_running(Running.OFFLINE)
 
-    def _release(self) -> None:
-        """Release the open session; slow work ends in the background."""
+    def _release(self, following: Path | None = None) -> None:
+        """Release the open session; slow work ends in the background. `following` is the session that is opened next."""
         self._threads.renew()
         if self._jobs is not None:
             self._jobs.renew()
@@ -199,15 +199,18 @@ class Controller(QObject):
             reviewing.stop()
             reviewing.deleteLater()
         self._close_targets()
-        self._end_recording()
+        self._end_recording(following)
         self._reset()
 
-    def _end_recording(self) -> None:
-        """End the recording in the background. A provisional one without changes is discarded."""
+    def _end_recording(self, following: Path | None = None) -> None:
+        """End the recording in the background. A provisional one without changes is discarded, and so is an empty one."""
         if self._recording is not None and not self.unsaved_pokes:
             self._recording.storage.discard()
-        if self._recording is not None and self._is_empty(self._recording) and self._recording.storage.discard_empty():
-            self.said.emit(Message(empty_words(self._recording.storage.folder), found=True))
+        if self._recording is not None and self._is_empty(self._recording):
+            storage = self._recording.storage
+            # It may be the session that is opened next.
+            if (following is None or following.absolute() != storage.folder.absolute()) and storage.discard_empty():
+                self.said.emit(Message(empty_words(storage.folder), found=True))
         recording, self._recording = self._recording, None
         if recording is not None:
             self._endings.submit(recording.end, lambda _: None, self._say_failure)
