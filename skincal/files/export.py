@@ -279,8 +279,8 @@ def _ply_sd(sd: float) -> str:
 JSON_FORMAT = "skincal-calibration/3"
 CONTACT_UNITS = {
     "force_min": "N", "force_max": "N", "touch_force": "N", "release_force": "N", "still_s": "", "still_change": "",
-    "slide_max": "m", "pitch_max": "m", "taxels_max": "", "response_min": "raw", "response_noises": "", "quiet_s": "",
-    "tare_change_max": "N", "gap_factor": "",
+    "slide_max": "m", "pitch_max": "m", "taxels_max": "", "response_min": "raw", "response_noises": "", "response_share": "",
+    "quiet_s": "", "tare_change_max": "N", "gap_factor": "",
 }  # fmt: skip
 """Unit after the name of each setting; empty for a plain number or where the name has it."""
 NOISE_UNITS = {
