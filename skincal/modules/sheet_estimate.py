@@ -65,7 +65,7 @@ def estimate_sheets(
     counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
     for fit in fit_sheets(evidence, table.totals(evidence.pokes), model, noise, others, doubting):
         estimates = [estimate for estimate in _estimates(fit, counts) if estimate.channel not in dead]
-        yield from _with_shared_errors(fit, estimates, noise, shared)
+        yield from _with_shared_errors(fit, estimates, len(model.layout.modules), noise, shared)
 
 
 def _estimates(fit: SheetFit, counts: Mapping[int, int]) -> Iterator[Estimate]:
@@ -135,7 +135,7 @@ def _doubted(fit: SheetFit) -> dict[int, dict[int, float]]:
 
 
 def _with_shared_errors(
-    fit: SheetFit, estimates: Sequence[Estimate], noise: NoiseSettings, shared: SharedRows | None
+    fit: SheetFit, estimates: Sequence[Estimate], sheets: int, noise: NoiseSettings, shared: SharedRows | None
 ) -> list[Estimate]:
     """Add the errors that all pokes share to the covariances."""
     known = [estimate for estimate in estimates if estimate.position is not None]
@@ -155,8 +155,9 @@ def _with_shared_errors(
         corrected=shared is not None,
     )
     added = equations.covariances(noise.skin)
-    # A shift of the whole is the same in the first two unknowns.
-    moves = COMMON_AIM_SD_FACTOR * noise.contact * np.eye(fit.information.shape[0], 2)
+    # A shift of the whole sheet is the same in its first two unknowns, and an error of this sheet alone.
+    moves = np.zeros((fit.information.shape[0], 2 * sheets))
+    moves[:2, 2 * fit.module : 2 * fit.module + 2] = COMMON_AIM_SD_FACTOR * noise.contact * np.eye(2)
     errors = None if shared is None else shared(equations.pokes, places, pairs)
     if errors is not None:
         more_moves, of_poses = equations.moves(*errors)

@@ -145,7 +145,7 @@ class Estimate:
     """Surface method: the taxel may lie there as well."""
     moved: FloatArray | None = None
     """(3, n) float, metres: shift by each of n errors that all taxels share, in its standard deviations; part of the
-    covariance. `None` without a correction of the rig (`skincal.taxels.shared_errors`)."""
+    covariance. `None` without a correction of the rig (`skincal.taxels.shared_errors`), except on soft sheets."""
     doubted: Mapping[int, float] = field(default_factory=dict[int, float])
     """Outliers: number of the poke to trust, 0 to less than 1."""
     normal_sd: float | None = None

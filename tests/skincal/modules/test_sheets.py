@@ -24,6 +24,7 @@ from skincal.modules.sheet_fit import fit_sheets
 from skincal.modules.sheet_plan import count_sheet_pokes
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Cause, Method, State
+from skincal.taxels.shared_errors import predicted_error
 
 NOISE = NoiseSettings(skin=0.0)
 SENSOR = np.array([0.01, -0.02, -0.12])
@@ -357,6 +358,12 @@ def test_two_sheets_are_each_fitted_alone():
     alone, found = estimate(first), estimate(every, both)
     assert all(found[channel].position.tolist() == each.position.tolist() for channel, each in alone.items())
     assert np.linalg.norm(found[60].position - there[60]) < 0.004
+    # By hand: each sheet has a shift of its own, in two directions; the mean of two is smaller by the square root of two.
+    shift = np.sqrt(2.0) * COMMON_AIM_SD_FACTOR * NOISE.contact
+    for estimates, whole in ((alone, shift), (found, shift / np.sqrt(2.0))):
+        assert predicted_error(list(estimates.values()), np.inf).whole == pytest.approx(whole, rel=1e-6)
+    assert not np.any(found[0].moved @ found[60].moved.T)
+    assert [found[channel].rms for channel in alone] == pytest.approx([each.rms for each in alone.values()], rel=1e-12)
 
 
 # ---- the plan ----
