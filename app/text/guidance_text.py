@@ -120,7 +120,7 @@ def round_pokes(pokes: int) -> int:
 
 
 def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Announce the end of the session: `"Finished: 80 of 84 (4 not finished)"`."""
+    """Announce the end of the session: `"80 of 84 taxels are finished"`."""
     done, total = _count_finished(guidance, dead)
     if not total:
         return "All taxels are disabled"
@@ -128,9 +128,7 @@ def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
         return f"Not finished: none of {count(total, 'taxel')} could be finished"
     if guidance.tests_missing:
         return f"Not finished: {count(guidance.tests_missing, 'test poke')} could not be predicted"
-    return (
-        f"Finished: {done} of {total} ({total - done} not finished)" if done < total else f"Finished: {count(total, 'taxel')}"
-    )
+    return f"{done} of {count(total, 'taxel')} are finished" if done < total else f"Finished: {count(total, 'taxel')}"
 
 
 NOTHING_TO_CHECK = "The final check needs two points pressed before in this arm pose: landmarks, or taxels with an estimate."

@@ -81,7 +81,7 @@ def test_enough_names_how_many_meet_what():
     assert enough_words(every, ()) == approved("guide.enough", count=24)
     assert end_words(every, ()) == approved("verdict.on_space_bar")
     assert enough_words(every, {4: "stuck"}) == approved("guide.enough", count=23)
-    assert enough_words(guidance(done=range(20)), ()) == approved("guide.enough_given_up", done=20, count=24, left=4)
+    assert enough_words(guidance(done=range(20)), ()) == approved("guide.enough_given_up", done=20, count=24)
     assert end_words(every, {4: "stuck"}).startswith(f"1 disabled{BETWEEN}")
 
 
