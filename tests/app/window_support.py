@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject
-from PySide6.QtGui import QColor, QFontMetrics, QImage
+from PySide6.QtGui import QColor, QFontMetrics, QGuiApplication, QImage
 from PySide6.QtWidgets import QApplication, QWidget
 
 from app.panels.panel import PanelContext
@@ -182,6 +182,22 @@ class Paints(QObject):
     def eventFilter(self, _watched, event):
         self.count += event.type() == QEvent.Type.Paint
         return False
+
+
+def paints_from_now(qtbot, *widgets: QWidget) -> Paints:
+    """Count paints from the moment when nothing is left to paint: a busy machine shows a new window late."""
+    paints = Paints(*widgets)
+
+    def is_still() -> bool:
+        before = paints.count
+        for _ in range(5):
+            QGuiApplication.sync()
+            qtbot.wait(10)
+        return paints.count == before
+
+    qtbot.waitUntil(is_still, timeout=30_000)
+    paints.count = 0
+    return paints
 
 
 def ink(picture: np.ndarray, colour: str | QColor, near: int = 8) -> int:

@@ -43,7 +43,7 @@ from tests.app.scene3d_support import box, estimate, laid, scene
 from tests.app.view3d_on_screen import KEPT, make_view, renderer_of, turn
 from tests.app.view3d_on_screen import pixels as picture
 from tests.app.whole_window import OPEN_MS, Bench
-from tests.app.window_support import NAMES, PLAN, SCENE, Paints, Queue, context, frame, part, session, shown
+from tests.app.window_support import NAMES, PLAN, SCENE, Queue, context, frame, paints_from_now, part, session, shown
 from tests.approved import approved
 from tests.skincal.sim_support import sample_with
 
@@ -264,8 +264,7 @@ def test_the_same_state_draws_nothing_and_a_hidden_panel_works_nothing(qtbot):
     panel = make_panel(qtbot)
     moment = at(known())
     panel.show_state(moment)
-    qtbot.wait(50)
-    paints, drawn = Paints(panel), len(panel.drawn)
+    paints, drawn = paints_from_now(qtbot, panel), len(panel.drawn)
     for now_s in range(20):
         panel.show_state(replace(moment, now_ns=now_s))
     qtbot.wait(50)

@@ -35,6 +35,7 @@ from tests.app.window_support import (
     context,
     frame,
     ink,
+    paints_from_now,
     part,
     pixels,
     session,
@@ -150,8 +151,7 @@ def test_an_exclusion_rewrites_the_course_and_the_same_state_draws_nothing(panel
     follow(panel, made, queue, 130.0)
     assert panel.course.series().pokes.tolist() == [1, 3, 4, 5, 6, 7, 8]
     assert changed(before, pixels(panel.plot)) > 20
-    qtbot.wait(50)
-    paints = Paints(panel)
+    paints = paints_from_now(qtbot, panel)
     follow(panel, made, queue, 160.0)
     qtbot.wait(50)
     assert paints.count == 0

@@ -39,11 +39,11 @@ from tests.app.window_support import (
     NAMES,
     PLAN,
     SCENE,
-    Paints,
     changed,
     context,
     frame,
     ink,
+    paints_from_now,
     pixels,
     session,
     show_in,
@@ -176,8 +176,7 @@ def test_the_words_follow_taxel_and_method_and_the_panel_hides_without_a_taxel(p
 def test_the_picture_is_drawn_again_after_a_change_only(panel, qtbot):
     at = framed(diversity([push(20, 0)]))
     panel.show_state(at)
-    qtbot.wait(30)
-    paints = Paints(panel.plot)
+    paints = paints_from_now(qtbot, panel.plot)
     turned = replace(at, eye=eye_of(PLAIN_POSE.up, -PLAIN_POSE.right))
     skipped = replace(turned, guidance=guidance(target(3)), diversity=diversity([push(20, 90)]))
     slightly = replace(at, now_ns=at.now_ns + 1, eye=eye_of(PLAIN_POSE.right + 1e-4, PLAIN_POSE.up))

@@ -25,11 +25,11 @@ from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, eye_of, guid
 from tests.app.window_support import (
     NAMES,
     PLAN,
-    Paints,
     changed,
     frame,
     ink,
     is_elided,
+    paints_from_now,
     pixels,
     reading,
     session,
@@ -247,8 +247,7 @@ def test_the_dial_turns_with_the_3d_view_and_is_drawn_after_a_change_only(panel,
     view = held(20.0, landed=3)
     pressed(panel, view)
     one = pixels(panel.dial)
-    qtbot.wait(30)
-    paints = Paints(panel.dial)
+    paints = paints_from_now(qtbot, panel.dial)
     for _ in range(5):
         pressed(panel, view)
     qtbot.wait(30)

@@ -34,7 +34,6 @@ from tests.app.window_support import (
     NAMES,
     PLAN,
     SCENE,
-    Paints,
     arm_scene,
     changed,
     context,
@@ -42,6 +41,7 @@ from tests.app.window_support import (
     frame,
     ink,
     link,
+    paints_from_now,
     part,
     pixels,
     reading,
@@ -167,8 +167,7 @@ def test_every_panel_can_be_made_draws_once_and_follows_the_theme(qtbot, kind):
     view = reading(links=(link(),), wrench_s=times, wrench=wrench)
     at = frame(session(1, {3: estimate(3, (0, 0, 0))}, [touch(1)]), view=view, where=arm_scene())
     panel.show_state(at)
-    qtbot.wait(40)
-    paints = Paints(panel)
+    paints = paints_from_now(qtbot, panel)
     for _ in range(20):
         panel.show_state(at)
     qtbot.wait(40)
@@ -294,8 +293,7 @@ def test_curves_draw_every_axis_and_stop_with_the_stream(qtbot):
     seen = pixels(panel)
     assert all(ink(seen, axis, 30) > 300 for axis in DARK.axes)
     assert "5." in panel.force.header.text() or "4." in panel.force.header.text()
-    qtbot.wait(50)
-    paints = Paints(panel.force.plot.viewport(), panel.moment.plot.viewport())
+    paints = paints_from_now(qtbot, panel.force.plot.viewport(), panel.moment.plot.viewport())
     for _ in range(10):
         panel.show_state(frame(view=reading(wrench_s=times, wrench=wrench)))
     qtbot.wait(50)

@@ -21,7 +21,19 @@ from skincal.session.part import load_part
 from skincal.words.units import ChannelNames
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate
-from tests.app.window_support import METHODS, NAMES, PLAN, SCENE, Paints, changed, frame, pixels, reading, session, shown
+from tests.app.window_support import (
+    METHODS,
+    NAMES,
+    PLAN,
+    SCENE,
+    changed,
+    frame,
+    paints_from_now,
+    pixels,
+    reading,
+    session,
+    shown,
+)
 from tests.approved import approved
 
 
@@ -37,8 +49,7 @@ def test_the_legend_counts_the_marks_and_changes_with_them_alone(qtbot):
     at = frame()
     card.show_state(at, is_changed=True)
     assert card.legend.accessibleDescription() == f"untouched {len(PLAN.channels)}"
-    qtbot.wait(30)
-    paints = Paints(card.legend)
+    paints = paints_from_now(qtbot, card.legend)
     card.show_state(replace(at, selected=3), is_changed=False)
     qtbot.wait(30)
     assert paints.count == 0
@@ -198,8 +209,7 @@ def test_the_map_rings_the_target_and_no_other(qtbot, taxels):
     ring = after[near(taxels, 3, 24)][(before != after)[near(taxels, 3, 24)].any(axis=2)][:, :3].astype(int)
     assert (ring.min(axis=1) > 240).any()
     assert (ring.max(axis=1) < 15).any()
-    qtbot.wait(30)
-    paints = Paints(taxels)
+    paints = paints_from_now(qtbot, taxels)
     taxels.show_state(framed(guidance(target(3))))
     qtbot.wait(30)
     assert paints.count == 0, "the same target is drawn no second time"
