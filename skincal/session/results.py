@@ -90,7 +90,7 @@ class SessionResults:
     @cached_property
     def skin(self) -> tuple[str, ...]:
         """Sentences on faults of the skin; empty without one."""
-        return session_skin_sentences(self.snapshot, self.pipeline.skin_condition, self.session.scene)
+        return session_skin_sentences(self.snapshot, self.pipeline.totals().skin, self.session.scene)
 
     @cached_property
     def leading(self) -> Method | None:
