@@ -220,14 +220,16 @@ def _misfit(
         after = float(np.hypot(way, seen.straight))
         return MisplacedModule(module.id, MisplacementKind.SWAPPED, before, after, other=model.layout.modules[other].id)
     beside = _distance(seen.places.mean(axis=0), seen.planned.mean(axis=0))
+    # Neither change is advised where it leaves the taxels farther off.
+    mirrored, straight = (float(np.hypot(beside, own)) for own in (seen.mirrored, seen.straight))
     turn = float(np.angle(np.exp(1j * (seen.turn - usual))))
-    if seen.mirrored < MIRRORED_FIT_MAX_RESIDUAL_RATIO * seen.straight:
+    if seen.mirrored < MIRRORED_FIT_MAX_RESIDUAL_RATIO * seen.straight and mirrored < before:
         turn = _intended_turn(turn, module, mirrored=True)
-        return MisplacedModule(module.id, MisplacementKind.MIRRORED, before, float(np.hypot(beside, seen.mirrored)), turn=turn)
+        return MisplacedModule(module.id, MisplacementKind.MIRRORED, before, mirrored, turn=turn)
     unturned = _rms((seen.places - seen.places.mean(axis=0)) - (seen.planned - seen.planned.mean(axis=0)))
-    if abs(turn) > MIN_TURN_RAD and seen.straight < TURNED_FIT_MAX_RESIDUAL_RATIO * unturned:
+    if abs(turn) > MIN_TURN_RAD and seen.straight < TURNED_FIT_MAX_RESIDUAL_RATIO * unturned and straight < before:
         turn = _intended_turn(turn, module, mirrored=False)
-        return MisplacedModule(module.id, MisplacementKind.TURNED, before, float(np.hypot(beside, seen.straight)), turn=turn)
+        return MisplacedModule(module.id, MisplacementKind.TURNED, before, straight, turn=turn)
     return None
 
 
