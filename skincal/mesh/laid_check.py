@@ -181,9 +181,13 @@ def _has_sharp_bend(surface: Surface, start: MeshPoints, ways: FloatArray, spaci
     steps = np.minimum((counts + 1) // 2, max(1, round(reach / PATH_STEP_M)))
     # Mean normals before and after each place: a groove or a letter in the part has little weight in them.
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(normals, axis=0)])
-    after = np.flatnonzero((at >= steps[path]) & (at + steps[path] <= counts[path] + 1))
+    after = np.flatnonzero((at >= 1) & (at + steps[path] <= counts[path] + 1))
     width = steps[path[after]]
-    one, two = sums[after] - sums[after - width], sums[after + width] - sums[after]
+    # The anchor's normal counts as the path before the anchor: an edge beside it is an edge, too.
+    earlier = np.minimum(at[after], width)
+    first = normals[(ends - counts)[path[after]]]
+    one = sums[after] - sums[after - earlier] + (width - earlier)[:, None] * first
+    two = sums[after + width] - sums[after]
     sharp = np.cos(np.radians(SHARP_BEND_MIN_TURN_DEG))
     sizes = np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
     is_sharp = np.einsum("ij,ij->i", one, two) < sharp * sizes

@@ -39,6 +39,10 @@ FIRST_SIDE = (0.83, 0.42, 0.36)
 """Unit, link frame: the side of a part that is seen first."""
 FIRST_SIDE_BONUS = 0.05
 """Added to a side's share of the largest area, per cosine to `FIRST_SIDE`: it decides between faces of about equal size."""
+MIDDLE_MIN_GAP_SHARE = 0.5
+"""The middle of a part is taken if it is at least this share as far from the border as the best point."""
+INNER_POINT_MAX_TRIANGLES = 400
+"""Triangles that are looked through for a point far from the border of a face."""
 FREE_FACE_MIN_COSINE = 0.7
 """A triangle belongs to a side towards which it faces within 45 degrees."""
 WARN_OF_SENSOR_TILT_FROM_DEG = 0.5
@@ -338,7 +342,37 @@ def propose_anchor(layout: Layout, surface: Surface | None, sensor: FloatArray |
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     middle, side = (low + high) / 2.0, free_side(surface, sensor)
     entries = entry_points(surface, middle, -side)
-    return anchor_at(surface, layout, entries[0] if len(entries) else middle + side * np.linalg.norm(high - low), None)
+    inner, points = _inner_point(surface, side), entries[:1]
+    # A ring or an L has no middle, and a notch may reach it.
+    if len(points):
+        gaps = _gaps_to_border(surface, side, np.stack([points[0], inner]))
+        points = points if gaps[0] >= MIDDLE_MIN_GAP_SHARE * gaps[1] else points[:0]
+    return anchor_at(surface, layout, points[0] if len(points) else inner, None)
+
+
+def _inner_point(surface: Surface, side: FloatArray) -> FloatArray:
+    """Find the point of the faces towards a side that is farthest from their border, (3,) metres, among evenly chosen ones."""
+    corners = surface.corners[surface.normals @ side > FREE_FACE_MIN_COSINE]
+    corners = corners[:: max(1, len(corners) // INNER_POINT_MAX_TRIANGLES)]
+    # Large triangles get several points each.
+    steps = min(12, 2 + int(np.sqrt(INNER_POINT_MAX_TRIANGLES / len(corners))))
+    weights = np.array([(i, j, steps - i - j) for i in range(1, steps) for j in range(1, steps - i)], dtype=float) / steps
+    weights = weights if len(weights) else np.full((1, 3), 1.0 / 3.0)
+    points = np.einsum("wk,tkd->twd", weights, corners).reshape(-1, 3)
+    return points[int(np.argmax(_gaps_to_border(surface, side, points)))]
+
+
+def _gaps_to_border(surface: Surface, side: FloatArray, points: FloatArray) -> FloatArray:
+    """Compute (n,) distances, metres, of points (n, 3) to the border of the faces towards a side; infinite without a border."""
+    triangles = surface.triangles[surface.normals @ side > FREE_FACE_MIN_COSINE]
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    shared, count = np.unique(edges, axis=0, return_counts=True)
+    gaps = np.full(len(points), np.inf)
+    for origin, end in surface.vertices[shared[count == 1]]:
+        way = end - origin
+        share = np.clip((points - origin) @ way / max(float(way @ way), 1e-30), 0.0, 1.0)
+        gaps = np.minimum(gaps, np.linalg.norm(points - origin - share[:, None] * way, axis=1))
+    return gaps
 
 
 def free_side(surface: Surface, sensor: FloatArray | None) -> FloatArray:

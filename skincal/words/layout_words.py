@@ -30,7 +30,8 @@ def unsaid_kind_finding(layout: Layout) -> str:
 
 
 SHEET_WITHOUT_MESH = (
-    "no mesh: a soft sheet has the shape of its part, so each taxel is placed by its own pokes alone (free method)"
+    "no mesh: a soft sheet has the shape of its part, so each taxel is placed by its own pokes alone (free method). If the "
+    'skin is a rigid board, say so (kind = "board" in the layout, --kind board of scene new); else name the part\'s mesh'
 )
 
 

@@ -15,6 +15,7 @@ from skincal.mesh.laid_check import LaidFindings, examine_layout
 from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.skin import Anchor, Layout
+from skincal.session.draft_preview import propose_anchor
 from skincal.session.layout_placing import anchor_at, nudged_anchor, turned_anchor
 from tests.approved import approved
 from tests.skincal.sim_support import scene_and_surface
@@ -113,6 +114,28 @@ def test_the_advice_to_slide_a_folded_layout_leaves_no_finding(plate):
     slid = nudged_anchor(plate, anchor, 0.0, 0.05)
     ends = [examine_layout(layout, each, place_layout(layout, each, plate), plate).sentences for each in (anchor, slid)]
     assert [bool(each) for each in ends] == [True, False]
+
+
+def l_plate() -> Surface:
+    """An L of 60 x 80 mm with a notch of 30 x 40 mm, 20 mm thick; its top is at 20 mm."""
+    long, short = trimesh.creation.box((30.0, 80.0, 20.0)), trimesh.creation.box((30.0, 40.0, 20.0))
+    long.apply_translation((15.0, 40.0, 10.0))
+    short.apply_translation((45.0, 20.0, 10.0))
+    return surface_of(trimesh.boolean.union([long, short]))
+
+
+@pytest.mark.parametrize("x", [30.0, 29.5, 29.0, 28.0, 27.0, 24.0])
+def test_a_fold_beside_the_anchor_is_found(x):
+    found = examine(l_plate(), grid("3x3@8mm"), (x, 55.0, 20.0))
+    assert len(found.folded_channels) == 3
+    assert "beyond a rim" in found.sentences[0]
+
+
+def test_a_part_whose_middle_is_outside_it_gets_a_place_without_a_finding():
+    surface, layout = l_plate(), grid("3x3@8mm")
+    anchor = propose_anchor(layout, surface, None)
+    found = examine_layout(layout, anchor, place_layout(layout, anchor, surface), surface, None)
+    assert found.sentences == ()
 
 
 @pytest.mark.parametrize("thick", [0.8, 3.0, 10.0])
