@@ -446,7 +446,7 @@ def test_in_the_window_a_click_selects_and_the_corrected_layout_is_saved_by_keys
     bench.until(panel.save_button.hasFocus, 2000)
     QTest.keyClick(panel.save_button, Qt.Key.Key_Return)
     bench.until(lambda: str(path) in message.text(), OPEN_MS)
-    name = str(Path.home() / "icub-right-forearm-v1-corrected.modules.toml")
+    name = str(folder / "icub-right-forearm-v1-corrected.modules.toml")
     assert answers == [(approved("modules_check.save"), name)]
     assert "mirror = false  # so" in path.read_text(encoding="utf-8")
     assert load_layout(path, bench.window.session_view.workspace.part.scene.skin.layout.width).modules[0].mirror is False
