@@ -108,6 +108,7 @@ def solve(
     from skincal.cli import output
     from skincal.files.reference import read_reference
     from skincal.words.frame_words import frame_sentences
+    from skincal.words.layout_words import sheet_findings
     from skincal.words.setup_words import setup_sentences
 
     if part is not None and out is None:
@@ -133,7 +134,8 @@ def solve(
     # Before the calibration is written: this file may be refused.
     modules, module_lines = _layout_result(results, layout, layout_out)
     files, written = ([], []) if out is None else _write_all(results, out, ExportOptions(part=part, prefix=prefix))
-    findings = [*pipeline.findings, *written]
+    sheets = sheet_findings(pipeline.scene.skin.layout, is_on_mesh=pipeline.session.surface is not None)
+    findings = [*pipeline.findings, *sheets, *written]
     totals = pipeline.totals()
     losses = output.loss_counts(totals.links, totals.unpaired)
     result = {

@@ -23,6 +23,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_sentences
+from skincal.words.layout_words import sheet_findings
 from skincal.words.link_words import silent_links
 from skincal.words.poke_words import late_angles_sentence, no_poke_sentence, too_short_sentence
 
@@ -49,7 +50,7 @@ def new_session(
 
     Parameters
     ----------
-    tell : gets sentences about the mesh and the anchors on it
+    tell : gets sentences about the mesh, the anchors on it and the kind of the skin
     copy : the session is made from a recording, and could be made again
     """
     missing = missing_folders(folder)
@@ -58,6 +59,8 @@ def new_session(
         surface, findings = load_scene_surface(scene)
         for finding in (*findings, *anchor_findings(scene, surface)):
             tell(f"{scene.surface.path.name if scene.surface else ''}: {finding}")
+        for finding in sheet_findings(scene.skin.layout, is_on_mesh=surface is not None):
+            tell(f"{scene.path.name}: {finding}")
         journal = writer.create_session(folder, scene, links, copy=copy)
         yield Pipeline(scene, links, surface, journal)
     except KeptError:

@@ -37,9 +37,12 @@ SHEET_WITHOUT_MESH = (
 
 def kind_findings(layout: Layout, *, is_on_mesh: bool) -> list[str]:
     """List what is unusual about the kind of a skin: it is not given, or a soft sheet lacks a mesh."""
-    unsaid = unsaid_kind_finding(layout)
-    lacks_mesh = layout.kind is SkinKind.SHEET and not is_on_mesh
-    return [*filter(None, [unsaid]), *([SHEET_WITHOUT_MESH] if lacks_mesh else [])]
+    return [*filter(None, [unsaid_kind_finding(layout)]), *sheet_findings(layout, is_on_mesh=is_on_mesh)]
+
+
+def sheet_findings(layout: Layout | None, *, is_on_mesh: bool) -> list[str]:
+    """Report a soft sheet without a mesh."""
+    return [SHEET_WITHOUT_MESH] if layout is not None and layout.kind is SkinKind.SHEET and not is_on_mesh else []
 
 
 MAX_NAMED_MODULES = 4

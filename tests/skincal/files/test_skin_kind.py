@@ -11,7 +11,7 @@ import trimesh
 from skincal.cli import main
 from skincal.files.layout_sources import Grid, parse_layout, repeated_modules, text_of_ini, text_of_table, text_with_kind
 from skincal.model.errors import InputError
-from skincal.model.scene import load_scene
+from skincal.model.scene import load_scene, resource
 from skincal.model.skin import SkinKind
 from skincal.words.layout_words import unsaid_kind_finding
 
@@ -131,3 +131,18 @@ def test_known_distances_of_a_sheet_are_refused(tmp_path, capsys):
     out.write_text(out.read_text() + "\n[[distances]]\ntaxels = [0, 11]\nmm = 30\nsd_mm = 1\n")
     with pytest.raises(InputError, match="between rigid boards, and the layout is a soft sheet"):
         load_scene(out)
+
+
+def test_a_sheet_without_a_mesh_is_said_with_its_remedies_where_its_pokes_are_solved(tmp_path, capsys):
+    for kind, said in (("sheet", 1), ("board", 0)):
+        text = f'kind = "{kind}"\n' + (resource("scenes/flat-patch/modules.toml")).read_text(encoding="utf-8")
+        folder = tmp_path / kind
+        folder.mkdir()
+        (folder / "modules.toml").write_text(text, encoding="utf-8")
+        scene = resource("scenes/flat-patch/scene.toml").read_text(encoding="utf-8")
+        (folder / "scene.toml").write_text(scene, encoding="utf-8")
+        command = ["simulate", "--scene", str(folder / "scene.toml"), "--pokes", "4", "--careful", "--out", str(folder / "s")]
+        assert main(command) == 0
+        capsys.readouterr()
+        assert main(["solve", str(folder / "s")]) == 0
+        assert capsys.readouterr().out.count("--kind board") == said
