@@ -182,7 +182,7 @@ COMMANDS = (
     Command("what", "Help", "What is this?", "F1", "Then click something to see its explanation",
             lambda _: QWhatsThis.enterWhatsThisMode()),
     Command("keys", "Help", "Keys", "F2", "Every key in one list", lambda w: w.show_keys()),
-    Command("messages", "Help", "Messages…", "F4", "All messages of this window with their times", lambda w: w.show_messages()),
+    Command("messages", "Help", "Messages…", "F4", "Messages about this session with their times", lambda w: w.show_messages()),
     Command("documents", "Help", "Documents", "Shift+F1", "Open the manual and the other pages", lambda w: w.open_documents()),
     Command("about", "Help", "About skincal", "Shift+F2", "Version and licence", lambda w: w.show_about()),
 )

@@ -44,7 +44,7 @@ from app.state.policies import Allowed, RigReview, allowed
 from app.state.view_state import ViewState, focused_channel
 from app.text.demo_text import simulated_words
 from app.text.guidance_text import NOTHING_TO_CHECK
-from app.text.message import REPORTING, Message, report_words
+from app.text.message import REPORT_WORK, REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.rig_text import corrected_words, offer_news, rig_state
 from app.text_size import scaled
@@ -532,12 +532,15 @@ class SessionView(QObject):
         """Ask for a file and write the session's report to it."""
         path = self._ask_file("Write the report", f"{self.workspace.part.scene.name}-report.html", "Report (*.html)")
         if path is not None:
-            self.said.emit(Message(REPORTING, found=True))
+            self.said.emit(Message(REPORTING, found=True, work=REPORT_WORK))
 
             def tell_written(verdict: str) -> None:
-                self.said.emit(Message(report_words(path, verdict), file=path))
+                self.said.emit(Message(report_words(path, verdict), file=path, work=REPORT_WORK))
 
-            self._controller.report(path, self.method, tell_written, self._tell_failure)
+            def tell_failed(sentence: str) -> None:
+                self.said.emit(Message(sentence, error=True, work=REPORT_WORK))
+
+            self._controller.report(path, self.method, tell_written, tell_failed)
 
     def ask_picture(self) -> None:
         path = self._ask_file("Save 3D picture", "skincal.png", "Picture (*.png)")

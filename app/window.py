@@ -31,7 +31,7 @@ from app.session.opening import OpenRequest, dated_folder, find_scene, is_shippe
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
-from app.text.message import NO_ADDRESSES, PART_NOT_SAVED, Message, connect_words, keep_question, look_words
+from app.text.message import NO_ADDRESSES, PART_NOT_SAVED, Message, closed_words, connect_words, keep_question, look_words
 from app.text_size import TextSize
 from app.theme import DARK, LIGHT, WIDGET_GAP_PX, Choice, Colours
 from skincal.model.errors import InputError
@@ -51,6 +51,7 @@ MAX_REMEMBERED_ADDRESSES = 50  # Addresses that the operator named or agreed to;
 DOCUMENTS_FOLDER = Path(__file__).resolve().parents[1] / "docs"
 """Next to the program in a checkout; a package comes without."""
 OWN_SCENE_SETTING = "window/own_scene"  # A scene of the operator's own was opened
+KEEP_COUNT_PERIOD_MS = 250  # The question whether to keep a session counts its pokes again
 IMPORT_SCENE_SETTING = "import/scene"  # Scene of the last import
 FIELD_CLASSES = ("QLineEdit", "QComboBox", "QAbstractSpinBox", "QCheckBox", "QRadioButton")
 FUSION_BORDER_DARKNESS_PERCENT = 130
@@ -174,6 +175,7 @@ class Window(QMainWindow):
         self._question: QMessageBox | None = None  # The open question whether to keep a session
         self._targets = ""  # Address that asks a robot for pokes, in every session with devices; empty by default
         self._leaves = False
+        self._farewell: Message | None = None  # Where the session or the part that is being closed is saved
         self._import: ImportDialog | None = None
         self._messages_dialog: MessagesDialog | None = None
         self.stack, self.opening, self.where = QStackedWidget(), StartPage(), ElidedLabel()
@@ -469,8 +471,12 @@ class Window(QMainWindow):
         from app.text.import_text import imported_words
 
         self._settings.setValue(IMPORT_SCENE_SETTING, scene)
-        self.open(OpenRequest(session=imported.folder))
-        self.tell(Message(imported_words(imported)))
+
+        def start() -> None:
+            self._open(OpenRequest(session=imported.folder))
+            self.tell(Message(imported_words(imported)))
+
+        self._confirm_unsaved(start)
 
     def ask_part(self, path: Path | None = None) -> None:
         """Describe a new part, from a mesh or a URDF if one is given; the open session is closed."""
@@ -527,6 +533,7 @@ class Window(QMainWindow):
     def _drop_builder(self) -> None:
         page, self.builder = self.builder, None
         if page is not None:
+            self._drop_messages()
             page.close_page()
             self.stack.removeWidget(page)
             page.deleteLater()
@@ -615,8 +622,20 @@ class Window(QMainWindow):
         box.open()
 
     def _leave_saved(self, path: Path, then: Callable[[], object]) -> None:
-        self.tell(Message(f"The part is saved in {path.parent}."))
+        self._leave_with(Message(f"The part is saved in {path.parent}."), then)
+
+    def _leave_with(self, farewell: Message, then: Callable[[], object]) -> None:
+        """Tell the place of a saved session or part, and call `then`, which may close it with its messages."""
+        self.tell(farewell)
+        self._farewell = farewell
         then()
+        self._farewell = None
+
+    def _drop_messages(self) -> None:
+        """Forget the messages of a closed session or part, except the one on its place."""
+        self.messages.start_over()
+        if self._farewell is not None:
+            self.tell(self._farewell)
 
     # Opening and closing
 
@@ -656,14 +675,24 @@ class Window(QMainWindow):
         box.addButton(QMessageBox.StandardButton.Cancel)
         box.setDefaultButton(keep)
 
+        def count_again() -> None:
+            # The devices go on while it is asked.
+            box.setText(keep_question(self.controller.unsaved_pokes or pokes)[0])
+
+        counting = QTimer(box, interval=KEEP_COUNT_PERIOD_MS)
+        counting.timeout.connect(count_again)
+        counting.start()
+
         def answered() -> None:
+            counting.stop()
             chosen, self._question = box.clickedButton(), None
             box.deleteLater()
             if chosen is keep:
                 self.controller.keep()
+                folder = self.controller.folder
+                self._leave_with(Message(closed_words(folder)), then) if folder is not None else then()
             elif chosen is drop:
                 self.controller.discard()
-            if chosen in (keep, drop):
                 then()
 
         box.finished.connect(answered)
@@ -682,6 +711,7 @@ class Window(QMainWindow):
         self._first_minute = None
         self.messages.show_key(wanted=True)
         if view is not None:
+            self._drop_messages()
             view.save()
             view.close()
             self.stack.removeWidget(view.workspace)

@@ -136,7 +136,7 @@ class PartStep(Step):
         doubt = "?  If that is wrong, choose another unit." if has_own_unit else ""
         self.size_text.setText("" if preview.size_mm is None else f"{box_words(preview.size_mm)}{doubt}")
         has_mesh = preview.size_mm is not None
-        self._show_rows(has_robot=draft.urdf is not None, has_mesh=has_mesh, has_unit=has_own_unit and has_mesh)
+        self._show_rows(has_robot=draft.urdf is not None, has_mesh=has_mesh, has_unit=has_own_unit)
         self.mode = Mode.LINK if draft.urdf is not None else Mode.NONE
         if preview.robot is not self._robot:
             self._robot = preview.robot

@@ -1,4 +1,4 @@
-"""Dialog with all messages of this run of the program."""
+"""Dialog with all messages about the open session or part."""
 
 from __future__ import annotations
 

@@ -84,7 +84,9 @@ class LinkCard(QFrame):
         lost = "\n".join(count(n, f" {reason}", f" {reason}") for reason, n in words.losses)
         broken = outage_words(health.outages)
         good = count(health.readings, "good", "good")
-        said = f"{good}{f', {broken}' if broken else ''}" + (f"; lost:\n{lost}" if lost else "" if broken else ", none lost")
+        # Beside a device that is lost, "none lost" would say the opposite.
+        whole = "" if broken or words.look is LinkStatus.LOST else ", none lost"
+        said = f"{good}{f', {broken}' if broken else ''}" + (f"; lost:\n{lost}" if lost else whole)
         late = ""
         if unpaired and Stream.WRENCH in health.carries:
             late = f"{count(unpaired, 'skin frame')} had no wrench at their time: it came late, in bursts, or not at all."

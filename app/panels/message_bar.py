@@ -1,4 +1,7 @@
-"""Messages over the upper edge of the 3D view: the newest is shown, and nothing below it moves. All are kept for the list."""
+"""Messages over the upper edge of the 3D view: the newest is shown, and nothing below it moves.
+
+Those about the open session or part are kept for the list.
+"""
 
 from __future__ import annotations
 
@@ -69,6 +72,10 @@ class MessageBar(QFrame):
         """Show a message; the same one twice in a row is shown once."""
         if self._waiting and self._waiting[-1] == message:
             return
+        if message.work:
+            # An older message on its progress is no longer true.
+            older = [each for each in self._waiting if each.work != message.work]
+            self._waiting = deque(older, maxlen=MAX_QUEUED_MESSAGES)
         self._waiting.append(message)
         self.kept.append((datetime.now().astimezone(), message))
         self.kept_changed.emit()
@@ -92,6 +99,13 @@ class MessageBar(QFrame):
         if message in self._waiting:
             self._waiting.remove(message)
             self.show_newest()
+
+    def start_over(self) -> None:
+        """Forget all messages: the session or the part that they are about is closed."""
+        self._waiting.clear()
+        self.kept.clear()
+        self.kept_changed.emit()
+        self.show_newest()
 
     def stop(self) -> None:
         self._timer.stop()

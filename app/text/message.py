@@ -9,6 +9,7 @@ from pathlib import Path
 
 from skincal.model.errors import plain_text
 
+REPORT_WORK = "report"
 REPORTING = "Writing the report. A message follows when it is finished."
 ADDRESS_LINE_MAX_CHARS = 120  # Line length of the question about addresses, in characters; fits a window of 1280 pixels
 NO_ADDRESSES = "This session has no device with an address. Ctrl+N: new session with devices."
@@ -30,6 +31,8 @@ class Message:
     """Reports a finding, neither a success nor an error."""
     file: Path | None = None
     """Written file that a button of the message opens."""
+    work: str = ""
+    """Work whose progress or result it gives: a newer message on the same work takes its place. Empty for none."""
 
 
 def message_sign(message: Message) -> str:
@@ -73,6 +76,11 @@ def kept_words(folder: Path) -> str:
     return f"This session is saved in {folder}."
 
 
+def closed_words(folder: Path) -> str:
+    """Report that the session that was open before is saved."""
+    return f"The session that was open is saved in {folder}."
+
+
 def empty_words(folder: Path) -> str:
     """Report that a session without a poke is not kept."""
     return f"The session that was open had no poke, and is not kept. Its folder was {folder}."
@@ -84,7 +92,7 @@ def report_words(path: Path, verdict: str) -> str:
 
 
 def keep_question(pokes: int) -> tuple[str, str]:
-    """Ask whether to keep a session with this many pokes, and explain the answers."""
+    """Ask whether to keep a session with this many pokes so far, and explain the answers."""
     number = f"{pokes} poke{'' if pokes == 1 else 's'}"
     return f"Keep this session with {number}?", "Otherwise its folder is deleted from the documents."
 

@@ -51,6 +51,14 @@ MAX_OUTER_WALL_CANDIDATES = 32
 """Largest components that are compared as outer walls."""
 
 
+class MeshSizeError(InputError):
+    """A mesh is not as large as a robot part. `seen` is the sentence without its advice."""
+
+    def __init__(self, seen: str) -> None:
+        super().__init__(f"{seen} Correct its unit (--unit, or unit in the scene), or its scale in the URDF.")
+        self.seen = seen
+
+
 def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
     """Read a mesh into the link frame with outward normals; also return the findings.
 
@@ -124,10 +132,9 @@ def _check_size(spec: SurfaceSpec, scale: float, corners: FloatArray) -> MeshFin
         return words_finding(FindingKind.SIZE, words)
     fitting = {name: raw * unit_m for name, unit_m in UNITS.items() if MIN_DIAGONAL_M <= raw * unit_m <= MAX_DIAGONAL_M}
     likely = "; ".join(f"unit {name} would give {_length(size)}" for name, size in fitting.items())
-    raise InputError(
+    raise MeshSizeError(
         f"{spec.path}: the part's box has a diagonal of {_length(diagonal)} with unit {unit}; "
-        f"{_length(MIN_DIAGONAL_M)} to {_length(MAX_DIAGONAL_M)} was expected: {likely or 'no known unit makes it fit'}. "
-        "Correct its unit (--unit, or unit in the scene), or its scale in the URDF."
+        f"{_length(MIN_DIAGONAL_M)} to {_length(MAX_DIAGONAL_M)} was expected: {likely or 'no known unit makes it fit'}."
     )
 
 

@@ -17,7 +17,7 @@ from skincal.geometry import Arm, FloatArray
 from skincal.mesh.findings import FindingKind
 from skincal.mesh.laid_check import LaidFindings, examine_layout, landmark_findings
 from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
-from skincal.mesh.load import load_surface
+from skincal.mesh.load import MeshSizeError, load_surface
 from skincal.mesh.surface import Surface, entry_points
 from skincal.model.errors import InputError
 from skincal.model.scene import UNITS, SurfaceSpec, load_scene
@@ -35,6 +35,8 @@ KeptResult = TypeVar("KeptResult")
 UNREPORTED_FINDINGS = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS)
 """Findings about a mesh that change nothing for the person: the size is shown anyway."""
 NOT_PLACED = "The layout is shown on the part, but not placed yet: click where its middle lies, or drag it."
+OTHER_UNIT = "Choose another unit in the list Unit."
+OTHER_MESH = "Correct its scale in the URDF, or name a copy of it in the field Mesh and choose the unit in the list Unit."
 FIRST_SIDE = (0.83, 0.42, 0.36)
 """Unit, link frame: the side of a part that is seen first."""
 FIRST_SIDE_BONUS = 0.05
@@ -191,7 +193,11 @@ class _Work:
 
     def _load_mesh(self, spec: SurfaceSpec) -> None:
         rows = tuple(tuple(float(value) for value in row) for row in spec.link_from_mesh)
-        surface, findings = self.once(_load_surface, spec.path, spec.scale, rows, spec.replaces_unit)
+        try:
+            surface, findings = self.once(_load_surface, spec.path, spec.scale, rows, spec.replaces_unit)
+        except MeshSizeError as error:
+            advice = OTHER_UNIT if self.draft.mesh is not None else OTHER_MESH
+            raise with_offer(InputError(error.seen), f" {advice}") from None
         self.values["surface"] = surface
         self.values["size_mm"] = tuple(float(side) for side in np.ptp(surface.vertices, axis=0) * 1e3)
         self.findings["part"] = (*self.findings.get("part", ()), *findings)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtTest import QTest
@@ -13,6 +15,7 @@ from app.session.controller import DEMO_SPEED_FACTOR
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
 from app.text.demo_text import FIRST_MINUTE, pace_words, simulated_words
+from app.text.message import Message, closed_words, kept_words
 from skincal.model.scene import resource
 from skincal.session.replay import replay
 from tests.app.whole_window import OPEN_MS, Bench
@@ -97,16 +100,45 @@ def test_enter_keeps_a_provisional_session(bench, kept_before):
 
 def test_before_another_session_is_opened_it_is_asked_too_and_nothing_happens_until_then(bench, recorded):
     pokes = poked(bench)
+    bench.window.tell(Message("It is so with the first session.", error=True))
     bench.window.open(OpenRequest(session=recorded))
     answer(bench, "Cancel")
     assert len(bench.snapshot.pokes) == pokes
+    assert "It is so with the first session." in told(bench)
     bench.window.open(OpenRequest(session=recorded))
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
         answer(bench, "Do not keep")
+    assert "It is so with the first session." not in told(bench), "the list is about the open session"
+    assert "It is so" not in bench.window.messages.text.text() or not bench.window.messages.isVisible()
     assert not bench.documents.exists()
     assert bench.controller.unsaved_pokes == 0
     bench.window.close()
     assert not bench.window.isVisible(), "a recording in its own folder is not asked about"
+
+
+def test_the_next_session_says_where_the_one_before_is_kept(bench, recorded):
+    poked(bench)
+    bench.window.open(OpenRequest(session=recorded))
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        answer(bench, "Keep")
+    (kept,) = bench.documents.iterdir()
+    assert closed_words(kept) in told(bench)
+    assert kept_words(kept) not in told(bench), "it is no longer this session"
+
+
+def test_the_question_whether_to_keep_a_session_counts_the_pokes_that_come_meanwhile(bench, monkeypatch):
+    pokes = poked(bench)
+    bench.window.open(OpenRequest(scene=resource("scenes/flat-patch/scene.toml")))
+    assert str(pokes) in bench.window._question.text()
+    more = replace(bench.recording.pipeline.snapshot(), pokes=bench.snapshot.pokes * 2)
+    monkeypatch.setattr(bench.recording.pipeline, "snapshot", lambda *_: more)
+    bench.until(lambda: f" {len(more.pokes)} poke" in bench.window._question.text(), 5000)
+    monkeypatch.undo()
+    answer(bench, "Cancel")
+
+
+def told(bench) -> str:
+    return "\n".join(message.text for _, message in bench.window.messages.kept)
 
 
 def test_a_kept_simulated_session_is_marked_and_asks_before_it_connects(bench):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 import trimesh
@@ -15,6 +17,7 @@ from app.builder.skin_step import SkinStep
 from app.dialogs.new_session import NewSessionDialog
 from skincal.model.scene import load_scene
 from skincal.model.skin import SkinKind
+from skincal.session.draft_preview import OTHER_MESH, OTHER_UNIT
 from skincal.session.part_draft import open_draft
 from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS
@@ -205,3 +208,44 @@ def test_an_own_mesh_on_a_robot_has_its_unit_and_a_link_without_a_mesh_can_be_ch
     choose(step.unit, "mm")
     build.settle()
     assert build.page.preview.problems.get("part") is None
+
+
+def test_a_mesh_that_the_urdf_scales_wrongly_is_mended_in_the_fields_that_the_sentence_names(bench, tube, tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(
+        f'<robot name="arm"><link name="base"/><link name="part"><visual><geometry><mesh filename="{tube.name}"/></geometry>'
+        '</visual></link><joint name="ft" type="fixed"><parent link="base"/><child link="part"/></joint></robot>'
+    )
+    build = Builder(bench, urdf)
+    step = build.open_step("part")
+    step.take_link("part")
+    build.settle()
+    assert OTHER_MESH in build.page.findings.text()
+    # "name a copy of it in the field Mesh and choose the unit in the list Unit"
+    step.own_mesh.setText(str(shutil.copy(tube, tmp_path / "copy.stl")))
+    step.own_mesh.editingFinished.emit()
+    build.settle()
+    choose(step.unit, "mm")
+    build.settle()
+    assert step.size_text.text().startswith("120 x 80 x 80 mm")
+
+
+def test_a_wrong_unit_is_mended_in_the_list_that_the_sentence_names(bench, tmp_path):
+    trimesh.creation.box((2.5, 4.6, 3.0)).export(tmp_path / "inches.stl")
+    build = Builder(bench, tmp_path / "inches.stl")
+    step = build.page.open_step
+    choose(step.unit, "in")
+    build.settle()
+    assert build.page.preview.size_mm == pytest.approx((63.5, 116.84, 76.2), rel=1e-4)
+    choose(step.unit, "m")
+    build.settle()
+    assert build.page.preview.surface is None
+    said = build.page.findings.text()
+    assert said.endswith(OTHER_UNIT)
+    assert "--unit" not in said
+    # "Choose another unit in the list Unit."
+    assert step.unit.isVisible()
+    assert step.form.labelForField(step.unit).text().replace("&", "") == "Unit"
+    choose(step.unit, "in")
+    build.settle()
+    assert build.page.preview.size_mm == pytest.approx((63.5, 116.84, 76.2), rel=1e-4)

@@ -62,6 +62,19 @@ def test_what_is_asked_stays_until_it_is_done(page):
     assert not bar.isVisible()
 
 
+def test_a_result_takes_the_place_of_the_progress_of_its_work_alone(page):
+    bar = page.bar
+    bar.tell(Message("Device lost.", error=True))
+    bar.tell(Message("Writing.", found=True, work="report"))
+    bar.tell(Message("Written.", work="report"))
+    bar.dismiss()
+    assert "Device lost." in bar.text.text()
+    bar.tell(Message("Writing.", found=True, work="report"))
+    bar.tell(Message("No room.", error=True, work="report"))
+    bar.dismiss()
+    assert "Device lost." in bar.text.text()
+
+
 def test_errors_stay_until_they_are_read_and_news_disappears(page):
     bar, timer = page.bar, timer_of(page)
     bar.show_newest()

@@ -247,6 +247,10 @@ def test_devices_show_rate_losses_and_faults(qtbot):
     card = show(link(state=LinkState.LOST, text="/dev/ttyUSB0 vanished; plug it in again."), 100.2)
     assert card.detail.text() == "/dev/ttyUSB0 vanished; plug it in again."
     assert changed(good, pixels(card.sign)) > 50
+    assert show(link(losses={}), 100.3).losses.text().split("\n")[0].endswith("good, none lost")
+    lost = show(link(state=LinkState.LOST, losses={}), 100.4)
+    assert lost.rate.text() == "lost"
+    assert lost.losses.text().split("\n")[0].endswith("good"), "nothing in the card says the opposite of its state"
     assert show(link(), 105.0).rate.text() == "silent"
     warm = link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
     said = show(warm, 200.0).losses.text()
