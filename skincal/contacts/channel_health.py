@@ -26,6 +26,12 @@ STUCK_IF_CONSTANT_FOR_S = 60.0
 NOISY_SKIN_MIN_CHANGED_FRAME_SHARE = 0.75
 """Share of the frames in which the typical channel changes, on a skin with noise of a raw unit and more. On a coarser skin a
 good channel may keep its value for minutes."""
+STUCK_MIN_POKES_WITHOUT_ANY_CHANGE = 10
+"""Pokes that must have been seen before a channel that never changed is stuck; short logs end before
+`STUCK_IF_CONSTANT_FOR_S`."""
+NEVER_CHANGED_MIN_CHANGED_FRAME_SHARE = 0.5
+"""Share of frames with a change of the typical channel, for one without any change to be stuck. Such noise is half a raw unit
+and more, so a good channel changes hundreds of times during these pokes."""
 STUCK_MIN_POKES_ON_NEIGHBOUR = 6
 """Pokes on a neighbour, without any change of this channel, that make it stuck."""
 ALWAYS_ON_MIN_FAR_POKES_ANSWERED = 5
@@ -170,12 +176,19 @@ class ChannelHealth:
         own, word = self._candidates, DeadCause.STUCK.value
         value, unchanged_s = self._last[own], host_s - self._changed_s[own]
         # An exact value means something only if the typical channel changes in most frames.
-        is_noisy = float(np.median(self._changes[own])) >= NOISY_SKIN_MIN_CHANGED_FRAME_SHARE * self._frames
+        typical_changes = float(np.median(self._changes[own]))
+        is_noisy = typical_changes >= NOISY_SKIN_MIN_CHANGED_FRAME_SHARE * self._frames
         since = f"for {STUCK_IF_CONSTANT_FOR_S:g} s or more while the others vary"
         dead = {
             c: f"{word}: exactly {self._last[c]:g} {since}"
             for c in own[(unchanged_s >= STUCK_IF_CONSTANT_FOR_S) & is_noisy].tolist()
         }
+        varies = typical_changes >= NEVER_CHANGED_MIN_CHANGED_FRAME_SHARE * self._frames
+        if varies and self._pokes >= STUCK_MIN_POKES_WITHOUT_ANY_CHANGE:
+            # Without a layout nothing says which channels are taxels.
+            no_taxel = ", or no taxel" if self._positions is None else ""
+            never = own[self._changes[own] == 0].tolist()
+            dead |= {c: f"{word}{no_taxel}: exactly {self._last[c]:g} in every frame while the others vary" for c in never}
         pokes = f"through {STUCK_MIN_POKES_ON_NEIGHBOUR} pokes or more on its neighbours"
         near = own[self._near_pokes[own] >= STUCK_MIN_POKES_ON_NEIGHBOUR].tolist()
         dead |= {c: f"{word}: exactly {self._last[c]:g} {pokes}" for c in near}

@@ -176,3 +176,33 @@ def test_a_press_that_spreads_along_a_strip_is_no_matrix_without_diodes(tmp_path
     assert "too many taxels answer" in said
     assert "diode" not in said
     assert "write taxels_max = 10" in said
+
+
+@pytest.mark.parametrize("layout", [False, True])
+def test_a_dead_row_is_named_in_a_log_of_half_a_minute(tmp_path, capsys, layout):
+    board = Board(rows=5, columns=5, pokes_each=1)
+    frames = poke(board)
+    values = frames.plain
+    values[:, 10:15] = np.round(frames.rest[10:15])
+    snapshot = import_board(tmp_path, frames, values, layout=layout)
+    assert frames.times[-1] < 45.0
+    assert list(snapshot.dead) == [10, 11, 12, 13, 14]
+    word = "stuck: exactly" if layout else "stuck, or no taxel: exactly"
+    assert all(why.startswith(word) for why in snapshot.dead.values())
+    off, expected = errors(snapshot, board).T
+    assert off.mean() < expected.mean()
+    assert (off < 2.0 * expected).all()
+    capsys.readouterr()
+    assert main(["solve", str(tmp_path / "s")]) == 0
+    assert f"channel 10 is not used: {word}" in capsys.readouterr().out
+    assert dict(replay(tmp_path / "s").snapshot().dead) == dict(snapshot.dead)
+
+
+def test_a_quiet_channel_of_a_coarse_board_that_nothing_presses_is_not_called_stuck(tmp_path):
+    board = Board(rows=5, columns=5, pokes_each=2, noise=0.25)
+    frames = poke(board, targets=[*range(5, 25)] * 2)
+    values = frames.plain
+    values[:, 0] = np.round(frames.rest[0])
+    snapshot = import_board(tmp_path, frames, values)
+    assert len(snapshot.contacts) >= 20
+    assert not snapshot.dead
