@@ -52,6 +52,8 @@ class Evidence:
     """(n,) float, 0 < k <= 1."""
     trust: FloatArray
     """(n,) float, 0 to 1: below 1 for outliers of the taxel."""
+    unranked: NDArray[np.bool_]
+    """(n,) whether the answer is one of several of its poke at the end of the range: any of them may be the pressed one."""
 
     @property
     def directions(self) -> FloatArray:
@@ -117,6 +119,7 @@ class Evidence:
             self.columns[:, answers],
             self.weights[answers],
             self.trust[answers],
+            self.unranked[answers],
         )
 
 
@@ -125,7 +128,7 @@ _CONTACT_TABLE_COLUMNS = 17
 _INITIAL_TABLE_ROWS = 64
 """Rows to begin with; doubled when full."""
 _CONTACT = np.dtype([("poke", "i8"), ("pose", "i8"), ("live", "?"), ("total", "f8")])
-_ANSWER = np.dtype([("contact", "i8"), ("weight", "f8")])
+_ANSWER = np.dtype([("contact", "i8"), ("weight", "f8"), ("unranked", "?")])
 
 
 class ContactTable:
@@ -151,7 +154,7 @@ class ContactTable:
         """
         if not contacts:
             return
-        columns, (owner, channels, weights) = _carry_to_link(contacts), _list_answers(contacts)
+        columns, (owner, channels, weights, unranked) = _carry_to_link(contacts), _list_answers(contacts)
         first, begin = self._contact_count, self._answer_count
         self._contact_count, self._answer_count = first + len(contacts), begin + len(owner)
         if self._contact_count > len(self._contacts):
@@ -165,7 +168,7 @@ class ContactTable:
         rows["pose"] = [self._poses.setdefault(contact.pose, len(self._poses)) for contact in contacts]
         rows["live"] = True
         rows["total"] = np.bincount(owner, weights=weights, minlength=len(contacts))
-        answers["contact"], answers["weight"] = owner + first, weights
+        answers["contact"], answers["weight"], answers["unranked"] = owner + first, weights, unranked
         for row, contact in enumerate(contacts, start=first):
             self.drop(contact.poke)
             self._row_of[contact.poke] = row
@@ -210,6 +213,7 @@ class ContactTable:
             columns=self._columns.take(rows, axis=1),
             weights=answers["weight"].take(order),
             trust=np.ones(len(rows)),
+            unranked=answers["unranked"].take(order),
         )
 
     def totals(self, pokes: IntArray) -> FloatArray:
@@ -272,8 +276,12 @@ def _grow(columns: NDArray[Any], room: int) -> NDArray[Any]:
     return grown
 
 
-def _list_answers(contacts: Sequence[Contact]) -> tuple[IntArray, IntArray, FloatArray]:
-    """List for each answer the index of its contact, its channel, and its weight k = t_j/max_y t_y."""
+def _list_answers(contacts: Sequence[Contact]) -> tuple[IntArray, IntArray, FloatArray, NDArray[np.bool_]]:
+    """List for each answer the index of its contact, its channel, its weight k = t_j/max_y t_y, and whether it is unranked.
+
+    Answers at the end of the range are lower bounds. Two and more of a contact are the strongest ones in an unknown
+    order, so each has the weight 1.
+    """
     answering = [contact.channels for contact in contacts]
     sizes = np.fromiter(map(len, answering), np.int64, len(answering))
     channels = np.concatenate(answering).astype(np.int64)
@@ -288,7 +296,18 @@ def _list_answers(contacts: Sequence[Contact]) -> tuple[IntArray, IntArray, Floa
     if not good.all():
         poke = contacts[int(owner[(~good).argmax()])].poke
         raise ValueError(f"poke {poke}: a taxel's response is not a number above zero")
-    return owner, channels, weights
+    unranked = _find_unranked(contacts, sizes)
+    weights[unranked] = 1.0
+    return owner, channels, weights, unranked
+
+
+def _find_unranked(contacts: Sequence[Contact], sizes: IntArray) -> NDArray[np.bool_]:
+    """Find the answers that are at the end of the range together with others of their contact; `sizes` counts answers."""
+    unranked, begins = np.zeros(int(sizes.sum()), dtype=bool), np.cumsum(sizes) - sizes
+    for contact, begin, size in zip(contacts, begins.tolist(), sizes.tolist(), strict=True):
+        if contact.clipped is not None and len(contact.clipped) > 1:
+            unranked[begin : begin + size] = np.isin(contact.channels, contact.clipped)
+    return unranked
 
 
 def _carry_to_link(contacts: Sequence[Contact]) -> FloatArray:

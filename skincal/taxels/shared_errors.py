@@ -39,6 +39,9 @@ MAX_DRIFT_PAIR_GAP = POKES_PER_DRIFT_BLOCK // 4
 DRIFT_VARIANCE_FACTOR_IF_CORRECTED = 2.0
 """True drift variance over that of the residuals under a correction. It absorbs the mean drift of each arm pose, which over the
 60 to 80 pokes of a pose has about half of the variance."""
+UNRANKED_SHIFT_PER_DISTANCE = 0.7
+"""How far pokes that press one of several taxels at the end of the range shift one of these, over the rms distance of the
+pokes. Over a disc it is 0, over half a disc, as at a straight rim, 0.60, over a quarter, as at a corner, 0.85."""
 RANK_MIN_INFORMATION_RATIO = 1e-9
 """Share of the largest information of a group below which there is none in a direction."""
 
@@ -180,6 +183,7 @@ def add_shared_errors(
     outward = free.transpose(0, 2, 1)
     inside = ordered.covariances(noise.skin)
     factors = _factors(evidence, trust, places, noise, free.shape[1])
+    inside = inside + free @ _unranked_covariances(evidence, trust, places, noise) @ outward
     if known[0].method is Method.FREE:
         bends = np.sqrt(factors * (factors - 1.0))[:, None] * _curvature_biases(evidence, trust, normals, held, noise)
         for off in (bends, _force_biases(evidence, trust, places, held, noise)):
@@ -199,6 +203,24 @@ def _factors(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: N
     off = dots(pairs, (evidence.nearest - places)[:, None])
     squares = dots(off, dots(precision, off[:, None]))
     return variance_factors(squares, trust, evidence.starts[:-1], unknowns)
+
+
+def _unranked_covariances(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: NoiseSettings) -> FloatArray:
+    """Compute (t, 3, 3) the covariances of taxels by answers that are unranked, m^2; arguments as for `_factors`.
+
+    The pressed taxel is any of those at the end of the range. At a rim these lie to one side, so more pokes do not
+    move the estimate nearer to its taxel: a share of the mean square distance of the pokes' axes stays.
+    """
+    if not evidence.unranked.any():
+        return np.zeros((len(evidence.channels), 3, 3))
+    starts, pairs, weights = evidence.starts[:-1], evidence.pairs, trust * evidence.weights**2
+    own = np.where(evidence.unranked, weights, 0.0)[:, None, None]
+    away = dots(pairs, (evidence.nearest - places)[:, None])[:, None] @ pairs
+    shift = UNRANKED_SHIFT_PER_DISTANCE**2 * np.add.reduceat(own * away.transpose(0, 2, 1) @ away, starts)
+    # One poke has no distance from itself: its answer has the height that the scene's reach lets expect.
+    count = np.maximum(np.add.reduceat(evidence.unranked.astype(np.int64), starts), 1)
+    single = noise.reach**2 * np.add.reduceat(own * pairs.transpose(0, 2, 1) @ pairs, starts) / count[:, None, None]
+    return (shift + single) / np.add.reduceat(weights, starts)[:, None, None]
 
 
 def _force_biases(

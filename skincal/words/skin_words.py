@@ -94,7 +94,8 @@ def _clipped(at: SkinCondition) -> str:
         return ""
     together = (
         f" In {at.clipped_together} of them several taxels are there at once, so nothing says which one the tip is nearest to: "
-        "these taxels may be off by half their spacing, and the expected error leaves that out."
+        "these taxels count alike and may be off by half their spacing. "
+        "The expected error contains that, but not if modules are placed."
         if at.clipped_together
         else " Only one taxel at a time is there, so positions stay as good."
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace as with_fields
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from skincal.cli import main
 from skincal.contacts.outcome import Contact
 from skincal.session.replay import load, replay
+from skincal.taxels.contact_table import ContactTable
 from tests.skincal.soldered_board import Board, errors, import_board, poke
 
 BOARD = Board(rows=5, columns=5, pokes_each=2)
@@ -206,3 +208,42 @@ def test_a_quiet_channel_of_a_coarse_board_that_nothing_presses_is_not_called_st
     snapshot = import_board(tmp_path, frames, values)
     assert len(snapshot.contacts) >= 20
     assert not snapshot.dead
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("rows", "pitch", "reach", "top"), [(5, 0.008, 0.0055, 160.0), (6, 0.006, 0.004, 170.0)])
+def test_the_expected_error_covers_answers_that_end_at_the_range_together(tmp_path, capsys, rows, pitch, reach, top, seed):
+    """Pressed taxels would answer with up to 600 counts, and the board's converter ends at a tenth of that above rest."""
+    board = Board(rows=rows, columns=rows, pitch=pitch, reach=reach, pokes_each=6)
+    frames = poke(board, seed)
+    values = np.minimum(frames.plain, top)
+    snapshot = import_board(tmp_path, frames, values, more="[contacts]\ntaxels_max = 16\n")
+    together = [each for each in snapshot.contacts if each.clipped is not None and len(each.clipped) > 1]
+    assert len(together) > 0.9 * len(snapshot.contacts) > 100
+    assert f"pressed taxels reach {top:g}, the end of its range" in capsys.readouterr().out
+    off, expected = errors(snapshot, board).T
+    true, predicted = np.sqrt(np.mean(off**2)), np.sqrt(np.mean(expected**2))
+    assert true < 0.7 * pitch
+    assert true <= predicted < 1.5 * true
+    assert (off < 2.0 * expected).mean() >= 0.9
+
+
+def test_answers_at_the_end_of_the_range_have_equal_weights_if_they_are_several():
+    first = Contact(
+        poke=1, start_s=0.0, end_s=1.0, force=np.array([0.0, 0.0, -5.0]), moment=np.array([0.01, 0.02, 0.0]),
+        channels=np.array([2, 3, 7]), responses=np.array([150.0, 120.0, 60.0]), link_from_sensor=np.eye(4), pose="",
+        tare_change=0.0, final=True,
+    )  # fmt: skip
+    weights = {
+        name: dict(
+            zip(
+                evidence.channels.tolist(), zip(evidence.weights.tolist(), evidence.unranked.tolist(), strict=True), strict=True
+            )
+        )
+        for name, clipped in {"none": None, "one": [2], "two": [2, 3]}.items()
+        for evidence in [
+            ContactTable([with_fields(first, clipped=None if clipped is None else np.array(clipped))]).evidence([2, 3, 7])
+        ]
+    }
+    assert weights["none"] == weights["one"] == {2: (1.0, False), 3: (0.8, False), 7: (0.4, False)}
+    assert weights["two"] == {2: (1.0, True), 3: (1.0, True), 7: (0.4, False)}
