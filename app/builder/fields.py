@@ -5,8 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
-from PySide6.QtCore import QSignalBlocker, Signal
-from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QPushButton, QSpinBox, QWidget
+from PySide6.QtCore import QObject, QSignalBlocker, Signal
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QHBoxLayout,
+    QLineEdit,
+    QPushButton,
+    QSpinBox,
+    QWidget,
+)
 
 from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_row
@@ -37,6 +46,15 @@ def set_silently(box: QDoubleSpinBox | QSpinBox, value: float) -> None:
             box.setValue(value)
 
 
+def take_typed(field: QObject) -> None:
+    """Report what is typed in a field, as if the focus left it."""
+    if isinstance(field, QAbstractSpinBox) and field.lineEdit().isModified():
+        field.interpretText()
+        field.editingFinished.emit()
+    elif isinstance(field, QLineEdit) and field.isModified():
+        field.editingFinished.emit()
+
+
 class VectorField(QWidget):
     """Three numbers in a row: a point in millimetres, or a direction.
 
@@ -57,6 +75,8 @@ class VectorField(QWidget):
             box.valueChanged.connect(partial(self._on_change, box))
             box.editingFinished.connect(partial(self._report, box))
         self._is_changed = False
+        # Without a policy of its own the key of a label would not reach the proxy.
+        self.setFocusPolicy(self.boxes[0].focusPolicy())
         self.setFocusProxy(self.boxes[0])
 
     def _on_change(self, box: QDoubleSpinBox, _: float) -> None:

@@ -10,12 +10,23 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
-from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QButtonGroup, QFrame, QLabel, QSplitter, QStackedWidget, QToolButton, QWidget
+from PySide6.QtCore import QEvent, QObject, Qt, QTimer, Signal
+from PySide6.QtGui import QKeyEvent, QKeySequence, QShortcut
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QButtonGroup,
+    QFrame,
+    QLabel,
+    QLineEdit,
+    QSplitter,
+    QStackedWidget,
+    QStyle,
+    QToolButton,
+    QWidget,
+)
 
 from app.builder.check_step import CheckStep
-from app.builder.fields import button
+from app.builder.fields import button, take_typed
 from app.builder.joints_step import JointsStep
 from app.builder.part_step import PartStep
 from app.builder.place_step import PlaceStep
@@ -90,23 +101,53 @@ class BuilderPage(QWidget):
         self.undo_button = button("\N{LEFTWARDS ARROW WITH HOOK}", "undo (Ctrl+Z)", self.undo)
         self.redo_button = button("\N{RIGHTWARDS ARROW WITH HOOK}", "redo (Ctrl+Y)", self.redo)
         for each in (self.undo_button, self.redo_button):
-            each.setFixedWidth(scaled(UNDO_BUTTON_WIDTH_PX))
             each.setEnabled(False)
         self.leave_button, self.start = button("&Close", run=self.left.emit), button("Save and s&tart", run=self.save_and_start)
         self.back = button("\N{LEFTWARDS ARROW} &Back", run=partial(self._go, -1))
         self.next = button("Ne&xt", run=partial(self._go, 1))
         buttons = self.undo_button, self.redo_button, self.leave_button, 1, self.back, self.next, self.start
-        side = QFrame()
+        self._side = side = QFrame()
         side.setObjectName("card")
-        side.setMinimumWidth(scaled(FIELDS_COLUMN_WIDTH_PX))
         tabs = make_row(*self.tabs.buttons(), 1, gap=2)
         make_column(tabs, (self.stack, 1), self.findings, make_row(*buttons), within=side, gap=WIDGET_GAP_PX)
         self.across = QSplitter(Qt.Orientation.Horizontal, self, childrenCollapsible=False, handleWidth=WIDGET_GAP_PX)
         self.across.addWidget(self.view)
         self.across.addWidget(side)
         self.across.setStretchFactor(0, 1)
-        self.across.setSizes([10_000, scaled(FIELDS_COLUMN_WIDTH_PX)])
         make_column(self.across, within=self, margins=WIDGET_GAP_PX)
+        self._fit_fields()
+        for field in (*self.findChildren(QAbstractSpinBox), *self.findChildren(QLineEdit)):
+            field.installEventFilter(self)
+
+    def _fit_fields(self) -> None:
+        """Make the side as wide as its widest step and the names of all steps need with this text."""
+        for each in (self.undo_button, self.redo_button):
+            each.setFixedWidth(scaled(UNDO_BUTTON_WIDTH_PX))
+        bar = self.style().pixelMetric(QStyle.PixelMetric.PM_ScrollBarExtent)
+        self.stack.setMinimumWidth(max(step.minimumSizeHint().width() for step in self.steps) + bar)
+        column = self._side.layout()
+        assert column is not None
+        column.activate()
+        wanted = max(scaled(FIELDS_COLUMN_WIDTH_PX), column.minimumSize().width())
+        if wanted != self._side.minimumWidth():
+            self._side.setMinimumWidth(wanted)
+            self.across.setSizes([10_000, wanted])
+
+    def changeEvent(self, event: QEvent) -> None:
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.FontChange:
+            # The widgets in the page get their font after it.
+            QTimer.singleShot(0, self, self._fit_fields)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Take a typed number before a key with Alt acts, which leaves the focus in its field."""
+        if (
+            event.type() == QEvent.Type.ShortcutOverride
+            and isinstance(event, QKeyEvent)
+            and event.modifiers() == Qt.KeyboardModifier.AltModifier
+        ):
+            take_typed(watched)
+        return False
 
     def _connect(self) -> None:
         self.tabs.idClicked.connect(lambda index: self.show_step(self.steps[index]))
@@ -274,6 +315,7 @@ class BuilderPage(QWidget):
             tab.setToolTip("" if step in shown else step.absent)
             tab.setText(f"{index + 1} {step.tab}{signs[states.get(step.name, State.OPTIONAL)]}")
             tab.setChecked(step is self.open_step)
+        self._fit_fields()
         at = shown.index(self.open_step)
         self.back.setEnabled(at > 0)
         is_last = at == len(shown) - 1

@@ -46,10 +46,14 @@ def outside(window: QWidget) -> list[str]:
     """List widgets that take input or show words, and that no scrolling brings into the window."""
     found = []
     for each in window.findChildren(QWidget):
-        if not each.isVisible() or each.window() is not window or not _matters(each) or _scrolls(each, window):
+        if not each.isVisible() or each.window() is not window or not _matters(each):
             continue
         place = QRect(each.mapTo(window, QPoint(0, 0)), each.size())
-        if not window.rect().adjusted(-SLACK_PX, -SLACK_PX, SLACK_PX, SLACK_PX).contains(place):
+        if _is_beside(each, window):
+            found.append(f"{_name(each)} reaches over the side of its area")
+        elif not _scrolls(each, window) and not window.rect().adjusted(-SLACK_PX, -SLACK_PX, SLACK_PX, SLACK_PX).contains(
+            place
+        ):
             found.append(f"{_name(each)} at {place.getRect()} of {window.size().toTuple()}")
     return found
 
@@ -67,6 +71,18 @@ def _scrolls(widget: QWidget, window: QWidget) -> bool:
     while area is not None and area is not window:
         if isinstance(area, QScrollArea | QAbstractItemView):
             return True
+        area = area.parentWidget()
+    return False
+
+
+def _is_beside(widget: QWidget, window: QWidget) -> bool:
+    """Whether the widget reaches over the side of an area that scrolls up and down only."""
+    area = widget.parentWidget()
+    while area is not None and area is not window:
+        if isinstance(area, QScrollArea) and area.horizontalScrollBarPolicy() == Qt.ScrollBarPolicy.ScrollBarAlwaysOff:
+            left, room = widget.mapTo(area.viewport(), QPoint(0, 0)).x(), area.viewport().width()
+            if left < -SLACK_PX or left + widget.width() > room + SLACK_PX:
+                return True
         area = area.parentWidget()
     return False
 

@@ -63,6 +63,20 @@ def test_no_letter_stands_for_two_things_in_any_window(bench, recorded, monkeypa
     assert len(found) > 25
 
 
+@pytest.mark.timeout(300)
+def test_the_letter_of_each_label_leads_to_a_field(bench, recorded, monkeypatch):
+    found = {}
+    for name, window in every_page(bench, recorded, monkeypatch):
+        for label in window.findChildren(QLabel):
+            if label.isVisibleTo(window) and label.window() is window and LETTER.search(label.text().replace("&&", "")):
+                buddy = label.buddy()
+                if label.textFormat() != Qt.TextFormat.PlainText and (
+                    buddy is None or not buddy.focusPolicy() & Qt.FocusPolicy.TabFocus
+                ):
+                    found.setdefault(name, []).append(label.text())
+    assert found == {}
+
+
 def test_menus_have_no_long_run_of_entries_without_a_line(bench):
     for name, menu in bench.window.commands.menus.items():
         run = 0

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import pytest
+import trimesh
 from PySide6.QtCore import QRect, Qt
 from PySide6.QtWidgets import QHeaderView, QLabel, QPushButton, QWidget
 
 from app.panels import widgets
 from app.panels.widgets import put_rows, table
+from app.text_size import STEPS
 from app.theme import Choice
 from tests.app.cut_texts import cut_texts, outside
-from tests.app.every_page import every_page
+from tests.app.every_page import builder_steps, every_page
+from tests.app.whole_window import OPEN_MS
 
 SIZES = [((1366, 768), 100), ((1024, 700), 100), ((1024, 700), 150), ((1366, 768), 150)]
+SIZE_NAMES = ["1366x768", "1024x700", "1024x700 at 150 %", "1366x768 at 150 %"]
 
 
 @pytest.mark.timeout(400)
-@pytest.mark.parametrize(("size", "percent"), SIZES, ids=["1366x768", "1024x700", "1024x700 at 150 %", "1366x768 at 150 %"])
+@pytest.mark.parametrize(("size", "percent"), SIZES, ids=SIZE_NAMES)
 def test_nothing_is_cut_on_any_page(bench, recorded, monkeypatch, size, percent):
     window = bench.window
     bench.theme.choose(Choice.DARK if percent == 100 else Choice.LIGHT)
@@ -36,6 +40,23 @@ def test_nothing_is_cut_on_any_page(bench, recorded, monkeypatch, size, percent)
         if problems:
             found[name] = problems
     assert found == {}
+
+
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("size", [(1366, 768), (1024, 700)], ids=["1366x768", "1024x700"])
+@pytest.mark.parametrize("percent", [150, STEPS[-1]])
+def test_nothing_of_a_new_part_is_cut_when_the_text_grows_while_it_is_described(bench, tmp_path, size, percent):
+    trimesh.creation.cylinder(40.0, 120.0).export(tmp_path / "tube.stl")
+    bench.window.resize(*size)
+    bench.window.ask_part(tmp_path / "tube.stl")
+    bench.until(lambda: bench.window.builder.is_settled, OPEN_MS)
+    bench.window.text_size.choose(percent)
+    found = {}
+    for name, page in builder_steps(bench):
+        if problems := cut_texts(page.builder) + outside(page):
+            found[name] = problems
+    assert found == {}
+    assert bench.window.size().toTuple() == size
 
 
 def test_cut_things_are_found(qtbot):

@@ -413,3 +413,37 @@ def test_the_numbers_of_the_steps_stay_and_an_empty_step_says_what_is_missing(be
     for step in (1, 3):
         build.page.next.click()
         assert build.page.open_step is build.page.steps[step]
+
+
+def test_a_typed_number_is_taken_before_a_key_with_alt_acts(bench, tube):  # noqa: F811
+    build = Keys(bench, tube)
+    build.activate()
+    alt = Qt.KeyboardModifier.AltModifier
+    build.press(Qt.Key.Key_2, alt)
+    step = build.page.open_step
+    build.tab_to(step.bottom_gap)
+    build.press(Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
+    QTest.keyClicks(QApplication.focusWidget(), "30")
+    build.press(Qt.Key.Key_D, alt)
+    build.settle()
+    assert build.draft.sensor_pose[2][3] == pytest.approx(-0.03), "30 mm below a part that stands on z = 0"
+    build.press(Qt.Key.Key_I, alt)
+    assert step.origin.boxes[0].hasFocus()
+    build.tab_to(step.origin.boxes[1])
+    build.press(Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
+    QTest.keyClicks(QApplication.focusWidget(), "17")
+    build.press(Qt.Key.Key_4, alt)
+    build.settle()
+    assert build.page.open_step.name == "skin"
+    assert build.draft.sensor_pose[1][3] == pytest.approx(0.017)
+
+
+@pytest.mark.parametrize("name", ["sensor", "place", "check"])
+def test_alt_i_leads_to_the_position(bench, tube, name):  # noqa: F811
+    build = Keys(bench, tube)
+    build.activate()
+    choose(build.open_step("skin").layout_kind, "grid")
+    step = build.open_step(name)
+    build.press(Qt.Key.Key_I, Qt.KeyboardModifier.AltModifier)
+    field = {"sensor": "origin", "place": "point", "check": "place"}[name]
+    assert getattr(step, field).boxes[0].hasFocus()
