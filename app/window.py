@@ -50,6 +50,7 @@ LOG = logging.getLogger(__name__)
 MAX_REMEMBERED_ADDRESSES = 50  # Addresses that the operator named or agreed to; no laboratory has more devices
 DOCUMENTS_FOLDER = Path(__file__).resolve().parents[1] / "docs"
 """Next to the program in a checkout; a package comes without."""
+PARTS_FOLDER = "scenes"  # Of the documents: the parts that the operator described
 OWN_SCENE_SETTING = "window/own_scene"  # A scene of the operator's own was opened
 KEEP_COUNT_PERIOD_MS = 250  # The question whether to keep a session counts its pokes again
 IMPORT_SCENE_SETTING = "import/scene"  # Scene of the last import
@@ -308,7 +309,8 @@ class Window(QMainWindow):
     def _show_storage(self, words: str) -> None:
         self.where.setText(words)
         if self.controller.folder is not None:
-            self.recent.remember(self.controller.folder)
+            part = "" if self.session_view is None else self.session_view.workspace.part.scene.name
+            self.recent.remember(self.controller.folder, part)
         self.commands.update_actions()
 
     def _message_place(self) -> QWidget:
@@ -459,7 +461,7 @@ class Window(QMainWindow):
             return
         kept = Path(str(self._settings.value(IMPORT_SCENE_SETTING, "")))
         scene = self._scene_path() or find_scene(kept if kept.is_file() else None)
-        self._import = dialog = ImportDialog(paths, scene, self._new_folder(), self)
+        self._import = dialog = ImportDialog(paths, scene, self._new_folder(), self, self._documents / PARTS_FOLDER)
         dialog.imported.connect(self._open_imported)
         dialog.finished.connect(self._forget_import)
         dialog.open()
@@ -494,7 +496,7 @@ class Window(QMainWindow):
 
     def ask_scene(self) -> None:
         """Ask for a scene file, and change it on the page for parts."""
-        path, _ = QFileDialog.getOpenFileName(self, "Change a part", str(self._documents / "scenes"), "Scene (*.toml)")
+        path, _ = QFileDialog.getOpenFileName(self, "Change a part", str(self._documents / PARTS_FOLDER), "Scene (*.toml)")
         if path:
             self.change_part(Path(path))
 
@@ -505,7 +507,7 @@ class Window(QMainWindow):
     def _open_builder(self, start: Callable[[BuilderPage], object]) -> None:
         from app.builder.page import BuilderPage
 
-        page = BuilderPage(self._documents / "scenes", self)
+        page = BuilderPage(self._documents / PARTS_FOLDER, self)
         try:
             start(page)
         except InputError as error:
@@ -548,7 +550,9 @@ class Window(QMainWindow):
         from app.dialogs.new_session import NewSessionDialog
 
         known = self._known_addresses()
-        dialog = NewSessionDialog(scene, self._new_folder(), self, known, paused=paused, proposed=addresses)
+        dialog = NewSessionDialog(
+            scene, self._new_folder(), self, known, paused=paused, proposed=addresses, parts=self._documents / PARTS_FOLDER
+        )
         dialog.request_chosen.connect(self.open)
         self._open_page(dialog, paused=paused)
 

@@ -22,19 +22,33 @@ from skincal.model.scene import load_scene, resource
 BUTTON_ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
 
 
+def _scenes_in(folder: Path) -> list[Path]:
+    """List the scenes in a folder of scenes; empty if it cannot be read."""
+    try:
+        return sorted(folder.glob("*/scene.toml"))
+    except OSError:
+        return []
+
+
 class ScenePicker(QComboBox):
-    """Editable list of the shipped scenes. Each choice is read in the background."""
+    """Editable list of the operator's own parts and of the shipped scenes. Each choice is read in the background."""
 
     scene_read = Signal(object, str)  # `Scene`, or `None` and the reason
 
-    def __init__(self, scene: Path | None) -> None:
+    def __init__(self, scene: Path | None, parts: Path | None = None) -> None:
         super().__init__()
         self.setEditable(True)
         self.setAccessibleName("scene")
         # A copy of the program may come without scenes.
+        shipped: list[Path] = []
         with suppress(InputError):
-            for path in sorted(resource("scenes").glob("*/scene.toml")):
-                self.addItem(path.parent.name, str(path))
+            shipped = _scenes_in(resource("scenes"))
+        names = {path.parent.name for path in shipped}
+        for path in [] if parts is None else _scenes_in(parts):
+            name = path.parent.name
+            self.addItem(f"{name} (own)" if name in names else name, str(path))
+        for path in shipped:
+            self.addItem(path.parent.name, str(path))
         if scene is not None:
             index = self.findData(str(scene))
             self.setCurrentIndex(index) if index >= 0 else self.setEditText(str(scene))

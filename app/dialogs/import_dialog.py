@@ -74,11 +74,14 @@ class ImportDialog(Dialog):
     paths : files or a folder of the recording; empty to choose them here
     scene : file of the proposed scene
     folder : proposed for the session
+    parts : folder of the operator's own parts
     """
 
     imported = Signal(object, str)  # `Imported`, and the file of the chosen scene
 
-    def __init__(self, paths: Sequence[Path], scene: Path, folder: Path, parent: QWidget | None = None) -> None:
+    def __init__(
+        self, paths: Sequence[Path], scene: Path, folder: Path, parent: QWidget | None = None, parts: Path | None = None
+    ) -> None:
         super().__init__("Import a recording", parent, StandardButton.Ok | StandardButton.Cancel)
         self._jobs = JobQueue(self)
         self._finds, self._places = (ThreadService(name, self) for name in ("recordings", "places"))
@@ -96,7 +99,7 @@ class ImportDialog(Dialog):
         self.take_folder, self.take_files = QPushButton(f"F&older{BUTTON_ELLIPSIS}"), QPushButton(f"Fi&les{BUTTON_ELLIPSIS}")
         self.fields = {stream: QLineEdit() for stream in STREAM_TITLES}
         self.form = QWidget()
-        self.scene, self.pose, self.folder = ScenePicker(scene), QComboBox(), QLineEdit(str(folder))
+        self.scene, self.pose, self.folder = ScenePicker(scene, parts), QComboBox(), QLineEdit(str(folder))
         self.kind = secondary_label(wrap=True)
         self.streams = table("streams of the recording", HEADINGS)
         self.curve, self.curve_words = Sparkline("force of the recording"), secondary_label(wrap=True)

@@ -252,6 +252,7 @@ class NewSessionDialog(Dialog):
     present : addresses and scene of the open session, to change its addresses
     paused : the recording of the open session is paused for this dialog
     proposed : addresses that the operator agreed to on the page before
+    parts : folder of the operator's own parts
     """
 
     request_chosen = Signal(object)
@@ -267,13 +268,14 @@ class NewSessionDialog(Dialog):
         *,
         paused: bool = False,
         proposed: Addresses | None = None,
+        parts: Path | None = None,
     ) -> None:
         title = "New session" if present is None else "Device addresses"
         super().__init__(title, parent, StandardButton.Ok | StandardButton.Cancel)
         self._known, self._present, self._paused = tuple(known), present, paused
         self._scene: Scene | None = None
         self._note = secondary_label(wrap=True)
-        self.scene = ScenePicker(scene)
+        self.scene = ScenePicker(scene, parts)
         self.rows = {stream: StreamRow(stream) for stream in Stream}
         self.fields = {stream.value: row.field for stream, row in self.rows.items()}
         self.pose_label, self.pose = QLabel("Arm &pose"), compact_combo("arm pose")

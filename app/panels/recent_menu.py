@@ -12,6 +12,7 @@ from skincal.model.errors import plain_text, shortened
 
 MAX_SESSIONS, MAX_NAME_LENGTH = 10, 60
 RECENT_SETTING = "recent"
+RECENT_PARTS_SETTING = "recent_parts"  # Names of the parts, in the same order
 
 
 def kept_texts(settings: QSettings, name: str) -> list[str]:
@@ -22,7 +23,7 @@ def kept_texts(settings: QSettings, name: str) -> list[str]:
 
 
 class RecentMenu(QMenu):
-    """Up to `MAX_SESSIONS` sessions by name, the newest first; missing folders are left out."""
+    """Up to `MAX_SESSIONS` sessions by the names of folder and part, the newest first; missing folders are left out."""
 
     chosen = Signal(object)  # `Path` of the folder
 
@@ -34,19 +35,30 @@ class RecentMenu(QMenu):
         # An empty menu might not open.
         self._add_none()
 
-    def remember(self, folder: Path) -> None:
-        path = str(folder.absolute())
-        others = [other for other in kept_texts(self._settings, RECENT_SETTING) if other != path]
-        self._settings.setValue(RECENT_SETTING, [path, *others][:MAX_SESSIONS])
+    def remember(self, folder: Path, part: str = "") -> None:
+        """Put a session first; `part` is the name of its part, empty if it is not known now."""
+        path, known = str(folder.absolute()), self._known()
+        name = part or next((named for other, named in known if other == path), "")
+        self._write_settings([(path, name), *(each for each in known if each[0] != path)][:MAX_SESSIONS])
+
+    def _known(self) -> list[tuple[str, str]]:
+        """Paths and names of parts; the settings of older versions have no names."""
+        paths, names = kept_texts(self._settings, RECENT_SETTING), kept_texts(self._settings, RECENT_PARTS_SETTING)
+        return list(zip(paths, [*names, *[""] * len(paths)], strict=False))
+
+    def _write_settings(self, sessions: list[tuple[str, str]]) -> None:
+        self._settings.setValue(RECENT_SETTING, [path for path, _ in sessions])
+        self._settings.setValue(RECENT_PARTS_SETTING, [name for _, name in sessions])
 
     def fill(self) -> None:
         """List the folders that still exist, and forget the others."""
-        there = [path for path in kept_texts(self._settings, RECENT_SETTING) if _is_there(path)]
-        self._settings.setValue(RECENT_SETTING, there)
+        there = [(path, part) for path, part in self._known() if _is_there(path)]
+        self._write_settings(there)
         self.clear()
-        for number, path in enumerate(there, 1):
+        for number, (path, part) in enumerate(there, 1):
+            shown = (shortened(plain_text(each), MAX_NAME_LENGTH) for each in (Path(path).name, part))
             # An ampersand in a name would become a key.
-            name = shortened(plain_text(Path(path).name), MAX_NAME_LENGTH).replace("&", "&&")
+            name = "   ".join(filter(None, shown)).replace("&", "&&")
             action = self.addAction(f"&{number % MAX_SESSIONS}  {name}")
             action.setToolTip(escape_tooltip(plain_text(path)))
             action.triggered.connect(lambda _checked=False, path=path: self.chosen.emit(Path(path)))

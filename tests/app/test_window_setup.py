@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -29,6 +30,7 @@ from skincal.model.scene import resource
 from skincal.session.replay import load, replay
 from skincal.simulate.outlets import TcpOutlet
 from skincal.taxels.result import State
+from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 
 Key = Qt.Key
@@ -498,3 +500,26 @@ def test_enter_in_the_folder_starts_and_the_simulated_rig_is_told_of_only_withou
     page.folder.setFocus()
     with qtbot.waitSignal(page.request_chosen, timeout=5000):
         QTest.keyClick(page.folder, Key.Key_Return)
+
+
+def test_the_operators_own_parts_are_listed_above_the_shipped_scenes(bench):
+    for name in ("tube", "flat-patch"):
+        shutil.copytree(PATCH.parent, bench.documents / "scenes" / name)
+    bench.window.commands.actions["new"].trigger()
+    dialog = bench.window.findChild(NewSessionDialog)
+    picker = dialog.scene
+    listed = [picker.itemText(row) for row in range(picker.count())]
+    assert listed == ["flat-patch (own)", "tube", "flat-patch", "icub-forearm", "whole-body"]
+    for text, path in (("tube", bench.documents / "scenes/tube/scene.toml"), ("flat-patch", PATCH)):
+        with bench.qtbot.waitSignal(picker.scene_read, timeout=OPEN_MS) as read:
+            picker.setCurrentText(text)
+        assert read.args[0].path == path
+        assert picker.file() == path
+    dialog.reject()
+
+
+def test_a_recent_session_names_its_part(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    bench.window.recent.fill()
+    (action,) = bench.window.recent.actions()
+    assert action.text().endswith(f"   {bench.window.session_view.workspace.part.scene.name}")

@@ -392,3 +392,21 @@ def test_recent_sessions_are_kept_by_plain_names_and_missing_ones_are_dropped(tm
     menu.remember(stranger)
     assert names() == ["&1  <b>R&&D?Ctrl+Q"]
     assert "&lt;b&gt;" in menu.actions()[0].toolTip()
+
+
+@pytest.mark.usefixtures("qapp")
+def test_recent_sessions_name_their_parts_also_beside_those_of_older_settings(tmp_path):
+    settings = QSettings("skincal", "test")
+    for name in ("old", "new", "kept"):
+        (tmp_path / name).mkdir()
+    settings.setValue(RECENT_SETTING, [str(tmp_path / "old")])
+    menu = RecentMenu(settings)
+    menu.remember(tmp_path / "new", "left & right\tpalm")
+    menu.remember(tmp_path / "kept", "forearm")
+    menu.remember(tmp_path / "kept")
+    menu.fill()
+    texts = [action.text() for action in menu.actions()]
+    assert texts == ["&1  kept   forearm", "&2  new   left && right?palm", "&3  old"]
+    (tmp_path / "kept").rmdir()
+    menu.fill()
+    assert [action.text() for action in menu.actions()] == ["&1  new   left && right?palm", "&2  old"]
