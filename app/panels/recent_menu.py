@@ -37,11 +37,11 @@ class RecentMenu(QMenu):
 
     def remember(self, folder: Path, part: str = "") -> None:
         """Put a session first; `part` is the name of its part, empty if it is not known now."""
-        path, known = str(folder.absolute()), self._known()
+        path, known = str(folder.absolute()), self._entries()
         name = part or next((named for other, named in known if other == path), "")
         self._write_settings([(path, name), *(each for each in known if each[0] != path)][:MAX_SESSIONS])
 
-    def _known(self) -> list[tuple[str, str]]:
+    def _entries(self) -> list[tuple[str, str]]:
         """Paths and names of parts; the settings of older versions have no names."""
         paths, names = kept_texts(self._settings, RECENT_SETTING), kept_texts(self._settings, RECENT_PARTS_SETTING)
         return list(zip(paths, [*names, *[""] * len(paths)], strict=False))
@@ -52,7 +52,7 @@ class RecentMenu(QMenu):
 
     def fill(self) -> None:
         """List the folders that still exist, and forget the others."""
-        there = [(path, part) for path, part in self._known() if _is_there(path)]
+        there = [(path, part) for path, part in self._entries() if _is_there(path)]
         self._write_settings(there)
         self.clear()
         for number, (path, part) in enumerate(there, 1):
