@@ -12,7 +12,7 @@ from app.builder.fields import set_silently
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
 from app.dialogs.form_widgets import number_field
-from app.panels.widgets import secondary_label
+from app.panels.widgets import escape_tooltip, secondary_label
 from skincal.model.readings import Stream
 from skincal.session.draft_preview import JointState, PartPreview
 
@@ -34,7 +34,7 @@ class JointRow:
         self.slider.setRange(round(low * SLIDER_STEPS_PER_DEGREE), round(high * SLIDER_STEPS_PER_DEGREE))
         self.slider.setSingleStep(SLIDER_STEPS_PER_DEGREE)
         self.limits = f"{low:.0f} to {high:.0f}\N{DEGREE SIGN}" if limits is not None else ""
-        self.slider.setToolTip(self.limits or "This joint has no limits in the URDF.")
+        self.slider.setToolTip(escape_tooltip(self.limits or "This joint has no limits in the URDF."))
         self.slider.setPageStep(10 * SLIDER_STEPS_PER_DEGREE)
         self.angle = number_field(f"angle of {name} in degrees", "\N{DEGREE SIGN}", 360.0)
         self.fixed = QCheckBox("fixed, not in the stream")

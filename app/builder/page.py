@@ -312,7 +312,7 @@ class BuilderPage(QWidget):
         for index, step in enumerate(self.steps):
             tab = self.tabs.button(index)
             tab.setEnabled(step in shown)
-            tab.setToolTip("" if step in shown else step.absent)
+            tab.setToolTip("" if step in shown else escape_tooltip(step.absent))
             tab.setText(f"{index + 1} {step.tab}{signs[states.get(step.name, State.OPTIONAL)]}")
             tab.setChecked(step is self.open_step)
         self._fit_fields()

@@ -13,7 +13,7 @@ from app.builder.fields import VectorField, button, row_of, set_silently
 from app.builder.step import Step
 from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_form
-from app.panels.widgets import compact_combo, secondary_label
+from app.panels.widgets import compact_combo, escape_tooltip, secondary_label
 from app.scene3d.draft_state import TurnHandle
 from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
@@ -95,7 +95,7 @@ class PlaceStep(Step):
         self.back = button("Let this module &follow the layout again", run=self._let_follow)
         self.angle = number_field("turn of the layout", "\N{DEGREE SIGN}", 180.0)
         self.angle.setWrapping(True)
-        self.angle.setToolTip(ANGLE_HELP)
+        self.angle.setToolTip(escape_tooltip(ANGLE_HELP))
         self.angle.valueChanged.connect(self._turn_to)
         turns = ("T&urn", self.angle), ("by", row_of(*self.turns))
         self.note = secondary_label(wrap=True)
@@ -131,7 +131,7 @@ class PlaceStep(Step):
         for widget in (*self.turns, *self.arrows, self.angle):
             widget.setEnabled(anchor is not None)
             if widget is not self.angle:
-                widget.setToolTip(widget.accessibleName() if anchor is not None else NOT_ON_PART)
+                widget.setToolTip(escape_tooltip(widget.accessibleName() if anchor is not None else NOT_ON_PART))
         is_alone = layout is not None and self.module is not None and layout.modules[self.module].anchor is not None
         self.back.setVisible(is_alone and self.draft.anchor is not None)
 

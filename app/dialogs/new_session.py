@@ -30,7 +30,15 @@ from app.dialogs.dialog import Dialog, StandardButton
 from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row
 from app.panels.devices import link_sign
 from app.panels.layouts import make_row, scrolled
-from app.panels.widgets import choose_session_folder, compact_combo, digits_font, rich_label, secondary_label, theme_colours
+from app.panels.widgets import (
+    choose_session_folder,
+    compact_combo,
+    digits_font,
+    escape_tooltip,
+    rich_label,
+    secondary_label,
+    theme_colours,
+)
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
@@ -344,7 +352,7 @@ class NewSessionDialog(Dialog):
         self.area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         if is_new:
             self.attempt = self.buttons.addButton("Try it with a si&mulated hand", QDialogButtonBox.ButtonRole.ActionRole)
-            self.attempt.setToolTip(TRY_HELP)
+            self.attempt.setToolTip(escape_tooltip(TRY_HELP))
             self.attempt.setAutoDefault(False)
             self.attempt.clicked.connect(self._try_simulated)
         start = self.button(StandardButton.Ok)

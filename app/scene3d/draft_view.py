@@ -27,6 +27,11 @@ RING_CLICKED = "That is the ring: drag it to turn the layout. To place the layou
 CLICKED_BESIDE = "That click is not on the part: click the part itself."
 
 
+def link_tooltip(name: str) -> str:
+    """Return the tooltip of a link; the URDF of a stranger names it."""
+    return f"<p>{escape(name)}</p>"
+
+
 class Mode(Enum):
     """Meaning of a click."""
 
@@ -83,7 +88,7 @@ class DraftView3D(View3D):
     def _name_link(self) -> None:
         link = None if self._draft_renderer is None else self._draft_renderer.links.pick(*self._hovered)
         if link is not None and self._canvas is not None and self._canvas.underMouse():
-            QToolTip.showText(QCursor.pos(), f"<p>{escape(link)}</p>", self._canvas)
+            QToolTip.showText(QCursor.pos(), link_tooltip(link), self._canvas)
 
     def close_view(self) -> None:
         self._hover_timer.stop()

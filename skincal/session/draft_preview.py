@@ -111,9 +111,15 @@ def joints_in_order(chain: UrdfChain) -> list[str]:
 
 
 class PartPreviewer:
-    """Makes previews of drafts, one after another."""
+    """Makes previews of drafts, one after another.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    has_lists : advice names the lists and fields of the window, not the options of a command
+    """
+
+    def __init__(self, *, has_lists: bool = True) -> None:
+        self.has_lists = has_lists
         self._kept: dict[Callable[..., Any], dict[Hashable, Any]] = {}
 
     def preview(self, draft: PartDraft, angles: Mapping[str, float]) -> PartPreview:
@@ -142,7 +148,7 @@ class _Work:
     """Computation of one preview of a draft."""
 
     def __init__(self, previewer: PartPreviewer, draft: PartDraft, angles: Mapping[str, float]) -> None:
-        self.once, self.draft, self.angles = previewer.once, draft, angles
+        self.once, self.draft, self.angles, self._has_lists = previewer.once, draft, angles, previewer.has_lists
         self.values: dict[str, Any] = {}
         self.problems: dict[str, str] = {}
         self.findings: dict[str, tuple[str, ...]] = {}
@@ -196,6 +202,8 @@ class _Work:
         try:
             surface, findings = self.once(_load_surface, spec.path, spec.scale, rows, spec.replaces_unit)
         except MeshSizeError as error:
+            if not self._has_lists:
+                raise
             advice = OTHER_UNIT if self.draft.mesh is not None else OTHER_MESH
             raise with_offer(InputError(error.seen), f" {advice}") from None
         self.values["surface"] = surface

@@ -49,7 +49,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
         draft = with_own_mesh(draft, robot, draft.mesh, draft.unit)
     if not draft.layout_text and draft.channels is None:
         raise InputError(f"{out}: say how many values a frame of the skin has (--channels), or name its layout.")
-    preview = PartPreviewer().preview(replace(draft, name=out.resolve().parent.name or draft.link), {})
+    preview = PartPreviewer(has_lists=False).preview(replace(draft, name=out.resolve().parent.name or draft.link), {})
     if "part" in preview.problems and not preview.is_meshless:
         raise InputError(preview.problems["part"])
     if "skin" in preview.problems:

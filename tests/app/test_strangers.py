@@ -68,7 +68,7 @@ def tips(tree):
 
 def is_plain(text):
     match text:
-        case ast.Constant() | ast.Call(func=ast.Name("escape_tooltip")):
+        case ast.Constant() | ast.Call(func=ast.Name("escape_tooltip" | "link_tooltip")):
             return True
         case ast.IfExp():
             return is_plain(text.body) and is_plain(text.orelse)

@@ -237,7 +237,7 @@ def test_a_recorded_session_is_looked_through_at_1280_by_720(bench, recorded, qt
     place = workspace.map.place_of(estimated.channel).toPoint()
     QTest.mouseClick(workspace.map.viewport(), Qt.MouseButton.LeftButton, pos=place)
     bench.key(Qt.Key.Key_3)
-    assert workspace.panels["Taxel"].heading.text().startswith(workspace.names.short(estimated.channel))
+    assert workspace.panels["Taxel"].heading.text().startswith(f"Taxel {workspace.names.short(estimated.channel)}")
     for is_dead in (True, False):
         bench.key(Qt.Key.Key_D)
         assert (estimated.channel in bench.snapshot.dead) is is_dead

@@ -82,7 +82,7 @@ def play(rig, robot, server, method):
         assert line.now - begun_s < DEMO_S, robot.verdicts[-5:]
         for at_ns, link, data in line.advance():
             pipeline.feed(Chunk(link, at_ns, data))
-        assert guide.guide_robot(round(line.now * 1e9)) in ([], [f"A robot came, from {server.host}."])
+        assert guide.guide_robot(round(line.now * 1e9)) in ([], [f"A robot connected from {server.host}."])
         robot.step()
     return pipeline
 
@@ -253,7 +253,7 @@ def test_the_commands_play_both_sides(tmp_path):
     assert recorded.returncode == 0, recorded.stderr
     assert json.loads(recorded.stdout)["pokes"] >= 4
     assert f"a robot is asked at 127.0.0.1:{port}" in recorded.stderr
-    assert "A robot came, from 127.0.0.1." in recorded.stderr
+    assert "A robot connected from 127.0.0.1." in recorded.stderr
 
 
 def test_guided_and_targets_need_each_other(tmp_path, capsys):
