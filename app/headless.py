@@ -7,9 +7,9 @@ from pathlib import Path
 
 from skincal.files.export import write_calibration
 from skincal.files.reference import error_summary, read_reference
+from skincal.following.results import SessionResults
 from skincal.model.errors import InputError
 from skincal.session.pipeline import Pipeline
-from skincal.session.results import SessionResults
 from skincal.taxels.result import Method
 
 SIMULATED_POKE_COUNT = 168

@@ -50,14 +50,14 @@ from app.text.rig_text import corrected_words, offer_news, rig_state
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 from skincal.files.formats import ExportOptions
+from skincal.following.review import Review
+from skincal.following.session_guide import ModulesEnough
 from skincal.guide.press_coaching import max_angle_error
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, Redo, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
-from skincal.session.guiding import ModulesEnough
-from skincal.session.part import Part
-from skincal.session.review import Review
+from skincal.part.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method

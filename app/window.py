@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from app.session.opening import Addresses
     from app.session_view import SessionView
     from app.state.policies import Allowed
+    from skincal.part.part import Part
     from skincal.session.importing import Imported
-    from skincal.session.part import Part
 
 LOG = logging.getLogger(__name__)
 MAX_REMEMBERED_ADDRESSES = 50  # Addresses that the operator named or agreed to; no laboratory has more devices

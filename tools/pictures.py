@@ -34,8 +34,8 @@ from app.window import Theme, Window
 from skincal.cli.study import FIGURE_DOTS_PER_INCH, FIGURE_INCHES
 from skincal.methods import leading_method
 from skincal.model.scene import load_scene
+from skincal.part.part import load_part, load_scene_surface
 from skincal.plotting import render
-from skincal.session.part import load_part, load_scene_surface
 from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.virtual_session import simulate_session
 from skincal.studies import STUDIES

@@ -21,10 +21,10 @@ from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray
 from skincal.mesh.laid_check import LANDMARK_OFF_MESH_MIN_DISTANCE_M, off_mesh_words
 from skincal.mesh.search import nearest_points
-from skincal.session.draft_preview import PartPreview, completed_draft
-from skincal.session.draft_summary import State, summarize, why_not_simulated
-from skincal.session.part_draft import METRE_DIGITS, LandmarkDraft, free_scene_path, rounded
-from skincal.session.robot_copy import is_with_robot, size_words
+from skincal.part.draft_preview import PartPreview, completed_draft
+from skincal.part.draft_summary import State, summarize, why_not_simulated
+from skincal.part.part_draft import METRE_DIGITS, LandmarkDraft, free_scene_path, rounded
+from skincal.part.robot_copy import is_with_robot, size_words
 
 LANDMARK_NORMAL_DECIMALS = 3
 STATE_SIGNS = {State.COMPLETE: "\N{CHECK MARK}", State.OPTIONAL: "\N{BLACK UP-POINTING TRIANGLE}", State.NEEDED: "\N{BALLOT X}"}

@@ -14,7 +14,7 @@ from app.builder.step import Step
 from app.dialogs.form_widgets import number_field
 from app.panels.widgets import escape_tooltip, secondary_label
 from skincal.model.readings import Stream
-from skincal.session.draft_preview import JointState, PartPreview
+from skincal.part.draft_preview import JointState, PartPreview
 
 SLIDER_RANGE_WITHOUT_LIMITS_DEG = 180.0
 SLIDER_STEPS_PER_DEGREE = 10

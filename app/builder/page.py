@@ -42,10 +42,10 @@ from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
-from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft
-from skincal.session.draft_summary import State, can_start, summarize, why_not_simulated
-from skincal.session.part_changes import with_part_file
-from skincal.session.part_draft import DraftHistory, PartDraft, open_draft, save_draft
+from skincal.part.draft_preview import PartPreview, PartPreviewer, completed_draft
+from skincal.part.draft_summary import State, can_start, summarize, why_not_simulated
+from skincal.part.part_changes import with_part_file
+from skincal.part.part_draft import DraftHistory, PartDraft, open_draft, save_draft
 
 FIELDS_COLUMN_WIDTH_PX = 500  # Width of the side with the fields at 100 %
 UNDO_BUTTON_WIDTH_PX = 36

@@ -18,10 +18,10 @@ from app.session.opening import PART_FILES
 from skincal.mesh.findings import box_words
 from skincal.model.scene import UNITS
 from skincal.model.urdf import Robot
-from skincal.session.draft_preview import PartPreview
-from skincal.session.mesh_units import choose_unit
-from skincal.session.part_changes import with_link, with_part_file, with_unit
-from skincal.session.robot_mesh import with_own_mesh
+from skincal.part.draft_preview import PartPreview
+from skincal.part.mesh_units import choose_unit
+from skincal.part.part_changes import with_link, with_part_file, with_unit
+from skincal.part.robot_mesh import with_own_mesh
 
 FILE_FILTER = f"Part ({' '.join(f'*{ending}' for ending in PART_FILES)});;All files (*)"
 UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}

@@ -19,8 +19,8 @@ from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
-from skincal.session.draft_preview import PartPreview
-from skincal.session.layout_placing import (
+from skincal.part.draft_preview import PartPreview
+from skincal.part.layout_placing import (
     anchor_at,
     anchor_of_module,
     nudged_anchor,
@@ -28,7 +28,7 @@ from skincal.session.layout_placing import (
     turned_anchor,
     with_module_anchor,
 )
-from skincal.session.part_draft import AnchorDraft, PartDraft
+from skincal.part.part_draft import AnchorDraft, PartDraft
 
 WHOLE_LAYOUT = -1  # Data of the entry for the whole layout
 TURNS_DEG = (-15.0, -1.0, 1.0, 15.0)

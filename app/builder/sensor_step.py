@@ -17,10 +17,10 @@ from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.session.draft_preview import PartPreview
-from skincal.session.part_changes import sensors_between
-from skincal.session.part_draft import IDENTITY_POSE, pose_rows
-from skincal.session.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
+from skincal.part.draft_preview import PartPreview
+from skincal.part.part_changes import sensors_between
+from skincal.part.part_draft import IDENTITY_POSE, pose_rows
+from skincal.part.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
 
 POINTS_PICKED_ON_FLANGE = 3
 PICK_WORDS = (

@@ -28,10 +28,10 @@ from skincal.files.layout_sources import (
 from skincal.model.errors import plural
 from skincal.model.readings import Stream
 from skincal.model.skin import KINDS, SkinKind
-from skincal.session.draft_preview import PartPreview
-from skincal.session.layout_placing import middle_of
-from skincal.session.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
-from skincal.session.touch_watch import TouchWatch
+from skincal.part.draft_preview import PartPreview
+from skincal.part.layout_placing import middle_of
+from skincal.part.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
+from skincal.part.touch_watch import TouchWatch
 from skincal.words.layout_words import unsaid_kind_finding
 
 POLARITY_CHOICES = {"up": "values rise", "down": "values fall"}

@@ -18,8 +18,8 @@ from app.scene3d.draft_view import Mode
 from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
-from skincal.session.draft_preview import PartPreview
-from skincal.session.part_draft import PartDraft
+from skincal.part.draft_preview import PartPreview
+from skincal.part.part_draft import PartDraft
 
 NO_POINTS: FloatArray = np.empty((0, 3))
 STEP_TITLE_FONT_SIZE_PT = 13.0

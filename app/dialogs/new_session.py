@@ -51,8 +51,8 @@ from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plain_text, plural, shortened
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
+from skincal.part.part import why_not_simulated
 from skincal.session.importing import joint_columns
-from skincal.session.part import why_not_simulated
 from skincal.streams.decoders.line_parts import PartKind, split_parts
 from skincal.streams.links import parse_address
 from skincal.streams.ros_topics import FoundTopic, propose_topics

@@ -55,7 +55,7 @@ from skincal.files.reference import Origin
 from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
 from skincal.modules.health import PlannedNeighbours, neighbours_of
-from skincal.session.robot_places import robot_places
+from skincal.part.robot_places import robot_places
 from skincal.taxels.differences import ModuleDifference, repeatability, worst_rows
 from skincal.words.units import TIMES, millimetres
 

@@ -21,8 +21,8 @@ from app.state.view_state import ViewState
 from app.text.errors_text import STATISTICS, SYMBOLS, Axis, axis_words, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
 from app.theme import WIDGET_GAP_PX
+from skincal.following.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.geometry import FloatArray, IntArray
-from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from app.state.view_state import ViewState
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
-    from skincal.session.guided_session import GuidedSession
-    from skincal.session.part import Part
+    from skincal.following.guided_session import GuidedSession
+    from skincal.part.part import Part
     from skincal.taxels.result import Method
     from skincal.words.units import ChannelNames
 

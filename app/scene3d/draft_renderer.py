@@ -24,8 +24,8 @@ from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.skin import Layout
-from skincal.session.draft_preview import FIRST_SIDE, PartPreview
-from skincal.session.robot_shape import RobotShape
+from skincal.part.draft_preview import FIRST_SIDE, PartPreview
+from skincal.part.robot_shape import RobotShape
 
 SENSOR_AXIS_LENGTH_OVER_PART_SIZE = 0.28  # Length of the chosen sensor's axes, of the part's longest side
 MIN_DRAWN_AXIS_LENGTH_M = 0.03

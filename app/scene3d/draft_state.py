@@ -11,7 +11,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.skin import Anchor, Layout
-from skincal.session.draft_preview import PartPreview
+from skincal.part.draft_preview import PartPreview
 
 ROBOT_STEPS = ("part", "sensor", "joints")  # Steps that show the robot around the part
 SENSOR_STEPS = ("sensor", "joints", "check")  # Steps that show the sensor's axes

@@ -9,8 +9,8 @@ from app.scene3d.draft_state import ROBOT_STEPS, DraftPicture
 from app.scene3d.mesh_actors import Label, Layer
 from app.scene3d.scene_state import StaticScene
 from skincal.geometry import FloatArray, inverse_pose
-from skincal.session.draft_preview import PartPreview
-from skincal.session.robot_shape import left_of_robot
+from skincal.part.draft_preview import PartPreview
+from skincal.part.robot_shape import left_of_robot
 
 SIDE_LABEL_OFFSET_OVER_HALF_SIZE = 1.08  # Distance of the words from the robot's middle, over half its size there
 SIDE_LABEL_PRIORITY = 1.0

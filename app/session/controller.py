@@ -22,12 +22,12 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from app.workers.processes import JobQueue, ReviewClient, WorkerProcess
     from skincal.files.reference import TaxelPositions
+    from skincal.following.guided_session import GuidedSession
     from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
+    from skincal.part.part import Part
     from skincal.rig.correction_fit import RigAnswer
     from skincal.robot.targets import Targets
-    from skincal.session.guided_session import GuidedSession
-    from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
@@ -324,7 +324,7 @@ class Controller(QObject):
             self.said.emit(Message(sentence, found=True))
 
     def _show_part(self, part: Part) -> None:
-        from skincal.session.guided_session import GuidedSession
+        from skincal.following.guided_session import GuidedSession
 
         self._part, self.guided = part, GuidedSession(part, self.compute)
         self.guided.guide.first_module_pokes = DEMO_FIRST_MODULE_POKES if self.demo else 0
@@ -602,7 +602,7 @@ class Controller(QObject):
         def write() -> tuple[Verdict, tuple[str, ...]]:
             from skincal.files.export import write_calibration
             from skincal.files.formats import ExportFormat
-            from skincal.session.results import checked, verdicts_of
+            from skincal.following.results import checked, verdicts_of
 
             methods = session.methods if ExportFormat(format_).holds_all_methods else (method,)
             with raise_sentences("The file is not written"):
@@ -692,7 +692,7 @@ class Controller(QObject):
 
     def _load_scene(self, request: OpenRequest) -> Part:
         self.prepare()
-        from skincal.session.part import load_part
+        from skincal.part.part import load_part
 
         return load_part(find_scene(request.scene))
 

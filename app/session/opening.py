@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from skincal.session.part import Part
+    from skincal.part.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import LinkSpec
 
@@ -162,7 +162,7 @@ def open_recorded(folder: Path, links: Sequence[LinkSpec] | None) -> tuple[Part,
     InputError
         The folder is no session.
     """
-    from skincal.session.part import lay_part
+    from skincal.part.part import lay_part
     from skincal.session.replay import load, resume
 
     pipeline = load(folder) if links is None else resume(folder, links or None)

@@ -13,6 +13,7 @@ import numpy as np
 from app.state.memo import Memo
 from app.state.running import Running
 from skincal.contacts.outcome import Contact, Outcome, Rejection
+from skincal.following.review import Review
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
@@ -21,7 +22,6 @@ from skincal.model.scene import ContactSettings
 from skincal.rig.correction import FRAME, RIG
 from skincal.rig.frame_check import FrameDiagnosis
 from skincal.session.corrections import offered
-from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, State
 from skincal.words.rig_words import frame_sentence

@@ -9,13 +9,13 @@ from enum import Enum
 from app.scene3d.camera import PLAIN_POSE, CameraPose
 from app.state.policies import Allowed, Offer
 from app.state.running import Running
+from skincal.following.review import Review
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene
 from skincal.robot.target_lines import TipPose
-from skincal.session.review import Review
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Estimate, Method
 from skincal.words.units import ChannelNames

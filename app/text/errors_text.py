@@ -12,8 +12,8 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import Origin, TaxelPositions
+from skincal.following.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 from skincal.geometry import axis_point, move_wrench
-from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.units import ChannelNames, cell, count, millimetres, number

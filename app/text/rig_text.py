@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from app.state.policies import Offer
+from skincal.following.review import Review
 from skincal.model.actions import Correct
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.session.corrections import used_of
-from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
 from skincal.words.layout_words import distance_sentences

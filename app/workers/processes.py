@@ -19,7 +19,7 @@ from PySide6.QtCore import QObject, Signal
 
 from app.workers.threads import LOG, ThreadService, raise_sentences
 from skincal.child_environment import protect_children
-from skincal.session.review import Review, ReviewRequest, SentReview, review_sent
+from skincal.following.review import Review, ReviewRequest, SentReview, review_sent
 from skincal.session.session import Session
 from skincal.session.snapshot import PokeRecord, Snapshot
 
@@ -275,7 +275,7 @@ def report_job(session: Path, path: Path, method: Method, _progress: Progress) -
 
 def positions_job(path: Path, link: str, channels: Collection[int], _progress: Progress) -> tuple[TaxelPositions, ...]:
     """Read the positions in a file or a session; see `places_for`."""
-    from skincal.session.named_places import places_for
+    from skincal.following.named_places import places_for
 
     return places_for(path, link, channels)
 

@@ -31,7 +31,7 @@ def compare(first: Annotated[str, Places], second: Annotated[str, Places], as_js
     """Compare two sets of positions of the same taxels: mean and worst, common rigid motion, module by module."""
     from skincal.cli import output
     from skincal.files.reference import compare_sets
-    from skincal.session.named_places import find_places
+    from skincal.following.named_places import find_places
 
     sets = find_places(first), find_places(second)
     channels, modules, found = compare_sets(*sets)

@@ -12,13 +12,13 @@ from typing import Any
 
 from skincal.cli.terminal import say
 from skincal.files.reference import error_summary
+from skincal.following.results import SessionResults
 from skincal.geometry import FloatArray
 from skincal.guide.verdict import Verdict
 from skincal.journal.documents import LinkTotals
 from skincal.model.readings import LinkHealth, LinkState
 from skincal.model.skin import Layout
 from skincal.modules.health import spacing_ratio
-from skincal.session.results import SessionResults
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error

@@ -30,10 +30,10 @@ from skincal.model.readings import LINK_SILENT_AFTER_S, Chunk, LinkAnswer, LinkE
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
+    from skincal.following.guided_session import RobotGuide
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
     from skincal.robot.targets import Targets
-    from skincal.session.guided_session import RobotGuide
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import ChunkQueue, Reader
 
@@ -109,8 +109,8 @@ def record(
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} for the next pokes,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and the other actions of a session's journal.
     """
+    from skincal.following.guided_session import RobotGuide
     from skincal.model.actions import SetPose
-    from skincal.session.guided_session import RobotGuide
     from skincal.session.importing import new_session
     from skincal.streams.links import ChunkQueue, Reader, describe_links
 
@@ -335,8 +335,8 @@ def finish(
         Not everything could be recorded, or a link gave nothing that could be used.
     """
     from skincal.cli import output
+    from skincal.following.results import SessionResults
     from skincal.session.importing import KeptError, stream_findings
-    from skincal.session.results import SessionResults
     from skincal.words.frame_words import frame_sentences
     from skincal.words.link_words import silent_links
     from skincal.words.poke_words import no_poke_sentence

@@ -13,7 +13,7 @@ from skincal.model.errors import InputError, plural
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.model.robot import RobotSpec
-    from skincal.session.part import Part
+    from skincal.part.part import Part
 
 _scenes = typer.Typer(
     help="Write the scene file of a new part, or show the content of one.",
@@ -80,11 +80,11 @@ def new_scene(
     from skincal.cli import output
     from skincal.files.layout_sources import parse_grid, read_layout_file, text_with_kind
     from skincal.model.skin import SkinKind
-    from skincal.session.mesh_units import unit_without_option
-    from skincal.session.part import load_part
-    from skincal.session.part_draft import PartDraft
-    from skincal.session.robot_copy import ROBOT_FOLDER, size_words
-    from skincal.session.scene_draft import write_scene
+    from skincal.part.mesh_units import unit_without_option
+    from skincal.part.part import load_part
+    from skincal.part.part_draft import PartDraft
+    from skincal.part.robot_copy import ROBOT_FOLDER, size_words
+    from skincal.part.scene_draft import write_scene
 
     if layout is not None and grid:
         raise InputError("--layout and --grid exclude each other; keep one.")
@@ -143,7 +143,7 @@ def show_scene(
     """Show the chain between sensor and part, the sensor's pose and all findings."""
     from skincal.cli import output
     from skincal.model.scene import scene_file
-    from skincal.session.part import load_part
+    from skincal.part.part import load_part
 
     result = scene_result(load_part(scene_file(scene)), _numbers(joints, None, "--joints") if joints else None)
     output.print_result(result, _lines(result), as_json)
@@ -155,7 +155,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
 
     from skincal.geometry import Arm
     from skincal.mesh.laid_check import landmark_findings
-    from skincal.session.robot_mesh import describe_shapes
+    from skincal.part.robot_mesh import describe_shapes
     from skincal.words.layout_words import kind_findings
 
     scene, findings = part.scene, list(part.findings)

@@ -138,7 +138,7 @@ def simulate(
     pace FACTOR. With --targets it answers as a robot does (docs/wire.md).
     """
     from skincal.files.reference import RIG_KEY
-    from skincal.session.part import load_scene_surface
+    from skincal.part.part import load_scene_surface
     from skincal.simulate.device import DeviceSettings, DeviceTimeline
     from skincal.simulate.operator import Habits
     from skincal.simulate.rig_errors import RigErrors

@@ -76,9 +76,9 @@ def _count_pokes(pipeline: Pipeline) -> int:
 
 
 def _make_robot(scene: Scene, seed: int, effects: str) -> tuple[SimulatedRobot, Surface]:
+    from skincal.part.part import load_scene_surface
     from skincal.physics.effects import Effects
     from skincal.physics.layouts import make_robot
-    from skincal.session.part import load_scene_surface
 
     surface = load_scene_surface(scene)[0]
     if surface is None:

@@ -18,9 +18,9 @@ from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
+    from skincal.following.results import SessionResults
     from skincal.modules.distances import TriedDistance
     from skincal.rig.tip_frame import TipFrame
-    from skincal.session.results import SessionResults
     from skincal.taxels.result import Estimate
 
     Estimates: TypeAlias = Mapping[Method, tuple[Estimate, ...]]
@@ -169,8 +169,8 @@ def solve(
 
 def open_results(session: Path, replay: bool, layout: Path | None, correct: bool) -> SessionResults:
     """Open a recorded session, as the options say."""
+    from skincal.following.results import SessionResults, use_offered
     from skincal.session import replay as sessions
-    from skincal.session.results import SessionResults, use_offered
 
     pipeline = (sessions.replay if replay else sessions.load)(session, layout)
     if correct:

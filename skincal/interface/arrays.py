@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from skincal.contacts.outcome import Outcome
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
-    from skincal.session.part import Part
+    from skincal.part.part import Part
 
 POSE_TOLERANCE = 1e-6
 """Largest difference of a rotation's R'R from the identity: single precision passes, a scaled or mirrored matrix does not."""

@@ -13,10 +13,10 @@ from skincal.files.layout_sources import parse_grid, read_layout_file
 from skincal.interface.taxels import Taxels, taxels_at
 from skincal.model.errors import InputError
 from skincal.model.scene import scene_file
-from skincal.session.mesh_units import unit_without_option
-from skincal.session.part import Part, load_part
-from skincal.session.part_draft import PartDraft
-from skincal.session.scene_draft import write_scene
+from skincal.part.mesh_units import unit_without_option
+from skincal.part.part import Part, load_part
+from skincal.part.part_draft import PartDraft
+from skincal.part.scene_draft import write_scene
 from skincal.session.solving import methods_of
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from skincal.files.export import write_calibration
 from skincal.files.formats import ExportFormat, ExportOptions, Inertia
 from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace
 from skincal.files.reference import TaxelPositions, find_truth
+from skincal.following.results import SessionResults, use_offered
 from skincal.interface.arrays import pipeline_of_arrays
 from skincal.interface.scene import Scene
 from skincal.interface.taxels import Taxels, taxels_at, taxels_of
@@ -22,7 +23,6 @@ from skincal.model.readings import Stream
 from skincal.session.importing import find_topics, joint_columns, play_recording, stream_findings
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.session.results import SessionResults, use_offered
 from skincal.taxels.result import Method
 from skincal.words.poke_words import rejection_words
 from skincal.words.verdict_words import verdict_sentence

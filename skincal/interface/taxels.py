@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from skincal.files.reference import TaxelPositions, compare_sets
+from skincal.following.named_places import find_places
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene as SceneFile
-from skincal.session.named_places import find_places
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import known_error
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray, IntArray
-    from skincal.session.part import Part
+    from skincal.part.part import Part
     from skincal.taxels.differences import CommonMotion
 
 ROWS_SHOWN_IN_NOTEBOOK = 12

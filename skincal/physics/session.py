@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
+from skincal.following.guided_session import RobotGuide
 from skincal.journal.writer import JournalWriter
 from skincal.mesh.surface import Surface
 from skincal.model.readings import Chunk, LinkEvent, LinkState
@@ -16,7 +17,6 @@ from skincal.physics.poking_client import PokeSettings, PokingClient
 from skincal.physics.rig import SimulatedRobot
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, RobotLine
 from skincal.robot.target_server import RobotChange
-from skincal.session.guided_session import RobotGuide
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from skincal.following.error_history import MEAN, P95
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.progress import GuideSettings
 from skincal.mesh.surface import Surface
@@ -17,7 +18,6 @@ from skincal.model.skin import Layout
 from skincal.palette import BLACK, METHODS
 from skincal.plotting import GREY, Axes, Figure, label_twos_and_fives, render
 from skincal.reporting.session_facts import SessionFacts
-from skincal.session.error_history import MEAN, P95
 from skincal.taxels.result import Method, State
 
 VIEW_NAMES = ("front", "right", "back", "left")

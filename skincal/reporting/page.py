@@ -16,12 +16,12 @@ from typing import Any
 
 from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
+from skincal.following.error_history import MAX, MEAN, P95, TAXELS
 from skincal.guide.progress import GuideSettings
 from skincal.model.errors import list_channels, plural
 from skincal.reporting.drawings import VIEW_NAMES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
 from skincal.rig.correction import RIG
-from skincal.session.error_history import MAX, MEAN, P95, TAXELS
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import PredictedError

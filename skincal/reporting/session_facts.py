@@ -17,15 +17,15 @@ from skincal.contacts.outcome import Reason, Rejection
 from skincal.files.export import calibration_file
 from skincal.files.formats import ExportFormat
 from skincal.files.reference import ErrorSummary, TaxelPositions, error_summary, find_truth
+from skincal.following.error_history import ErrorCourse, ErrorSeries, spreads_of
+from skincal.following.results import SessionResults, use_offered
 from skincal.geometry import FloatArray
 from skincal.guide.verdict import Verdict
 from skincal.methods import estimate_taxels
 from skincal.modules.health import spacing_ratio
-from skincal.session.error_history import ErrorCourse, ErrorSeries, spreads_of
-from skincal.session.part import Part
+from skincal.part.part import Part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
-from skincal.session.results import SessionResults, use_offered
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.gains import TaxelGain

@@ -18,7 +18,7 @@ from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
-from skincal.session.part import anchor_findings, load_scene_surface
+from skincal.part.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.streams.links import LinkSpec

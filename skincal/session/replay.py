@@ -24,7 +24,7 @@ from skincal.journal.writer import open_segment
 from skincal.model.actions import FoundAtLandmark, MissedLandmark, TimedAction
 from skincal.model.errors import InputError
 from skincal.model.scene import ships, with_layout
-from skincal.session.part import load_scene_surface
+from skincal.part.part import load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 

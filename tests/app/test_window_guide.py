@@ -14,8 +14,8 @@ from app.panels.inspect_panel import InspectPanel
 from app.panels.widgets import FittedLabel
 from app.session.opening import OpenRequest
 from skincal.contacts.outcome import PressPhase
+from skincal.following.session_guide import ModulesEnough
 from skincal.guide.guidance import Target
-from skincal.session.guiding import ModulesEnough
 from skincal.taxels.result import Method
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate, laid

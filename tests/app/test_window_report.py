@@ -19,7 +19,7 @@ from app.text.message import REPORTING
 from app.workers.processes import WorkerProcess
 from skincal.cli import main
 from skincal.files.reference import compare_sets
-from skincal.session.named_places import find_places
+from skincal.following.named_places import find_places
 from tests.app.whole_window import OPEN_MS, Bench
 from tests.approved import approved
 

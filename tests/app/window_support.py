@@ -18,12 +18,12 @@ from app.state.view_state import ViewState
 from app.theme import DARK, Colours
 from app.window import qpalette
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
+from skincal.following.background import run_at_once
+from skincal.following.guided_session import GuidedSession
 from skincal.geometry import Arm, DhLink
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Stream
 from skincal.model.scene import ArmSpec, Scene
-from skincal.session.background import run_at_once
-from skincal.session.guided_session import GuidedSession
-from skincal.session.part import Part
+from skincal.part.part import Part
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
 from skincal.session.undo import History
 from skincal.taxels.result import Estimate, Method

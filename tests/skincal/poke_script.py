@@ -16,6 +16,7 @@ from mcap.stream_reader import StreamReader
 
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import Outcome
+from skincal.following.error_history import ErrorCourse
 from skincal.geometry import FloatArray
 from skincal.journal.lock import SessionLock
 from skincal.journal.writer import open_segment
@@ -23,7 +24,6 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream
 from skincal.model.scene import ArmSpec, ContactSettings, NoiseSettings, Scene, SkinSpec, load_scene
 from skincal.model.skin import KINDS, Layout, Module
-from skincal.session.error_history import ErrorCourse
 from skincal.session.snapshot import Snapshot
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Estimate

@@ -13,12 +13,12 @@ import pytest
 from app.panels.inspect_panel import estimate_cells
 from app.text.outcomes import error_words
 from skincal.cli import main
+from skincal.following.error_history import MAX, TAXELS, ErrorCourse
 from skincal.mesh.surface import Surface
 from skincal.methods import leading_method
 from skincal.model.scene import resource
 from skincal.reporting.page import report_page
 from skincal.reporting.session_facts import gather_facts
-from skincal.session.error_history import MAX, TAXELS, ErrorCourse
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 from skincal.words.taxel_words import taxel_error_words
 from skincal.words.verdict_words import figures

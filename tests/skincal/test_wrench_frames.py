@@ -10,6 +10,10 @@ import pytest
 from skincal.cli import main
 from skincal.devices.decoding import pack
 from skincal.devices.ros2 import write_head, write_message
+from skincal.following.background import run_at_once
+from skincal.following.results import SessionResults, use_offered
+from skincal.following.review import ReviewRequest, diagnose_rig
+from skincal.following.setup_follower import SetupFollower
 from skincal.journal.documents import SegmentHeader
 from skincal.model.actions import AtLandmark
 from skincal.model.errors import InputError
@@ -18,13 +22,9 @@ from skincal.model.scene import load_scene
 from skincal.model.wrench_frames import FrameKind, rigid_points
 from skincal.ros.dds import message_types
 from skincal.ros.topics import TopicChoice
-from skincal.session.background import run_at_once
 from skincal.session.corrections import offered
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import apply_item, load, replay
-from skincal.session.results import SessionResults, use_offered
-from skincal.session.review import ReviewRequest, diagnose_rig
-from skincal.session.setup_follower import SetupFollower
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_sentences

@@ -17,8 +17,8 @@ from app.builder.skin_step import SkinStep
 from app.dialogs.new_session import NewSessionDialog
 from skincal.model.scene import load_scene
 from skincal.model.skin import SkinKind
-from skincal.session.draft_preview import OTHER_MESH, OTHER_UNIT
-from skincal.session.part_draft import open_draft
+from skincal.part.draft_preview import OTHER_MESH, OTHER_UNIT
+from skincal.part.part_draft import open_draft
 from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS
 

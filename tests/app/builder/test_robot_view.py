@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QToolTip
 
 from app.scene3d import camera
 from app.scene3d.robot_sides import side_axes
-from skincal.session.robot_shape import left_of_robot
+from skincal.part.robot_shape import left_of_robot
 from tests.app.builder.test_builder_window import Builder
 from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS

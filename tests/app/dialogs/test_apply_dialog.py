@@ -13,9 +13,9 @@ from app.dialogs.export_dialog import ExportDialog
 from app.session.opening import OpenRequest
 from app.session.recording import SessionFolder
 from app.text.message import NO_SESSION
+from skincal.following.results import verdicts_of
 from skincal.model.actions import Exclude
 from skincal.model.scene import resource
-from skincal.session.results import verdicts_of
 from skincal.simulate.emulated_transports import SkinManagerOutlet
 from skincal.taxels.result import Method
 from skincal.words.verdict_words import verdict_sentence

@@ -16,6 +16,7 @@ from app.session.opening import OpenRequest
 from app.state.policies import Offer
 from app.text.rig_text import rig_state
 from skincal.contacts.poke_counts import PokeCounts
+from skincal.following.review import Review
 from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.closing import Closing, ClosingPlaces
@@ -29,7 +30,6 @@ from skincal.rig.correction_fit import (
     RigAnswer,
 )
 from skincal.session.corrections import correct_action
-from skincal.session.review import Review
 from skincal.taxels.result import Method, State
 from skincal.taxels.shared_errors import PredictedError
 from skincal.words.rig_words import correction_sentence, rig_sentences

@@ -30,12 +30,12 @@ from app.text.compare_text import (
     spacing_words,
 )
 from skincal.files.reference import TaxelPositions
+from skincal.following.error_history import ModulesCheck
+from skincal.following.review import Review
 from skincal.model.skin import Anchor, load_layout
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
+from skincal.part.part import Part
 from skincal.rig.correction_fit import RigAnswer
-from skincal.session.error_history import ModulesCheck
-from skincal.session.part import Part
-from skincal.session.review import Review
 from skincal.taxels.differences import ModuleDifference, Summary
 from skincal.taxels.result import Method
 from skincal.words.layout_words import left_sentences, misfit_sentence
@@ -339,7 +339,7 @@ def test_modules_are_checked_again_for_the_newest_state_and_after_a_failure(monk
         raise RuntimeError("of the modules")
 
     with monkeypatch.context() as fault:
-        fault.setattr("skincal.session.error_history.repair_layout", broken)
+        fault.setattr("skincal.following.error_history.repair_layout", broken)
         failing = at(known(), generation=4).snapshot
         check.check_snapshot(failing)
         with pytest.raises(RuntimeError, match="of the modules"):

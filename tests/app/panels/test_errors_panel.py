@@ -18,11 +18,11 @@ from app.text.errors_text import Axis, axis_words, newest_words, quantity_words,
 from app.theme import DARK, LIGHT
 from app.workers.device_process import DeviceProcess
 from skincal.files.reference import TRUTH_NAME, Origin, TaxelPositions, error_summary, find_truth, read_reference
+from skincal.following.error_history import MAX, MEAN, P95, TAXELS, ErrorCourse, ErrorFollower, ErrorSeries, ModulesCheck
 from skincal.model.actions import Exclude
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
-from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorCourse, ErrorFollower, ErrorSeries, ModulesCheck
-from skincal.session.part import load_part
+from skincal.part.part import load_part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import estimate
@@ -211,7 +211,7 @@ def test_work_that_fails_is_tried_again_after_a_change_of_the_session(queue, mon
     assert (tracker.source, tracker.sources) == (None, [None])
     tracker.update(made.snapshot())
     with monkeypatch.context() as fault:
-        fault.setattr("skincal.session.error_history.spreads_of", broken)
+        fault.setattr("skincal.following.error_history.spreads_of", broken)
         with pytest.raises(RuntimeError, match="of the estimate"):
             queue.finish()
     tracker.update(made.snapshot())

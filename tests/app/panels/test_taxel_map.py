@@ -17,7 +17,7 @@ from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark
 from app.theme import MODULE_HUES
 from skincal.model.scene import resource
-from skincal.session.part import load_part
+from skincal.part.part import load_part
 from skincal.words.units import ChannelNames
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate

@@ -10,10 +10,10 @@ import pytest
 from app.state.press_coach import AIM_SHOWN, HINT_DEBOUNCE_S, HintKind, LeanDirection, tilt_hint
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
+from skincal.following.guided_session import PressCoach
+from skincal.following.session_guide import SessionGuide
 from skincal.guide.press_coaching import max_angle_error
-from skincal.session.guided_session import PressCoach
-from skincal.session.guiding import SessionGuide
-from skincal.session.part import Part
+from skincal.part.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target

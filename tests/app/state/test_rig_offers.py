@@ -13,6 +13,7 @@ from app.state.policies import RigReview, allowed, offers_of
 from app.state.running import Running
 from app.text.rig_text import landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
 from skincal.contacts.outcome import Reason
+from skincal.following.review import Review
 from skincal.geometry import FloatArray
 from skincal.model.actions import Uncorrect
 from skincal.model.scene import Landmark
@@ -20,7 +21,6 @@ from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
 from skincal.rig.frame_check import FrameCorrection, FrameDiagnosis
 from skincal.session.corrections import correction_of
-from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences

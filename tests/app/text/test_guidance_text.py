@@ -14,11 +14,11 @@ from app.state.press_coach import LeanDirection, lean_of
 from app.text.guidance_text import end_words, enough_words, target_words, why_words
 from app.text.now_text import IDLE_PHASE_DEBOUNCE_S, NowMemory, Said, Tone, now_line
 from skincal.contacts.outcome import PressPhase
+from skincal.following.session_guide import SessionGuide, plan_of
 from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase
 from skincal.guide.progress import Need
+from skincal.part.part import Part
 from skincal.rig.closing import ClosingPlace, ClosingPlaces
-from skincal.session.guiding import SessionGuide, plan_of
-from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 from tests.approved import approved

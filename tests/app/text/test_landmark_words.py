@@ -13,15 +13,15 @@ from app.state.running import Running
 from app.text.guidance_text import gain_words, landmark_words, target_words, why_words
 from app.text.now_text import NowMemory, Said, Tone, now_line
 from skincal.contacts.outcome import Reason, Rejection
+from skincal.following.session_guide import LandmarkGuide, SessionGuide, plan_of
 from skincal.guide import guidance as landmarks_module
 from skincal.guide.believed_positions import PlannedPlaces
 from skincal.guide.guidance import GuidePhase, LandmarkTarget
 from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
+from skincal.part.part import Part
 from skincal.rig.expected_gain import Gain
-from skincal.session.guiding import LandmarkGuide, SessionGuide, plan_of
 from skincal.session.landmark_pokes import VISUAL_REACTION_TIME_S, LandmarkFinder
-from skincal.session.part import Part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method
 from skincal.words.poke_words import REASON_WORDS

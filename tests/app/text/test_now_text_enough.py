@@ -8,8 +8,8 @@ import pytest
 
 from app.state.running import Running
 from app.text.now_text import modules_enough_words
+from skincal.following.session_guide import ModulesEnough, plan_of
 from skincal.guide.surroundings import Surroundings
-from skincal.session.guiding import ModulesEnough, plan_of
 from skincal.taxels.result import Estimate, Method, State
 from tests.app.guide_support import guidance
 from tests.app.scene3d_support import estimate

@@ -13,13 +13,13 @@ import pytest
 from app.workers.processes import SKIN_POKES_PER_RIG_REVIEW, ReviewClient, WorkerProcess
 from app.workers.threads import ThreadService
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.following.review import ReviewRequest, review_rig
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
 from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.rig.correction import RIG, Correction
 from skincal.session.corrections import correct_action
-from skincal.session.review import ReviewRequest, review_rig
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.rig_errors import RigErrors

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from guided_bench import PART, STEADY, GuidedBench, after, make_guide
 
+from skincal.following.session_guide import SessionGuide
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import MAX_SKIPS_PER_TAXEL_SIDE
 from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.robot_order import RobotPace
 from skincal.model.actions import Exclude, MarkDead, Restore
-from skincal.session.guiding import SessionGuide
-from skincal.session.part import lay_part
+from skincal.part.part import lay_part
 from skincal.session.session import Session
 from skincal.simulate.contacts import PressedPlaces, simulate_contacts
 from skincal.simulate.poking_strategies import STRATEGIES, Conditions, errors_of, evaluation_counts, run_course

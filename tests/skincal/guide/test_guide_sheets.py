@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from skincal.following.session_guide import costs_of
 from skincal.guide.believed_positions import plan_from_layout
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import TARGET_MAX_CELL_SHARE, Guide
@@ -16,7 +17,6 @@ from skincal.mesh.lay import place_layout
 from skincal.model.skin import SkinKind
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction_fit import RigRequest, TaxelGroups, _rigid_groups
-from skincal.session.guiding import costs_of
 from skincal.session.session import Session
 from skincal.session.solving import methods_of
 from skincal.studies.unmodelled_sheet import SimulatedSheet

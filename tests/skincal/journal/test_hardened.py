@@ -16,6 +16,7 @@ import zstandard
 from mcap.opcode import Opcode
 
 from skincal.files.export import write_calibration
+from skincal.following.results import SessionResults
 from skincal.journal import mcap_file
 from skincal.journal.line_file import LineWriter
 from skincal.journal.mcap_file import is_closed
@@ -24,7 +25,6 @@ from skincal.journal.writer import create_session
 from skincal.model.errors import InputError, plain_text
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from skincal.session.results import SessionResults
 from skincal.taxels.result import Method
 from tests.approved import approved
 from tests.skincal.journal.journal_support import contacts_of, files_of, record, records_of, refuse

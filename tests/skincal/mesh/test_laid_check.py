@@ -15,8 +15,8 @@ from skincal.mesh.laid_check import LaidFindings, examine_layout
 from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.skin import Anchor, Layout
-from skincal.session.draft_preview import propose_anchor
-from skincal.session.layout_placing import anchor_at, nudged_anchor, turned_anchor
+from skincal.part.draft_preview import propose_anchor
+from skincal.part.layout_placing import anchor_at, nudged_anchor, turned_anchor
 from tests.approved import approved
 from tests.skincal.sim_support import scene_and_surface
 

@@ -5,7 +5,7 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.model.urdf import read_urdf
-from skincal.session.robot_shape import link_poses, middle_angles
+from skincal.part.robot_shape import link_poses, middle_angles
 
 HAND = """<robot name="finger"><link name="palm"/>
   <link name="proximal"/><link name="middle"/><link name="distal"/><link name="thumb"/>

@@ -18,6 +18,8 @@ import pytest
 
 from skincal.cli import main
 from skincal.files.reference import error_summary, read_reference
+from skincal.following.error_history import MEAN, TAXELS
+from skincal.following.results import use_offered
 from skincal.model.actions import AtLandmark
 from skincal.model.readings import TEMPERATURE, SideReading
 from skincal.model.scene import Landmark, resource
@@ -27,9 +29,7 @@ from skincal.reporting.page import DASH, ReportTable, report_page, write_report
 from skincal.reporting.session_facts import SessionFacts, errors_of, gather_facts
 from skincal.rig.correction_fit import correct_rig
 from skincal.session.corrections import offered
-from skincal.session.error_history import MEAN, TAXELS
 from skincal.session.replay import load, resume
-from skincal.session.results import use_offered
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec

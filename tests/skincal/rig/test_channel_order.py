@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from skincal.following.results import SessionResults
 from skincal.session.replay import load
-from skincal.session.results import SessionResults
 from skincal.taxels.result import Method
 from skincal.words.setup_words import setup_sentences
 from tests.skincal.soldered_board import Board, errors, import_board, layout_text, poke

@@ -13,15 +13,15 @@ from skincal.cli import main
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.contacts.press import _closest_to_limit
 from skincal.files.layout_sources import read_layout_file
+from skincal.following.background import run_at_once
+from skincal.following.setup_follower import SetupFollower
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import load_scene, resource
+from skincal.part.draft_preview import PartPreviewer
+from skincal.part.part import load_part
+from skincal.part.part_draft import PartDraft
+from skincal.part.scene_draft import write_scene
 from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, check_setup, mirrored_layout, other_side
-from skincal.session.background import run_at_once
-from skincal.session.draft_preview import PartPreviewer
-from skincal.session.part import load_part
-from skincal.session.part_draft import PartDraft
-from skincal.session.scene_draft import write_scene
-from skincal.session.setup_follower import SetupFollower
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.virtual_session import simulate_session
@@ -200,7 +200,7 @@ def test_a_check_that_fails_is_made_again_with_more_pokes(rig, monkeypatch):
         follower.check_snapshot(type("Snapshot", (), {"contacts": wrong[:count]})())
 
     with monkeypatch.context() as fault:
-        fault.setattr("skincal.session.setup_follower.check_setup", broken)
+        fault.setattr("skincal.following.setup_follower.check_setup", broken)
         with pytest.raises(RuntimeError, match="of the check"):
             follow(SETUP_CHECK_MIN_POKES)
     assert follower.sentences == ()

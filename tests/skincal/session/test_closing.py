@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from skincal.files.export import json_text
+from skincal.following.session_guide import SessionGuide
 from skincal.guide.guidance import GuidePhase
 from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo
+from skincal.part.part import lay_part
 from skincal.rig.closing import Closing, ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.closing_pokes import (
@@ -21,8 +23,6 @@ from skincal.session.closing_pokes import (
     closings_of,
     taxel_pokes,
 )
-from skincal.session.guiding import SessionGuide
-from skincal.session.part import lay_part
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided, unguided_presses

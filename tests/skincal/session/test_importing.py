@@ -14,6 +14,7 @@ from skincal.files.importers.registry import StoppedError
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
+from skincal.part.part import load_part
 from skincal.session.importing import (
     Imported,
     ImportRequest,
@@ -22,7 +23,6 @@ from skincal.session.importing import (
     new_session,
     take_away,
 )
-from skincal.session.part import load_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.streams.decoders import yarp_log

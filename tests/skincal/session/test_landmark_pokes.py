@@ -14,6 +14,7 @@ import pytest
 from skincal.cli import main
 from skincal.cli.record import OrderLine, _loop
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.following.session_guide import changes_pose_at_most_pokes
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
 from skincal.model.actions import (
@@ -30,7 +31,6 @@ from skincal.model.actions import (
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene, resource
-from skincal.session.guiding import changes_pose_at_most_pokes
 from skincal.session.landmark_pokes import VISUAL_REACTION_TIME_S
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay

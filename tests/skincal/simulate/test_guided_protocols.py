@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
+from skincal.following.robot_dialogue import RobotDialogue
+from skincal.following.session_guide import SessionGuide
 from skincal.guide.guidance import GuidePhase
 from skincal.model.readings import LinkState, Loss
 from skincal.model.scene import resource
+from skincal.part.part import load_part
 from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import write_line
-from skincal.session.guiding import SessionGuide
-from skincal.session.part import load_part
 from skincal.session.pipeline import Pipeline
-from skincal.session.robot_dialogue import RobotDialogue
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.operator import GuidedOperator, Habits
 from skincal.simulate.rig_errors import RigErrors

@@ -9,10 +9,10 @@ import trimesh
 
 from skincal.cli import main
 from skincal.model.urdf import read_urdf
-from skincal.session.draft_preview import PartPreviewer, completed_draft
-from skincal.session.part import load_part
-from skincal.session.part_changes import with_link
-from skincal.session.part_draft import open_draft, save_draft
+from skincal.part.draft_preview import PartPreviewer, completed_draft
+from skincal.part.part import load_part
+from skincal.part.part_changes import with_link
+from skincal.part.part_draft import open_draft, save_draft
 
 ROBOT = """<robot name="arm"><link name="base"/><link name="part">{shapes}</link>
   <joint name="ft" type="fixed"><parent link="base"/><child link="part"/></joint>

@@ -12,12 +12,12 @@ from skincal.files.layout_sources import parse_grid, read_layout_file
 from skincal.journal.writer import copy_scene, scene_digest
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
+from skincal.part.draft_preview import PartPreviewer
+from skincal.part.part import load_part
+from skincal.part.part_draft import PartDraft, open_draft
+from skincal.part.robot_places import robot_places
+from skincal.part.scene_draft import write_scene
 from skincal.session.arm_poses import ArmPoses
-from skincal.session.draft_preview import PartPreviewer
-from skincal.session.part import load_part
-from skincal.session.part_draft import PartDraft, open_draft
-from skincal.session.robot_places import robot_places
-from skincal.session.scene_draft import write_scene
 
 ROBOT = """<robot name="arm">
   <link name="base"/><link name="mount"/><link name="upper"/>
@@ -125,7 +125,7 @@ def test_a_new_scene_holds_the_robot_and_can_be_moved_to_another_computer(tmp_pa
 
 
 def test_a_robot_too_large_for_a_copy_is_refused(tmp_path, urdf, monkeypatch):
-    monkeypatch.setattr("skincal.session.robot_copy.MAX_ROBOT_BYTES", 1000)
+    monkeypatch.setattr("skincal.part.robot_copy.MAX_ROBOT_BYTES", 1000)
     with pytest.raises(InputError, match="save without it"):
         write(tmp_path, urdf)
     assert write(tmp_path, urdf, copies_robot=False).robot.urdf.path.is_file()

@@ -15,10 +15,10 @@ from skincal.mesh.lay import ANCHOR_TO_SURFACE_MAX_M
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, load_scene
 from skincal.model.urdf import Robot, read_urdf
-from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft, propose_anchor
-from skincal.session.layout_placing import anchor_at
-from skincal.session.part_draft import AnchorDraft, PartDraft, save_draft
-from skincal.session.robot_mesh import with_own_mesh
+from skincal.part.draft_preview import PartPreview, PartPreviewer, completed_draft, propose_anchor
+from skincal.part.layout_placing import anchor_at
+from skincal.part.part_draft import AnchorDraft, PartDraft, save_draft
+from skincal.part.robot_mesh import with_own_mesh
 
 PROPOSED_POINT = "position of the layout: the middle of the largest face away from the sensor; move it"
 UNKNOWN_SIGN = "the URDF does not say; -1 if the sensor reports the reaction force"

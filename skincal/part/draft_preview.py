@@ -24,11 +24,11 @@ from skincal.model.scene import UNITS, SurfaceSpec, load_scene
 from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import Robot, read_urdf
 from skincal.model.urdf_chain import MOVING, UrdfChain
-from skincal.session.layout_placing import anchor_at
-from skincal.session.part_draft import PartDraft, layout_file_of
-from skincal.session.robot_copy import RobotFiles, list_robot_files
-from skincal.session.robot_mesh import describe_shapes, find_part_mesh, offer_collision_mesh, with_offer
-from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles, missing_packages
+from skincal.part.layout_placing import anchor_at
+from skincal.part.part_draft import PartDraft, layout_file_of
+from skincal.part.robot_copy import RobotFiles, list_robot_files
+from skincal.part.robot_mesh import describe_shapes, find_part_mesh, offer_collision_mesh, with_offer
+from skincal.part.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles, missing_packages
 from skincal.words.robot_words import replaced_mesh_findings, sensor_findings
 
 KeptResult = TypeVar("KeptResult")

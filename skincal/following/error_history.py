@@ -19,14 +19,14 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import TaxelPositions
+from skincal.following.background import BackgroundJob, Run
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import Exclude, Restore
 from skincal.model.scene import Scene
 from skincal.modules.health import LayoutRepair, count_judged_modules, repair_layout
 from skincal.modules.pose import ModuleModel
+from skincal.part.part import Part
 from skincal.rig.correction import RIG, Correction
-from skincal.session.background import BackgroundJob, Run
-from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.following.robot_dialogue import POKE_DETECTION_TIMEOUT_S, RobotDialogue
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.model.scene import load_scene, resource
 from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PokeTarget
 from skincal.session.decisions import Decisions
-from skincal.session.robot_dialogue import POKE_DETECTION_TIMEOUT_S, RobotDialogue
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
 from tests.approved import approved

@@ -22,7 +22,7 @@ from skincal.model.scene import Scene, load_scene, ships
 from skincal.model.skin import Anchor
 from skincal.model.tables import parse_toml
 from skincal.model.urdf import read_urdf
-from skincal.session.robot_copy import ROBOT_FOLDER, is_with_robot, list_robot_files, read_robot_files
+from skincal.part.robot_copy import ROBOT_FOLDER, is_with_robot, list_robot_files, read_robot_files
 
 Vector: TypeAlias = tuple[float, ...]
 Pose: TypeAlias = tuple[Vector, ...]

@@ -9,13 +9,13 @@ import pytest
 
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.files.layout_sources import parse_grid
+from skincal.following.session_guide import ModulesEnough, SessionGuide, asked_poke
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.progress import MIN_CHECKED_POKES, Need, Why
 from skincal.model.actions import AtLandmark, Exclude, FoundAtLandmark, Redo, SkipPoke, Undo
 from skincal.model.scene import Landmark
 from skincal.model.skin import read_layout
-from skincal.session.guiding import ModulesEnough, SessionGuide, asked_poke
-from skincal.session.part import lay_part
+from skincal.part.part import lay_part
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts
 from skincal.simulate.example_parts import forearm

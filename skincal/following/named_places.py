@@ -10,10 +10,10 @@ from skincal.files.reference import TRUTH_NAME, TaxelPositions, read_place_sets,
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
 from skincal.model.skin import Layout
-from skincal.session.part import lay_part
+from skincal.part.part import lay_part
+from skincal.part.robot_places import robot_places
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
-from skincal.session.robot_places import robot_places
 from skincal.taxels.result import Method
 
 PLAN, TRUTH, ROBOT = "plan", "truth", "robot"

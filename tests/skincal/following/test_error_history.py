@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import Origin, error_summary, find_truth, load_reference, plan_reference
-from skincal.model.actions import Exclude, MarkDead, Restore, Revive, Undo
-from skincal.model.errors import InputError
-from skincal.model.scene import resource
-from skincal.rig.correction import RIG, Correction, RigPrior
-from skincal.session.corrections import correct_action
-from skincal.session.error_history import (
+from skincal.following.error_history import (
     ERROR_HISTORY_MAX_POINTS,
     MAX,
     MEAN,
@@ -29,6 +24,11 @@ from skincal.session.error_history import (
     spreads_of,
     stride_of,
 )
+from skincal.model.actions import Exclude, MarkDead, Restore, Revive, Undo
+from skincal.model.errors import InputError
+from skincal.model.scene import resource
+from skincal.rig.correction import RIG, Correction, RigPrior
+from skincal.session.corrections import correct_action
 from skincal.session.replay import load
 from skincal.session.session import Session
 from skincal.taxels.result import Method
@@ -198,7 +198,7 @@ def test_recounted_points_carry_what_the_correction_in_use_does_not_know(sample)
 
 def test_thinning_keeps_every_nth_poke_and_the_newest_as_they_were(sample, monkeypatch):
     pipeline, truth, contacts = sample
-    monkeypatch.setattr("skincal.session.error_history.ERROR_HISTORY_MAX_POINTS", 4)
+    monkeypatch.setattr("skincal.following.error_history.ERROR_HISTORY_MAX_POINTS", 4)
     live, session = history_of(pipeline, truth), Session(pipeline.scene, pipeline.session.surface)
     for contact in contacts:
         session.add(contact)

@@ -15,8 +15,8 @@ from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.mesh_lookup import find_mesh
 from skincal.model.scene import UNITS, SurfaceSpec
 from skincal.model.urdf import LinkMesh, Robot
-from skincal.session.mesh_units import metres_of_file_unit, name_unit, unit_without_option
-from skincal.session.part_draft import IDENTITY_POSE, PartDraft, pose_rows
+from skincal.part.mesh_units import metres_of_file_unit, name_unit, unit_without_option
+from skincal.part.part_draft import IDENTITY_POSE, PartDraft, pose_rows
 
 COLLISION_OFFER_MAX_CHARS = 200
 """The rest of a sentence is for the error."""

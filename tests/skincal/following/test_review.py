@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
+from skincal.following import review
+from skincal.following.review import ReviewRequest, SentReview, review_rig, review_sent
 from skincal.methods import estimate_taxels
 from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Undo
 from skincal.model.errors import InputError
@@ -14,9 +16,7 @@ from skincal.model.scene import SurfaceSpec
 from skincal.rig.correction import FRAME, RIG, Correction
 from skincal.rig.correction_fit import correct_rig
 from skincal.rig.frame_check import diagnose
-from skincal.session import review
 from skincal.session.corrections import correct_action
-from skincal.session.review import ReviewRequest, SentReview, review_rig, review_sent
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.rig_errors import RigErrors

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
+from skincal.following.guided_session import RobotGuide
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import resource
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget
 from skincal.robot.target_server import TargetServer, parse_port
-from skincal.session.guided_session import RobotGuide
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.operator import GuidedOperator, Habits

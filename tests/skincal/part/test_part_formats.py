@@ -8,10 +8,10 @@ from skincal.cli import main
 from skincal.mesh.load import load_surface
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
-from skincal.session.draft_preview import PartPreviewer
-from skincal.session.part_changes import with_part_file
-from skincal.session.part_draft import PartDraft
-from skincal.session.robot_shape import load_robot_shape
+from skincal.part.draft_preview import PartPreviewer
+from skincal.part.part_changes import with_part_file
+from skincal.part.part_draft import PartDraft
+from skincal.part.robot_shape import load_robot_shape
 from tests.approved import approved
 
 SIDES_M = np.array([0.06, 0.04, 0.08])

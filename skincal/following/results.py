@@ -7,19 +7,19 @@ from dataclasses import replace
 from functools import cached_property
 
 from skincal.files.calibration import Calibration
+from skincal.following.review import ReviewRequest, diagnose_rig
+from skincal.following.session_guide import SessionGuide
 from skincal.guide.verdict import Verdict
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
 from skincal.modules.health import LayoutRepair, count_judged_modules, repair_layout
+from skincal.part.part import Part, lay_part
 from skincal.rig.correction import FRAME
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import FrameDiagnosis
 from skincal.rig.setup_check import SetupDiagnosis, check_setup
 from skincal.session.corrections import offered
-from skincal.session.guiding import SessionGuide
-from skincal.session.part import Part, lay_part
 from skincal.session.pipeline import Pipeline
-from skincal.session.review import ReviewRequest, diagnose_rig
 from skincal.session.session import Session
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot

@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from skincal.cli import main
+from skincal.following.results import verdicts_of
+from skincal.following.session_guide import SessionGuide
 from skincal.journal.writer import create_session
 from skincal.model.actions import Action, AddLandmark, AskPoke, SetPose, SkipLandmark, SkipPoke
 from skincal.model.scene import resource
+from skincal.part.part import lay_part
 from skincal.reporting.session_facts import gather_facts
-from skincal.session.guiding import SessionGuide
-from skincal.session.part import lay_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import replay, resume
-from skincal.session.results import verdicts_of
 from skincal.taxels.result import Method
 from skincal.words.verdict_words import verdict_sentence
 from tests.approved import approved

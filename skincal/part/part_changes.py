@@ -12,9 +12,9 @@ from skincal.geometry import FloatArray, inverse_pose
 from skincal.mesh.readers import MESH_SUFFIXES
 from skincal.model.skin import Anchor
 from skincal.model.urdf import Robot, read_urdf
-from skincal.session.layout_placing import with_module_anchor
-from skincal.session.mesh_units import choose_unit
-from skincal.session.part_draft import (
+from skincal.part.layout_placing import with_module_anchor
+from skincal.part.mesh_units import choose_unit
+from skincal.part.part_draft import (
     METRE_DIGITS,
     UNIT_DIGITS,
     AnchorDraft,
@@ -24,7 +24,7 @@ from skincal.session.part_draft import (
     pose_rows,
     rounded,
 )
-from skincal.session.robot_mesh import with_own_mesh
+from skincal.part.robot_mesh import with_own_mesh
 
 
 def with_part_file(draft: PartDraft, path: Path) -> PartDraft:

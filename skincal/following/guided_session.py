@@ -9,6 +9,11 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import PressPhase, Progress
+from skincal.following.background import Run, run_at_once
+from skincal.following.error_history import ErrorFollower, ModulesCheck
+from skincal.following.robot_dialogue import RobotDialogue
+from skincal.following.session_guide import SessionGuide, asked_poke
+from skincal.following.setup_follower import SetupFollower
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.press_coaching import PokeError, SmoothedWrench, compare_to_target, smooth_wrench
@@ -16,16 +21,11 @@ from skincal.guide.robot_order import RobotPace
 from skincal.mesh.surface import Surface, point_on_skin
 from skincal.model.actions import AskLandmark, BeginClosing
 from skincal.model.errors import InputError
+from skincal.part.part import Part, lay_part
 from skincal.robot.ros_targets import RosTargets
 from skincal.robot.target_lines import NoTarget, TipPose
 from skincal.robot.target_server import RobotChange
 from skincal.robot.targets import Targets
-from skincal.session.background import Run, run_at_once
-from skincal.session.error_history import ErrorFollower, ModulesCheck
-from skincal.session.guiding import SessionGuide, asked_poke
-from skincal.session.part import Part, lay_part
-from skincal.session.robot_dialogue import RobotDialogue
-from skincal.session.setup_follower import SetupFollower
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
 

@@ -40,6 +40,7 @@ from skincal.guide.verdict import Left, Verdict, check, held_out, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.modules.pose import ModuleModel
+from skincal.part.part import Part
 from skincal.rig.closing import CLOSING_CHECK_MIN_PLACES, CLOSING_CHECK_PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import RigAnswer, landmark_agreement
@@ -56,7 +57,6 @@ from skincal.session.closing_pokes import (
 )
 from skincal.session.decisions import ClosingRound
 from skincal.session.landmark_pokes import landmark_normals
-from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.contact_table import Evidence

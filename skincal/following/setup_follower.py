@@ -6,10 +6,10 @@ import re
 from collections.abc import Callable, Sequence
 
 from skincal.contacts.skin_condition import SkinCondition
+from skincal.following.background import BackgroundJob, Run
 from skincal.model.wrench_frames import WrenchFrame
+from skincal.part.part import Part
 from skincal.rig.setup_check import MistakeKind, SetupDiagnosis, check_setup
-from skincal.session.background import BackgroundJob, Run
-from skincal.session.part import Part
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
 from skincal.words.frame_words import frame_sentences

@@ -20,11 +20,11 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Landmark, Scene
 from skincal.model.wrench_frames import frame_in_question
 from skincal.modules.pose import ModuleModel
+from skincal.part.part import load_scene_surface
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
 from skincal.session.landmark_pokes import landmark_normals
-from skincal.session.part import load_scene_surface
 from skincal.session.session import Session
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method

@@ -8,7 +8,7 @@ from enum import Enum
 from skincal.mesh.findings import box_words
 from skincal.model.errors import plural
 from skincal.model.skin import SkinKind
-from skincal.session.draft_preview import PartPreview
+from skincal.part.draft_preview import PartPreview
 from skincal.words.layout_words import SHEET_WITHOUT_MESH, SKIN_KIND_WORDS, unsaid_kind_finding
 
 

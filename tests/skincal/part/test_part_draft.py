@@ -12,9 +12,9 @@ from skincal.files.layout_sources import parse_grid, parse_layout, read_layout_f
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
 from skincal.model.skin import Anchor
-from skincal.session.draft_preview import PartPreviewer, completed_draft
-from skincal.session.draft_summary import State, can_start, summarize, why_not_simulated
-from skincal.session.layout_placing import (
+from skincal.part.draft_preview import PartPreviewer, completed_draft
+from skincal.part.draft_summary import State, can_start, summarize, why_not_simulated
+from skincal.part.layout_placing import (
     anchor_at,
     anchor_of_module,
     nudged_anchor,
@@ -22,10 +22,10 @@ from skincal.session.layout_placing import (
     turned_anchor,
     with_module_anchor,
 )
-from skincal.session.mesh_units import guess_unit
-from skincal.session.part import load_part
-from skincal.session.part_changes import with_link, with_part_file, with_unit
-from skincal.session.part_draft import (
+from skincal.part.mesh_units import guess_unit
+from skincal.part.part import load_part
+from skincal.part.part_changes import with_link, with_part_file, with_unit
+from skincal.part.part_draft import (
     IDENTITY_POSE,
     AnchorDraft,
     DraftHistory,
@@ -36,8 +36,8 @@ from skincal.session.part_draft import (
     save_draft,
     scene_text,
 )
-from skincal.session.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
-from skincal.session.touch_watch import FRAMES_AT_REST_FIRST, TouchWatch
+from skincal.part.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
+from skincal.part.touch_watch import FRAMES_AT_REST_FIRST, TouchWatch
 from tests.approved import approved
 
 SHIPPED = [path.parent.name for path in sorted(resource("scenes").glob("*/scene.toml"))]

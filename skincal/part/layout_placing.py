@@ -19,7 +19,7 @@ from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module
-from skincal.session.part_draft import AnchorDraft
+from skincal.part.part_draft import AnchorDraft
 
 _MODULE_START = re.compile(r"(?m)^(?=\[\[modules\]\])")
 MIN_SURFACE_TILT_SIN_FOR_LEVEL_AXIS = 0.3  # On a surface that is tilted less, no direction is level: the link's x axis is taken
