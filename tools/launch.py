@@ -20,7 +20,9 @@ TESTED_PROCESSORS = ("sse2", "sse4.1", "avx")
 """Older processors, for which the tests of the 3D view's pixels run again."""
 PROCESSOR_VARIABLE = "GALLIUM_OVERRIDE_CPU_CAPS"
 """Mesa's variable that limits the processor features of its software OpenGL."""
-SLOW_CORE_TESTS = tuple(f"tests/skincal/{room}" for room in ("cli", "following", "guide", "journal", "part", "session", "simulate", "studies"))
+SLOW_CORE_TESTS = tuple(
+    f"tests/skincal/{room}" for room in ("cli", "following", "guide", "journal", "part", "session", "simulate", "studies")
+)
 """Tests of the core that take the longest."""
 READER_TESTS = tuple(f"tests/skincal/{room}" for room in ("files", "mesh", "model", "ros", "streams"))
 """Tests of what reads files and devices."""
