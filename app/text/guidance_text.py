@@ -163,12 +163,12 @@ def newly_done(before: Guidance | None, now: Guidance | None) -> frozenset[int]:
 
 
 def done_words(channels: Sequence[int], names: ChannelNames) -> str:
-    """Name newly finished taxels: `"taxels 204, 205 finished"`; empty if none are."""
+    """Name newly finished taxels, their number first: `"2 taxels newly finished: 204, 205"`; empty if none are."""
     if not channels:
         return ""
     listed = ", ".join(names.short(channel) for channel in channels[:MAX_NAMED_FINISHED_TAXELS])
-    named, more = f"taxel{'s' if len(channels) > 1 else ''} {listed}", len(channels) - MAX_NAMED_FINISHED_TAXELS
-    return f"{named} and {more} more finished" if more > 0 else f"{named} finished"
+    more = ", ..." if len(channels) > MAX_NAMED_FINISHED_TAXELS else ""
+    return f"{count(len(channels), 'taxel')} newly finished: {listed}{more}"
 
 
 def _count_finished(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:

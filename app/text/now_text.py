@@ -325,5 +325,5 @@ def modules_enough_words() -> str:
     """Announce that the modules method is finished while another method is shown."""
     settings = GuideSettings()
     pokes, wanted = settings.module_pokes, 1e3 * settings.module_wanted
-    words = f"The modules method is finished: {pokes} pokes on every module or sheet, expected errors of at most {wanted:g} mm."
-    return f"{words} V switches to it, then F shows the result."
+    words = f"The modules method is finished: {pokes} pokes on every module or sheet, and {wanted:g} mm or less of each error"
+    return f"{words} that more pokes would reduce. V switches to it, then F shows the result."

@@ -89,7 +89,8 @@ def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: R
 def landmark_rows(snapshot: Snapshot, review: Review | None, pose: str) -> list[tuple[str, ...]]:
     """Make the cells for each landmark: name, pokes in the current arm `pose`, all pokes, and their distance.
 
-    The distance is in mm rms: as reported, and with the correction that was found.
+    The distance is in mm rms: as reported, and with the correction that is offered or in use. One that is not used was fitted
+    to these pokes, so it lowers their distances in any case.
     """
     outcomes = {record.outcome.poke: record for record in snapshot.pokes if record.outcome.poke in snapshot.at_landmarks}
     counting = {poke: record.outcome for poke, record in outcomes.items() if not record.excluded}
@@ -105,7 +106,7 @@ def landmark_rows(snapshot: Snapshot, review: Review | None, pose: str) -> list[
 
 def _off(pokes: Sequence[int], review: Review) -> str:
     reported = [review.reported[poke] for poke in pokes if poke in review.reported]
-    found = [review.rig.distances[poke] for poke in pokes if poke in review.rig.distances]
+    found = [review.rig.distances[poke] for poke in pokes if review.rig.used and poke in review.rig.distances]
     if not reported:
         return DASH
     if not found:

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import sqrt
 
 import numpy as np
 
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
-from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, REPORT_LANDMARK_POKES_WITH_TRUST_BELOW, RigAnswer
+from skincal.rig.correction_fit import (
+    MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT,
+    MIN_LANDMARK_POKES,
+    MIN_LANDMARKS,
+    REPORT_LANDMARK_POKES_WITH_TRUST_BELOW,
+    RigAnswer,
+)
 from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis
+from skincal.words.units import millimetres
 
 MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
 """Landmark miss above which a sentence on a right frame names errors of sensor and arm; noise and hand cause 1 to 3 mm."""
@@ -67,13 +75,12 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
     if answer.correction is None:
         needs = f"it needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} different landmarks"
         return (f"No correction of sensor and arm: {needs}; there are {len(answer.trust)} pokes at {answer.points}.",)
-    before, after = f"{answer.before * 1e3:.1f} mm", f"{answer.after * 1e3:.1f} mm"
+    before, after = millimetres(answer.before), millimetres(answer.after)
     errors = f"the error at landmarks left out of the fit is {after}, without a correction {before}"
-    first = (
-        f"A correction of sensor and arm is ready: {errors}."
-        if answer.used
-        else f"Sensor and arm are not corrected, since a correction does not help: {errors}."
-    )
+    first = f"A correction of sensor and arm is ready: {errors}."
+    if not answer.used:
+        wanted = millimetres(answer.before * sqrt(MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT))
+        first = f"Sensor and arm are not corrected: {errors}; below {wanted} a correction would be offered."
     doubted = [
         f"Landmark poke {poke} is {answer.distances[poke] * 1e3:.0f} mm from its landmark and "
         + ("does not count: was it another point?" if trust <= 0 else f"counts {trust:.0%}.")

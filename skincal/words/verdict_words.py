@@ -13,7 +13,7 @@ from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, Landma
 from skincal.taxels.result import Method
 from skincal.words.poke_words import poke_count_words
 from skincal.words.rig_words import closing_sentence, earlier_closings
-from skincal.words.taxel_words import counted_states_words, error_words
+from skincal.words.taxel_words import counted_states_words, error_words, predicted_words
 from skincal.words.units import minutes
 
 NEED_WORDS: Mapping[Need, str] = {
@@ -56,6 +56,7 @@ def verdict_headline(verdict: Verdict) -> str:
 def _progress_words(verdict: Verdict) -> str:
     """Count the finished taxels, or name what is missing."""
     taxels, given_up = plural(verdict.used, "taxel"), verdict.used - verdict.done
+    missing = list[str]()
     if verdict.is_finished:
         if given_up:
             return f"{verdict.done} of {taxels} are finished, {given_up} could not be finished"
@@ -63,15 +64,15 @@ def _progress_words(verdict: Verdict) -> str:
         return f"All {plural(verdict.used, f'{used}taxel')} are finished" if verdict.used > 1 else "The only taxel is finished"
     if verdict.enough and not verdict.done:
         return f"Not finished: none of {taxels} could be finished"
-    if given_up and not verdict.enough:
-        return f"Not finished: {verdict.done} of {taxels} are finished"
+    if given_up:
+        missing.append(f"{verdict.done} of {taxels} are finished")
     if verdict.landmarks_left:
-        return f"Not finished: {plural(verdict.landmarks_left, 'landmark poke')} left"
-    if not verdict.tests_missing:
-        return "Not finished yet"
-    if verdict.enough:
-        return f"Not finished: only {verdict.check.checked} of {MIN_CHECKED_POKES} test pokes could be predicted"
-    return f"Not finished: {plural(verdict.tests_missing, 'test poke')} left"
+        missing.append(f"{plural(verdict.landmarks_left, 'landmark poke')} left")
+    if verdict.tests_missing and verdict.enough:
+        missing.append(f"only {verdict.check.checked} of {MIN_CHECKED_POKES} test pokes could be predicted")
+    elif verdict.tests_missing:
+        missing.append(f"{plural(verdict.tests_missing, 'test poke')} left")
+    return f"Not finished: {', '.join(missing)}" if missing else "Not finished yet"
 
 
 def _doubts(verdict: Verdict) -> list[str]:
@@ -96,9 +97,8 @@ def verdict_details(verdict: Verdict) -> str:
         return ""
     states = counted_states_words(verdict.states)
     error = ""
-    if verdict.done == verdict.used:
-        relative = " relative to each other" if verdict.method is Method.MODULES else ""
-        error = f"Expected error {1e3 * verdict.wanted:g} mm or less{relative}."
+    if verdict.done == verdict.used and verdict.predicted is not None:
+        error = f"Expected error {predicted_words(verdict.predicted, apart=False)}."
     return " ".join(filter(None, (f"{states}." if states else "", error, _skin_words(verdict), _landmark_words(verdict))))
 
 
@@ -157,16 +157,16 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
 
 
 def done_words(method: Method, wanted: float) -> str:
-    """Describe a finished taxel, `wanted` in metres: `"an expected error of 3 mm or less, and 4 pokes on its module"`."""
-    settings = GuideSettings()
-    error = f"an expected error of {1e3 * wanted:g} mm or less"
+    """Describe a finished taxel, `wanted` in metres: `"an expected error of 3 mm or less, 3 own pokes evenly ..."`."""
+    settings, most = GuideSettings(), f"{1e3 * wanted:g} mm or less"
     if method is Method.MODULES:
+        # Errors that more pokes do not reduce are in the expected error, which may be larger.
         return (
-            f"{error} relative to the other taxels, {settings.module_pokes} pokes on its module or sheet, and a poke on the "
-            f"taxel or on taxels on all its sides within {SURROUNDING_MAX_SPACINGS:g} spacings"
+            f"{most} of its error that more pokes would reduce, {settings.module_pokes} pokes on its module or sheet, and a "
+            f"poke on the taxel or on taxels on all its sides within {SURROUNDING_MAX_SPACINGS:g} spacings"
         )
     sides = " and leaning to several sides" if method is Method.FREE else ""
-    return f"{error}, {settings.own_pokes} own pokes evenly around it{sides}, and a stable position"
+    return f"an expected error of {most}, {settings.own_pokes} own pokes evenly around it{sides}, and a stable position"
 
 
 def check_words(verdict: Verdict) -> str:

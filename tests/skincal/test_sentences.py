@@ -197,7 +197,7 @@ def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_do
         approved("rig.poke_half_counted", poke=3, miss_mm=6, percent=50),
     )
     assert rig_sentences(good) == (approved("rig.correctable", misses=misses), *doubted)
-    assert rig_sentences(replace(good, used=False)) == (approved("rig.left_as_is", misses=misses), *doubted)
+    assert rig_sentences(replace(good, used=False)) == (approved("rig.left_as_is", misses=misses, below_mm=5.2), *doubted)
 
 
 RIGHT = FrameDiagnosis(True, True, True, 0.0024, 0.0024, FrameCorrection())

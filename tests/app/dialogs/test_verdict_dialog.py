@@ -57,6 +57,7 @@ AGREES = Check(14, 13)
 PASSED = LandmarkAgreement(21, 0.94, corrected=True)
 MISSED = LandmarkAgreement(21, 4.2, corrected=False)
 NOISY = LandmarkAgreement(21, 0.94, corrected=True, noisier=2.8)
+ERRORS = "1.1 mm mean, 2.1 mm worst"
 APART = PredictedError(mean=0.0011, worst=0.0021, whole=0.0012, among=0.0005)
 
 
@@ -91,44 +92,47 @@ def verdict(
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        (verdict(), approved("verdict.all_done_agree", count=24, target_mm=3)),
-        (verdict(UNUSED), approved("verdict.all_used_done_agree", count=24, target_mm=3)),
+        (verdict(), approved("verdict.all_done_agree", count=24, predicted=ERRORS)),
+        (verdict(UNUSED), approved("verdict.all_used_done_agree", count=24, predicted=ERRORS)),
         (verdict(UNUSED, GIVEN_UP), approved("verdict.given_up_agree", done=23, count=24, left=1)),
         (verdict(NOT_POKED_ENOUGH), approved("verdict.not_enough_agree", done=23, count=24)),
-        (verdict(checked=Check(14, 7)), approved("verdict.all_done_against", count=24, target_mm=3)),
-        (verdict(checked=Check(11, 8)), approved("verdict.all_done_hardly", count=24, target_mm=3)),
-        (verdict(checked=Check(11, 9)), approved("verdict.all_done_agree", count=24, target_mm=3)),
-        (verdict(checked=Check(0, 0)), approved("verdict.all_done_unchecked", tested=0, target_mm=3)),
-        (verdict(checked=Check(4, 4)), approved("verdict.all_done_unchecked", tested=4, target_mm=3)),
+        (verdict(checked=Check(14, 7)), approved("verdict.all_done_against", count=24, predicted=ERRORS)),
+        (verdict(checked=Check(11, 8)), approved("verdict.all_done_hardly", count=24, predicted=ERRORS)),
+        (verdict(checked=Check(11, 9)), approved("verdict.all_done_agree", count=24, predicted=ERRORS)),
+        (verdict(checked=Check(0, 0)), approved("verdict.all_done_unchecked", tested=0, predicted=ERRORS)),
+        (verdict(checked=Check(4, 4)), approved("verdict.all_done_unchecked", tested=4, predicted=ERRORS)),
         (
             verdict(checked=Check(4, 4), landmarks=None),
-            approved("verdict.all_done_unchecked_no_landmarks", tested=4, target_mm=3),
+            approved("verdict.all_done_unchecked_no_landmarks", tested=4, predicted=ERRORS),
         ),
         (
             verdict(checked=Check(4, 4), landmarks=MISSED),
-            approved("verdict.all_done_unchecked_landmarks_against", tested=4, target_mm=3),
+            approved("verdict.all_done_unchecked_landmarks_against", tested=4, predicted=ERRORS),
         ),
-        (verdict(landmarks=None), approved("verdict.all_done_without_landmarks", count=24, target_mm=3)),
-        (verdict(landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
-        (verdict(landmarks=NOISY), approved("verdict.all_done_landmarks_with_noise", count=24, target_mm=3, noise="2.8")),
+        (verdict(landmarks=None), approved("verdict.all_done_without_landmarks", count=24, predicted=ERRORS)),
+        (verdict(landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, predicted=ERRORS)),
+        (verdict(landmarks=NOISY), approved("verdict.all_done_landmarks_with_noise", count=24, predicted=ERRORS, noise="2.8")),
         (
             verdict(landmarks=replace(NOISY, noisier=2.0)),
-            approved("verdict.all_done_landmarks_with_noise", count=24, target_mm=3, noise="2"),
+            approved("verdict.all_done_landmarks_with_noise", count=24, predicted=ERRORS, noise="2"),
         ),
-        (verdict(landmarks=replace(NOISY, noisier=1.4)), approved("verdict.all_done_agree", count=24, target_mm=3)),
-        (verdict(landmarks=replace(NOISY, ratio=4.2)), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
+        (verdict(landmarks=replace(NOISY, noisier=1.4)), approved("verdict.all_done_agree", count=24, predicted=ERRORS)),
+        (
+            verdict(landmarks=replace(NOISY, ratio=4.2)),
+            approved("verdict.all_done_landmarks_against", count=24, predicted=ERRORS),
+        ),
         (
             verdict(checked=Check(11, 8), landmarks=None),
-            approved("verdict.all_done_hardly_no_landmarks", count=24, target_mm=3),
+            approved("verdict.all_done_hardly_no_landmarks", count=24, predicted=ERRORS),
         ),
         (
             verdict(checked=Check(11, 8), landmarks=MISSED),
-            approved("verdict.all_done_hardly_landmarks_against", count=24, target_mm=3),
+            approved("verdict.all_done_hardly_landmarks_against", count=24, predicted=ERRORS),
         ),
-        (verdict(checked=Check(14, 7), landmarks=MISSED), approved("verdict.all_done_all_against", count=24, target_mm=3)),
+        (verdict(checked=Check(14, 7), landmarks=MISSED), approved("verdict.all_done_all_against", count=24, predicted=ERRORS)),
         (
             verdict(checked=Check(14, 7), landmarks=None),
-            approved("verdict.all_done_against_no_landmarks", count=24, target_mm=3),
+            approved("verdict.all_done_against_no_landmarks", count=24, predicted=ERRORS),
         ),
         (
             replace(verdict(NOT_POKED_ENOUGH, checked=Check(0, 0), landmarks=None), done=0),
@@ -136,9 +140,9 @@ def verdict(
         ),
         (
             replace(verdict(), enough=False, landmarks_left=6),
-            approved("verdict.landmarks_to_go", target_mm=3, left=6),
+            approved("verdict.landmarks_to_go", predicted=ERRORS, left=6),
         ),
-        (replace(verdict(), states={State.TOUCHED: 20, State.INFERRED: 4}), approved("verdict.states")),
+        (replace(verdict(), states={State.TOUCHED: 20, State.INFERRED: 4}), approved("verdict.states", predicted=ERRORS)),
         (verdict(UNUSED, used=0), approved("verdict.none_used")),
         (verdict(used=0), approved("verdict.none_answered")),
     ],
@@ -167,7 +171,7 @@ def test_the_figures_are_those_of_the_verdict():
 def test_what_moved_meanwhile_goes_before_all_else():
     moved = Closing(ClosingPlaces.LANDMARKS, ("a", "b"), 0.009, 0.006, 0.001)
     said = verdict(closings=(moved,))
-    assert verdict_sentence(said) == approved("closing.in_verdict", count=24, target_mm=3)
+    assert verdict_sentence(said) == approved("closing.in_verdict", count=24, predicted=ERRORS)
     assert said.doubted
     assert dict(figures(said))["Final check"].startswith(
         approved("closing.moved_begin", what="the sensor or the arm", shift="9.0")
@@ -225,6 +229,11 @@ def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
 def test_a_headline_says_what_is_missing_and_finished_only_of_what_was_tested():
     unfinished = replace(verdict(checked=Check(6, 6)), enough=False)
     assert verdict_headline(unfinished) == approved("verdict.tests_to_go", left=4) + "."
+    untested = verdict(NOT_POKED_ENOUGH, checked=Check(6, 6))
+    assert verdict_headline(untested) == approved("verdict.taxels_and_tests_to_go", left=4) + "."
+    # By the modules method 1.5 mm are wanted of a part of the error, so the worst taxel may have a larger one.
+    far = replace(verdict(), method=Method.MODULES, wanted=0.0015)
+    assert approved("verdict.expected", predicted=ERRORS) in verdict_sentence(far)
     assert verdict_headline(replace(verdict(), done=0)) == approved("verdict.none_determined") + "."
     assert verdict_headline(verdict(used=1)) == approved("verdict.only_one") + "."
     assert [verdict(checked=Check(n, n)).is_finished for n in (9, 10)] == [False, True]

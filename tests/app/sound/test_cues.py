@@ -144,7 +144,7 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         Cue.HELD: "Release",
         Cue.ACCEPTED: "Poke 1 accepted for taxel 3",
         Cue.REJECTED: "rejected: tip slid",
-        Cue.DONE: f"taxel {NAMES.short(2)} finished",
+        Cue.DONE: f"taxel newly finished: {NAMES.short(2)}",
         Cue.ENOUGH: approved("guide.enough", count=24),
         Cue.LOST: "Skin disconnected",
     }
@@ -161,8 +161,8 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
 def test_taxels_that_one_poke_finishes_are_named_until_there_are_too_many():
     _, memory = now_line(NowMemory(), at(guided=guidance(target(5))))
     for done, words in (
-        ((1, 2), f"taxels {NAMES.short(1)}, {NAMES.short(2)} finished"),
-        (tuple(range(5)), "and 2 more finished"),
+        ((1, 2), f"2 taxels newly finished: {NAMES.short(1)}, {NAMES.short(2)}"),
+        (tuple(range(5)), f"5 taxels newly finished: {NAMES.short(0)}, {NAMES.short(1)}, {NAMES.short(2)}, ..."),
     ):
         now, _ = now_line(memory, at(pokes=(touch(1),), guided=guidance(target(5), done=done)))
         assert words in now.detail

@@ -236,6 +236,8 @@ def test_each_landmark_has_its_pokes_and_how_far_they_pass_it():
     first, second = landmark_rows(moment, answer, "low")
     assert first == ("corner", "1", "2", "3.5, corrected 1.0")
     assert second == ("other", "0", "1", DASH)
+    useless = replace(answer, rig=replace(answer.rig, used=False))
+    assert landmark_rows(moment, useless, "low")[0][3] == "3.5"
     assert [row[3] for row in landmark_rows(moment, None, "low")] == [DASH, DASH]
     only = landmark_rows(moment, review(TOO_FEW, reported={1: 0.003, 2: 0.004}), "low")
     assert only[0][3] == "3.5"
