@@ -52,8 +52,8 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
 def _simulate(scene_path: Path, out: Path) -> Pipeline:
     from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene
-    from skincal.simulate.rig_errors import RigErrors
-    from skincal.simulate.virtual_session import simulate_session
+    from skincal.simulation.rig_errors import RigErrors
+    from skincal.simulation.virtual_session import simulate_session
 
     scene = load_scene(scene_path)
     surface = None if scene.surface is None else load_surface(scene.surface)[0]

@@ -2,14 +2,14 @@
 
     >>> import skincal
     >>> scene = skincal.Scene.load("icub-forearm")
-    >>> session = skincal.Session.simulate(scene, pokes=60, seed=1)
+    >>> session = skincal.simulate(scene, pokes=60, seed=1)
     >>> taxels = session.taxels("surface")
     >>> taxels.channel, taxels.position, taxels.covariance
     >>> taxels.compare(session.truth)
     >>> session.export("r_forearm.txt", format="icub")
 
 `Scene` is the part with its mesh and layout. A `Session` holds pokes and estimates: `Session.load` opens a recording, `solve`
-uses your own arrays, `read_csv` and `read_bag` read recordings of other programs, `Session.simulate` makes one. `Taxels` is a
+uses your own arrays, `read_csv` and `read_bag` read recordings of other programs, `simulate` makes one. `Taxels` is a
 table of positions with uncertainty. All raise `InputError`, whose text says what was expected, for wrong input.
 
 Lengths are metres, forces newtons, moments newton metres, angles radians; positions are in the frame of the link. The tutorial
@@ -29,12 +29,12 @@ from skincal.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from skincal.interface.scene import Scene
-    from skincal.interface.session import Judgement, Session, read_bag, read_csv, solve
+    from skincal.interface.session import Judgement, Session, read_bag, read_csv, simulate, solve
     from skincal.interface.taxels import Comparison, Taxels
     from skincal.model.errors import InputError
 
 __all__ = [
-    "Comparison", "InputError", "Judgement", "Scene", "Session", "Taxels", "read_bag", "read_csv", "solve",
+    "Comparison", "InputError", "Judgement", "Scene", "Session", "Taxels", "read_bag", "read_csv", "simulate", "solve",
 ]  # fmt: skip
 
 # OpenBLAS, MKL and Accelerate read these once, when numpy or scipy is imported.
@@ -43,7 +43,7 @@ for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THR
 
 _PUBLIC_NAMES = {
     "skincal.interface.scene": ("Scene",),
-    "skincal.interface.session": ("Judgement", "Session", "read_bag", "read_csv", "solve"),
+    "skincal.interface.session": ("Judgement", "Session", "read_bag", "read_csv", "simulate", "solve"),
     "skincal.interface.taxels": ("Comparison", "Taxels"),
     "skincal.model.errors": ("InputError",),
 }

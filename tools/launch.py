@@ -21,7 +21,7 @@ TESTED_PROCESSORS = ("sse2", "sse4.1", "avx")
 PROCESSOR_VARIABLE = "GALLIUM_OVERRIDE_CPU_CAPS"
 """Mesa's variable that limits the processor features of its software OpenGL."""
 SLOW_CORE_TESTS = tuple(
-    f"tests/skincal/{room}" for room in ("cli", "following", "guide", "journal", "part", "session", "simulate", "studies")
+    f"tests/skincal/{room}" for room in ("cli", "following", "guide", "journal", "part", "session", "simulation", "studies")
 )
 """Tests of the core that take the longest."""
 READER_TESTS = tuple(f"tests/skincal/{room}" for room in ("files", "mesh", "model", "ros", "streams"))

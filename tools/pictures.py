@@ -36,8 +36,8 @@ from skincal.methods import leading_method
 from skincal.model.scene import load_scene
 from skincal.part.part import load_part, load_scene_surface
 from skincal.plotting import render
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.virtual_session import simulate_session
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.virtual_session import simulate_session
 from skincal.studies import STUDIES
 from skincal.taxels.result import Method
 

@@ -19,10 +19,10 @@ def main() -> None:
     """Write `resources/sessions/sample`."""
     from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene, resource
-    from skincal.simulate.device import DeviceSettings
-    from skincal.simulate.operator import Habits
-    from skincal.simulate.rig_errors import RigErrors
-    from skincal.simulate.virtual_session import simulate_session
+    from skincal.simulation.device import DeviceSettings
+    from skincal.simulation.operator import Habits
+    from skincal.simulation.rig_errors import RigErrors
+    from skincal.simulation.virtual_session import simulate_session
 
     scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
     assert scene.surface is not None

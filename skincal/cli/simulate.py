@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
     from skincal.model.scene import Scene
     from skincal.session.pipeline import Pipeline
-    from skincal.simulate.operator import AutoOperator, GuidedOperator, Habits, ScriptedOperator
-    from skincal.simulate.serve import Server
-    from skincal.simulate.simulated_rig import Rig
+    from skincal.simulation.operator import AutoOperator, GuidedOperator, Habits, ScriptedOperator
+    from skincal.simulation.serve import Server
+    from skincal.simulation.simulated_rig import Rig
 
 SERVED_MOMENT_NOISE_NM = 2e-6
 """N m. A served sensor without noise would look frozen: the last digits that most formats have."""
@@ -139,12 +139,12 @@ def simulate(
     """
     from skincal.files.reference import RIG_KEY
     from skincal.part.part import load_scene_surface
-    from skincal.simulate.device import DeviceSettings, DeviceTimeline
-    from skincal.simulate.operator import Habits
-    from skincal.simulate.rig_errors import RigErrors
-    from skincal.simulate.serve import Server
-    from skincal.simulate.simulated_rig import Rig
-    from skincal.simulate.virtual_session import simulate_session
+    from skincal.simulation.device import DeviceSettings, DeviceTimeline
+    from skincal.simulation.operator import Habits
+    from skincal.simulation.rig_errors import RigErrors
+    from skincal.simulation.serve import Server
+    from skincal.simulation.simulated_rig import Rig
+    from skincal.simulation.virtual_session import simulate_session
 
     loaded = find_scene(scene)
     if physics is not None:
@@ -192,7 +192,7 @@ def _record(simulate_session: Callable[..., Pipeline], out: Path, count: int, as
 
     Parameters
     ----------
-    simulate_session : that of `skincal.simulate.virtual_session`; all it takes is given but `progress` and `go_on`
+    simulate_session : that of `skincal.simulation.virtual_session`; all it takes is given but `progress` and `go_on`
     """
     from skincal.files.reference import TRUTH_NAME, read_reference
 
@@ -223,7 +223,7 @@ def _record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, effects
 
 def _serve_robot(scene: Scene, targets: str | None, seed: int, effects: str, *, tcp: bool, as_json: bool) -> None:
     """Serve the devices of a simulated robot until stdin closes, Ctrl-C or a termination signal."""
-    from skincal.simulate.serve import Server
+    from skincal.simulation.serve import Server
 
     with (
         closing(open_robot(scene, targets, seed, effects)) as devices,
@@ -257,7 +257,7 @@ def _streams(seed: int, run: int) -> list[np.random.Generator]:
 def _make_operator(
     kind: OperatorKind, rig: Rig, habits: Habits, rng: np.random.Generator, course: tuple[int | None, tuple[str, ...]]
 ) -> AutoOperator | ScriptedOperator:
-    from skincal.simulate.operator import AutoOperator, GuidedOperator, ScriptedOperator
+    from skincal.simulation.operator import AutoOperator, GuidedOperator, ScriptedOperator
 
     if kind is OperatorKind.TOLD:
         return ScriptedOperator(rig, habits, rng)
@@ -270,7 +270,7 @@ def _target_client(hand: AutoOperator | ScriptedOperator, targets: str | None) -
     from skincal.robot.target_client import TargetClient
     from skincal.robot.target_lines import NoTarget
     from skincal.robot.target_server import parse_port
-    from skincal.simulate.operator import GuidedOperator
+    from skincal.simulation.operator import GuidedOperator
 
     if targets is None or not isinstance(hand, GuidedOperator):
         yield
@@ -285,7 +285,7 @@ def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
     """Choose the maker's device that sends each stream of the scene."""
     if not named:
         return {}
-    from skincal.simulate.emulated_devices import assign_devices
+    from skincal.simulation.emulated_devices import assign_devices
 
     streams = tuple(stream for stream in SENSOR_STREAMS if stream is not Stream.JOINTS or scene.arm is not None)
     return assign_devices(tuple(name.strip() for name in named.split(",")), streams)
@@ -356,7 +356,7 @@ def link_lines(addresses: dict[str, str], scene: Path) -> list[str]:
 
 def _run(server: Server, hand: AutoOperator | ScriptedOperator, operator: OperatorKind, pokes: int | None) -> None:
     """Serve devices until stdin closes, Ctrl-C or a termination signal; on a terminal print usage and poke number."""
-    from skincal.simulate.operator import GuidedOperator, ScriptedOperator
+    from skincal.simulation.operator import GuidedOperator, ScriptedOperator
 
     listener = hand if isinstance(hand, ScriptedOperator | GuidedOperator) else None
     terminal, progress = sys.stderr.isatty(), PokeLine(pokes)
@@ -374,7 +374,7 @@ def _run(server: Server, hand: AutoOperator | ScriptedOperator, operator: Operat
 
 def _listen(listener: ScriptedOperator | GuidedOperator | None, ended: threading.Event, stop: threading.Event) -> None:
     """Read orders from stdin until it closes: then the program that started this one has ended."""
-    from skincal.simulate.operator import read_order
+    from skincal.simulation.operator import read_order
 
     for line in sys.stdin:
         try:

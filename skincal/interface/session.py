@@ -51,7 +51,7 @@ class Judgement:
 
 
 class Session:
-    """Pokes on a part and the estimates from them. Make one with `load`, `simulate`, `skincal.solve` or a reader."""
+    """Pokes on a part and the estimates from them. Make one with `load`, `skincal.solve`, `skincal.simulate` or a reader."""
 
     def __init__(
         self, pipeline: Pipeline, name: str, truth: TaxelPositions | None = None, findings: tuple[str, ...] = ()
@@ -82,34 +82,6 @@ class Session:
             use_offered(pipeline.session)
         channels = pipeline.session.channels
         return cls(pipeline, path.resolve().name, find_truth(path, pipeline.scene.link, list(channels)))
-
-    @classmethod
-    def simulate(
-        cls, scene: Scene, pokes: int = 252, seed: int = 1, errors: str = "noise", folder: str | Path | None = None
-    ) -> Session:
-        """Simulate a session of random pokes on a rig with known taxels (`Session.truth`).
-
-        Parameters
-        ----------
-        errors : of the rig: `none`, `noise` (a good rig), or `paper` (those of the paper's rig)
-        folder : for the recording; `None` to keep none
-
-        Raises
-        ------
-        InputError
-            The scene's layout has no place on the part, or the folder cannot be used.
-        """
-        from skincal.simulate.rig_errors import RigErrors
-        from skincal.simulate.virtual_session import simulate_session
-
-        if errors not in ("none", "noise", "paper"):
-            raise InputError(f"errors: is {errors!r}; expected 'none', 'noise' or 'paper'.")
-        part = scene.part
-        rig: RigErrors = getattr(RigErrors, errors)()
-        with TemporaryDirectory() as temporary:
-            place = Path(temporary) / "simulated" if folder is None else Path(folder)
-            pipeline = simulate_session(part.scene, part.surface, place, pokes, seed, rig)
-            return cls(pipeline, place.name, find_truth(place, scene.link, part.channels.tolist()))
 
     @cached_property
     def scene(self) -> Scene:
@@ -231,6 +203,33 @@ def solve(scene: Scene, wrenches: Any, responses: Any, poses: Any = None, times:
         An array has another shape, a wrench or a pose is none, or the scene's arm moves and `poses` are missing.
     """
     return Session(pipeline_of_arrays(scene.part, wrenches, responses, poses, times), "arrays")
+
+
+def simulate(scene: Scene, pokes: int = 252, seed: int = 1, errors: str = "noise", folder: str | Path | None = None) -> Session:
+    """Simulate a session of random pokes on a rig with known taxels (`Session.truth`).
+
+    Parameters
+    ----------
+    seed : equal seeds give equal sessions
+    errors : of the rig: `none`, `noise` (a good rig), or `paper` (those of the paper's rig)
+    folder : for the recording; `None` to keep none
+
+    Raises
+    ------
+    InputError
+        The scene's layout has no place on the part, or the folder cannot be used.
+    """
+    from skincal.simulation.rig_errors import RigErrors
+    from skincal.simulation.virtual_session import simulate_session
+
+    if errors not in ("none", "noise", "paper"):
+        raise InputError(f"errors: is {errors!r}; expected 'none', 'noise' or 'paper'.")
+    part = scene.part
+    rig: RigErrors = getattr(RigErrors, errors)()
+    with TemporaryDirectory() as temporary:
+        place = Path(temporary) / "simulated" if folder is None else Path(folder)
+        pipeline = simulate_session(part.scene, part.surface, place, pokes, seed, rig)
+        return Session(pipeline, place.name, find_truth(place, scene.link, part.channels.tolist()))
 
 
 def read_csv(

@@ -11,7 +11,7 @@ from skincal.geometry import FloatArray
 from skincal.model.readings import Stream
 from skincal.physics.engine import PERIOD_S
 from skincal.physics.rig import SimulatedRobot
-from skincal.simulate.board_formats import Encoder, make_encoder
+from skincal.simulation.board_formats import Encoder, make_encoder
 
 CONTROL_PERIODS_PER_SENT_BLOCK = 5
 BLOCK_S = CONTROL_PERIODS_PER_SENT_BLOCK * PERIOD_S

@@ -1,4 +1,4 @@
-"""A simulated robot that is asked over a port for targets, and its devices as a source for `skincal.simulate.serve.Server`."""
+"""A simulated robot that is asked over a port for targets, and its devices as a source for `simulation.serve.Server`."""
 
 from __future__ import annotations
 

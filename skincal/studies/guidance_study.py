@@ -1,6 +1,6 @@
 """Pokes needed by the guide, by a printed recipe, and by people without guidance.
 
-Strategies, hand, rig and the errors over a session are in `skincal/simulate/poking_strategies.py`. Everything is seeded.
+Strategies, hand, rig and the errors over a session are in `skincal/simulation/poking_strategies.py`. Everything is seeded.
 Courses run in parallel, and their numbers do not depend on it.
 """
 
@@ -16,8 +16,8 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.palette import BLACK, BLUE, ORANGE, VERMILION
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
-from skincal.simulate.example_parts import forearm
-from skincal.simulate.poking_strategies import CAREFUL, STRATEGIES, Conditions, ErrorCourse, run_course
+from skincal.simulation.example_parts import forearm
+from skincal.simulation.poking_strategies import CAREFUL, STRATEGIES, Conditions, ErrorCourse, run_course
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.taxels.result import Method
 

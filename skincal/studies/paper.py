@@ -23,11 +23,11 @@ from skincal.palette import BLACK
 from skincal.palette import METHODS as METHOD_HUES
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.rig.correction_fit import REPORT_LANDMARK_POKES_WITH_TRUST_BELOW, LandmarkPoke, RigRequest, correct_rig
-from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.example_parts import forearm
-from skincal.simulate.poking_strategies import TABLE_I, poke_rounds, poke_table
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.contacts import poke_landmarks
+from skincal.simulation.example_parts import forearm
+from skincal.simulation.poking_strategies import TABLE_I, poke_rounds, poke_table
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes, side_by_side
 from skincal.taxels.result import Method
 

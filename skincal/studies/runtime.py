@@ -31,7 +31,7 @@ from skincal.modules.pose_fit import find_start, whitened_rows
 from skincal.palette import BLACK, METHODS, ORANGE, PINK, SKY
 from skincal.plotting import Axes, Figure, add_common_legend, label_twos_and_fives, set_log_scales
 from skincal.session.session import Session
-from skincal.simulate.example_parts import ExamplePart
+from skincal.simulation.example_parts import ExamplePart
 from skincal.studies import baselines
 from skincal.studies.baselines import ModuleProblem, TaxelProblem
 from skincal.studies.benchmarking import CLOCK_NAME, check_limits, limit_lines, quartiles, time_session_pokes, time_words, timed

@@ -20,10 +20,10 @@ from skincal.plotting import Figure
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.tip_frame import TipState
 from skincal.session.session import Session
-from skincal.simulate.contacts import add_tips, poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.example_parts import ExamplePart, forearm
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.contacts import add_tips, poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.example_parts import ExamplePart, forearm
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.studies.benchmarking import check_limits, limit_lines, processes
 from skincal.studies.unmodelled import error_numbers
 from skincal.taxels.result import Estimate, Method

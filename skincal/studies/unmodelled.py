@@ -25,7 +25,7 @@ from skincal.palette import BLACK, BLUE, VERMILION
 from skincal.plotting import GREY, Axes, Figure
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, LandmarkPoke, RigRequest, correct_rig, landmark_agreement
-from skincal.simulate.example_parts import forearm
+from skincal.simulation.example_parts import forearm
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.studies.independent_simulator import CASES, SimulatedSession, simulate_session
 from skincal.studies.unmodelled_sheet import AS_BOARD, AT_END, SHEET_CASE, SHEET_COUNTS, run_sheet

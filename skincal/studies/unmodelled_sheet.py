@@ -28,7 +28,7 @@ from skincal.model.scene import Scene
 from skincal.model.skin import Layout, SkinKind
 from skincal.modules.pose import ModuleModel
 from skincal.session.session import Session
-from skincal.simulate.example_parts import forearm
+from skincal.simulation.example_parts import forearm
 from skincal.studies.independent_simulator import (
     MAX_ATTEMPTS_PER_TARGET,
     NOISY_RIG,

@@ -106,8 +106,8 @@ def recorded_once(tmp_path_factory):
     """A short session on the forearm, recorded without a window; opening it would write into it."""
     from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene
-    from skincal.simulate.rig_errors import RigErrors
-    from skincal.simulate.virtual_session import simulate_session
+    from skincal.simulation.rig_errors import RigErrors
+    from skincal.simulation.virtual_session import simulate_session
 
     scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
     folder = tmp_path_factory.mktemp("recorded") / "session"

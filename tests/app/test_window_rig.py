@@ -24,9 +24,9 @@ from skincal.model.readings import LinkEvent, LinkState
 from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
 from skincal.session.corrections import correct_action
-from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.contacts import poke_landmarks
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS
 from tests.app.window_support import is_elided

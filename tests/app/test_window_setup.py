@@ -28,7 +28,7 @@ from skincal.journal.reader import SessionLog
 from skincal.model.readings import Loss, Stream
 from skincal.model.scene import resource
 from skincal.session.replay import load, replay
-from skincal.simulate.outlets import TcpOutlet
+from skincal.simulation.outlets import TcpOutlet
 from skincal.taxels.result import State
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved

@@ -16,7 +16,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import resource
 from skincal.session.replay import load
-from skincal.simulate.example_parts import SHAPES, ExamplePart
+from skincal.simulation.example_parts import SHAPES, ExamplePart
 from skincal.studies import baselines, runtime
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method

@@ -17,11 +17,11 @@ from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
 from skincal.model.readings import Stream
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.device import DeviceTimeline
-from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.operator import AutoOperator, Habits
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.device import DeviceTimeline
+from skincal.simulation.example_parts import ExamplePart
+from skincal.simulation.operator import AutoOperator, Habits
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.studies.runtime import solved_session
 from skincal.taxels.result import PER_TAXEL

@@ -31,7 +31,7 @@ from skincal.model.scene import load_scene
 from skincal.model.skin import read_layout
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.simulate.emulated_devices import MAKERS, NameTalk, PageTalk, PlainTalk, RtdeTalk, YarpTalk
+from skincal.simulation.emulated_devices import MAKERS, NameTalk, PageTalk, PlainTalk, RtdeTalk, YarpTalk
 from skincal.streams import opening
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder
 from tests.skincal.import_support import read_recording

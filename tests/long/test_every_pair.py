@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.skincal.simulate import test_guided_protocols as guided
+from tests.skincal.simulation import test_guided_protocols as guided
 
 part = guided.part
 

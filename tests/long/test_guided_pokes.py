@@ -4,8 +4,8 @@ from statistics import median
 
 import pytest
 
-from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.poking_strategies import Conditions, run_course
+from skincal.simulation.example_parts import ExamplePart
+from skincal.simulation.poking_strategies import Conditions, run_course
 from skincal.studies.guidance_study import POKES_TO_5_MM_MAX, QUICK_SIZES
 from skincal.taxels.result import Method
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from skincal.simulate.operator import OPERATORS
+from skincal.simulation.operator import OPERATORS
 from skincal.taxels.result import Method
-from tests.skincal.simulate.operators_support import followed
+from tests.skincal.simulation.operators_support import followed
 
 SEEDS = range(1, 25)
 FEW = range(1, 4)

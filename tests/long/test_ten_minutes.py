@@ -18,13 +18,13 @@ import pytest
 from skincal.mesh.load import load_surface
 from skincal.model.readings import Stream
 from skincal.model.scene import load_scene, scene_file
-from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.emulated_devices import assign_devices
-from skincal.simulate.emulated_transports import RDT_RECORD_BYTES, RdtOutlet
-from skincal.simulate.operator import AutoOperator, Habits
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.serve import Server
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.emulated_devices import assign_devices
+from skincal.simulation.emulated_transports import RDT_RECORD_BYTES, RdtOutlet
+from skincal.simulation.operator import AutoOperator, Habits
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.serve import Server
+from skincal.simulation.simulated_rig import Rig
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 MINUTES = float(os.environ.get("SKINCAL_MINUTES", "10"))

@@ -12,10 +12,10 @@ from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.robot.target_lines import PokeTarget
 from skincal.session.replay import load
-from skincal.simulate.contacts import RECIPE_TILT, RECIPE_TURN
-from skincal.simulate.operator import Habits, presses_at
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import PressedPlaces, Rig
+from skincal.simulation.contacts import RECIPE_TILT, RECIPE_TURN
+from skincal.simulation.operator import Habits, presses_at
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import PressedPlaces, Rig
 from tests.build import noted_session
 
 RECIPE_HAND = float(np.radians(6.0))

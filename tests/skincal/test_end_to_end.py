@@ -19,10 +19,10 @@ from skincal.model.readings import Loss
 from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.simulate.device import DeviceSettings
-from skincal.simulate.operator import Habits
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.virtual_session import simulate_session
+from skincal.simulation.device import DeviceSettings
+from skincal.simulation.operator import Habits
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.virtual_session import simulate_session
 from skincal.taxels.result import Method, State
 from tests.approved import approved
 from tests.skincal.meanwhile import meanwhile
@@ -108,7 +108,7 @@ import sys, threading
 from skincal.cli import main
 code = main(["solve", {folder!r}, "--json"])
 heavy = ("PySide6", "shiboken6", "vtkmodules", "pyvista", "pyvistaqt", "pyqtgraph", "matplotlib", "scipy", "trimesh", "serial")
-present = [name for name in (*heavy, "skincal.mesh.load", "skincal.simulate.simulated_rig") if name in sys.modules]
+present = [name for name in (*heavy, "skincal.mesh.load", "skincal.simulation.simulated_rig") if name in sys.modules]
 print(code, present, threading.active_count(), file=sys.stderr)
 """
 

@@ -29,7 +29,7 @@ from app.window import OWN_SCENE_SETTING
 from skincal.files.layout_sources import parse_grid
 from skincal.model.scene import resource
 from skincal.part.part_draft import IDENTITY_POSE, open_draft
-from skincal.simulate.outlets import TcpOutlet
+from skincal.simulation.outlets import TcpOutlet
 from tests.app.builder.test_builder_window import Builder, choose, tube  # noqa: F401
 from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS

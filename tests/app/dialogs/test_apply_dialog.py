@@ -16,7 +16,7 @@ from app.text.message import NO_SESSION
 from skincal.following.results import verdicts_of
 from skincal.model.actions import Exclude
 from skincal.model.scene import resource
-from skincal.simulate.emulated_transports import SkinManagerOutlet
+from skincal.simulation.emulated_transports import SkinManagerOutlet
 from skincal.taxels.result import Method
 from skincal.words.verdict_words import verdict_sentence
 from tests.app.whole_window import OPEN_MS

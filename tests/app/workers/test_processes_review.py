@@ -21,9 +21,9 @@ from skincal.model.scene import Scene, load_scene, resource
 from skincal.rig.correction import RIG, Correction
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
-from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.contacts import poke_landmarks
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.words.rig_words import frame_sentence, rig_sentences
 from tests.app.whole_window import OPEN_MS
 from tests.app.workers.process_support import is_running

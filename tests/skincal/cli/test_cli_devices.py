@@ -11,9 +11,9 @@ from skincal.cli import devices, main
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.errors import plain_text
 from skincal.model.readings import Chunk, Stream
-from skincal.simulate.emulated_devices import MAKERS
-from skincal.simulate.emulated_transports import MakerOutlets
-from skincal.simulate.outlets import PtyOutlet
+from skincal.simulation.emulated_devices import MAKERS
+from skincal.simulation.emulated_transports import MakerOutlets
+from skincal.simulation.outlets import PtyOutlet
 from skincal.streams import links
 from skincal.streams.transports import baud_search
 from tests.approved import approved

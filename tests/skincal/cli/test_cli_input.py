@@ -116,8 +116,8 @@ def test_a_simulation_that_is_interrupted_keeps_what_it_has_and_says_how_much(ru
     from skincal.cli import simulate
     from skincal.journal.lock import LOCK_NAME
     from skincal.journal.reader import SessionLog
-    from skincal.simulate import virtual_session
-    from skincal.simulate.operator import AutoOperator
+    from skincal.simulation import virtual_session
+    from skincal.simulation.operator import AutoOperator
 
     def make_interrupted(*arguments):
         signal.raise_signal(signal.SIGINT)

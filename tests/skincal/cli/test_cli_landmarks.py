@@ -17,8 +17,8 @@ from skincal.contacts.outcome import Contact
 from skincal.model.actions import AtLandmark, Undo
 from skincal.model.scene import load_scene
 from skincal.session.replay import load, replay, resume
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from tests.approved import approved
 from tests.build import recording
 from tests.skincal.poke_script import Script, as_chunks, same_estimates, write_scene

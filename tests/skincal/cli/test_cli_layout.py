@@ -13,9 +13,9 @@ import pytest
 from skincal.cli import main
 from skincal.model.scene import load_scene, resource
 from skincal.model.skin import load_layout
-from skincal.simulate.device import DeviceSettings
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.virtual_session import simulate_session
+from skincal.simulation.device import DeviceSettings
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.virtual_session import simulate_session
 from skincal.taxels.result import Method
 from tests.approved import approved
 from tests.skincal.files.json_reader import read_json

@@ -121,7 +121,7 @@ def test_the_studies_are_listed_without_being_loaded():
         "import sys\n"
         "from skincal.cli import main\n"
         "main(['study', '--help'])\n"
-        "print('HEAVY', sorted({'matplotlib', 'scipy', 'skincal.studies.runtime', 'skincal.simulate'} & set(sys.modules)))\n"
+        "print('HEAVY', sorted({'matplotlib', 'scipy', 'skincal.studies.runtime', 'skincal.simulation'} & set(sys.modules)))\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.rstrip().endswith("HEAVY []")

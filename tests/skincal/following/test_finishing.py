@@ -17,11 +17,11 @@ from skincal.model.scene import Landmark
 from skincal.model.skin import read_layout
 from skincal.part.part import lay_part
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts
-from skincal.simulate.example_parts import forearm
-from skincal.simulate.operator import OPERATORS, aimed_presses
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.contacts import simulate_contacts
+from skincal.simulation.example_parts import forearm
+from skincal.simulation.operator import OPERATORS, aimed_presses
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.taxels.result import Method, State
 from skincal.words.poke_words import poke_count_words
 from tests.approved import approved

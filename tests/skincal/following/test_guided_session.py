@@ -19,10 +19,10 @@ from skincal.model.scene import resource
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget
 from skincal.robot.target_server import TargetServer, parse_port
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.operator import GuidedOperator, Habits
-from skincal.simulate.poking_strategies import errors_of
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.operator import GuidedOperator, Habits
+from skincal.simulation.poking_strategies import errors_of
+from skincal.simulation.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from tests.approved import approved

@@ -18,8 +18,8 @@ from skincal.rig.correction_fit import correct_rig
 from skincal.rig.frame_check import diagnose
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.words.rig_words import frame_sentence
 from tests.approved import approved_pattern
 from tests.build import session_of

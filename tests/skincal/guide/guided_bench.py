@@ -8,8 +8,8 @@ import numpy as np
 from skincal.contacts.outcome import Rejection
 from skincal.guide.guide import Guide
 from skincal.session.session import Session
-from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.poking_strategies import CAREFUL, Conditions, MeantPokes, displaced_rig, poke_by_hand
+from skincal.simulation.example_parts import ExamplePart
+from skincal.simulation.poking_strategies import CAREFUL, Conditions, MeantPokes, displaced_rig, poke_by_hand
 from skincal.taxels.result import Method
 
 PART = ExamplePart()

@@ -21,8 +21,8 @@ from skincal.mesh.lay import place_layout
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
 from skincal.session.session import Session
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 

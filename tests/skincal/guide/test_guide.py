@@ -15,9 +15,9 @@ from skincal.guide.robot_order import RobotPace
 from skincal.model.actions import Exclude, MarkDead, Restore
 from skincal.part.part import lay_part
 from skincal.session.session import Session
-from skincal.simulate.contacts import PressedPlaces, simulate_contacts
-from skincal.simulate.poking_strategies import STRATEGIES, Conditions, errors_of, evaluation_counts, run_course
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import PressedPlaces, simulate_contacts
+from skincal.simulation.poking_strategies import STRATEGIES, Conditions, errors_of, evaluation_counts, run_course
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Method, State
 from tests.skincal.sim_support import make_rig
 

@@ -13,7 +13,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction_fit import LandmarkAgreement
-from skincal.simulate.example_parts import forearm
+from skincal.simulation.example_parts import forearm
 from skincal.studies.independent_simulator import NOISY_RIG, simulate_session
 from skincal.studies.unmodelled import error_numbers
 from skincal.taxels.contact_table import ContactTable

@@ -13,7 +13,7 @@ from skincal.guide.guide import Guide
 from skincal.guide.poke_history import PokeHistory, axis_of
 from skincal.guide.progress import GuideSettings, Need, Why
 from skincal.model.actions import Exclude, Restore
-from skincal.simulate.simulated_rig import tangents
+from skincal.simulation.simulated_rig import tangents
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 SETTINGS = GuideSettings()

@@ -14,7 +14,7 @@ from skincal.guide.poke_history import PokeAxis
 from skincal.guide.surface_search import MAX_UNPOKED_DISTANCE_M, SEARCH_PLACE_SPACING_M, SurfaceSearch, spread_over
 from skincal.mesh.search import nearest_points
 from skincal.session.session import Session
-from skincal.simulate.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
+from skincal.simulation.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
 from skincal.taxels.result import Estimate, Method, State
 
 

@@ -19,10 +19,10 @@ from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, RigAnswer, RigRequest, correct_rig, landmark_agreement
 from skincal.rig.expected_gain import unchecked_of
 from skincal.session.session import Session
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.poking_strategies import Conditions, displaced_rig, errors_of, plan_pokes, poke_by_hand
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.example_parts import ExamplePart
+from skincal.simulation.poking_strategies import Conditions, displaced_rig, errors_of, plan_pokes, poke_by_hand
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,6 +51,8 @@ def test_names_are_offered_without_loading_numpy():
     ]
     for name in skincal.__all__:
         assert getattr(skincal, name).__doc__
+    rooms = {path.stem for path in Path(skincal.__file__).parent.iterdir()}
+    assert not rooms & set(skincal.__all__), "an import of the room would hide the name"
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         skincal.nothing  # noqa: B018
 

@@ -31,7 +31,7 @@ def test_the_page_runs_and_its_numbers_are_right(ran):
 def test_own_arrays_give_the_estimates_of_the_session_they_are_from(ran):
     names, _ = ran
     scene, skincal = names["scene"], names["skincal"]
-    made = skincal.Session.simulate(scene, pokes=60, seed=1)
+    made = skincal.simulate(scene, pokes=60, seed=1)
     solved = skincal.solve(scene, names["wrenches"], names["responses"], names["poses"])
     for method in scene.methods:
         assert solved.taxels(method).compare(made.taxels(method)).worst < 1e-12

@@ -20,8 +20,8 @@ from skincal.modules.pose_fit import fit_modules_from_pokes, whitened_rows
 from skincal.rig.correction import RIG, Correction
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.studies.unmodelled import inside_95_ellipsoid
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method

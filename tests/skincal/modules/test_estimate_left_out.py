@@ -11,8 +11,8 @@ from skincal.modules.estimate import predicted_misses
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_modules
 from skincal.rig.correction_fit import module_groups
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from tests.skincal.sim_support import make_rig
 

@@ -22,8 +22,8 @@ from skincal.modules.health import (
     spacing_ratio,
 )
 from skincal.modules.pose import ModuleModel
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig
 

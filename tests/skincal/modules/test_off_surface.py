@@ -8,8 +8,8 @@ import numpy as np
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.studies.independent_simulator import SmoothSurface
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig

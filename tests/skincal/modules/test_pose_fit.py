@@ -15,9 +15,9 @@ from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModuleModel, ModulesOnSurface, rotations
 from skincal.modules.pose_fit import assign_pokes, offset_variances, whitened_rows
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.operator import Habits
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.operator import Habits
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import STATES_WITH_POSITION, Cause, Method, State
 from tests.skincal.sim_support import make_rig, scene_and_surface

@@ -30,8 +30,8 @@ from skincal.reporting.session_facts import SessionFacts, errors_of, gather_fact
 from skincal.rig.correction_fit import correct_rig
 from skincal.session.corrections import offered
 from skincal.session.replay import load, resume
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_sentence, frame_sentence

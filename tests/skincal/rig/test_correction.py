@@ -9,8 +9,8 @@ import pytest
 from skincal.methods import average_over_poses, estimate_taxels
 from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig.correction import Correction, CorrectionErrors, RigPrior
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import predicted_error
 from tests.skincal.sim_support import make_rig

@@ -14,9 +14,9 @@ from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig import correction_fit
 from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, _first_rows, correct_rig
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.example_parts import forearm
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.example_parts import forearm
+from skincal.simulation.rig_errors import RigErrors
 from skincal.studies.independent_simulator import CASES, simulate_session
 from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import predicted_error

@@ -8,8 +8,8 @@ from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig.correction import RigPrior
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, correct_rig
 from skincal.rig.expected_gain import PlannedPoke, expected_error
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 

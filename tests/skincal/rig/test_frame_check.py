@@ -12,8 +12,8 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, diagnose, frame_correction
 from skincal.session.corrections import offered
 from skincal.session.landmark_pokes import landmark_normals
-from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks
+from skincal.simulation.rig_errors import RigErrors
 from skincal.words.rig_words import frame_sentence
 from tests.approved import approved
 from tests.skincal.sim_support import make_rig

@@ -22,9 +22,9 @@ from skincal.part.part import load_part
 from skincal.part.part_draft import PartDraft
 from skincal.part.scene_draft import write_scene
 from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, check_setup, mirrored_layout, other_side
-from skincal.simulate.operator import Habits
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.virtual_session import simulate_session
+from skincal.simulation.operator import Habits
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.virtual_session import simulate_session
 from skincal.words.poke_words import POLARITY_ADVICE, rejection_advice, rejection_words
 from skincal.words.setup_words import setup_sentences
 

@@ -12,10 +12,10 @@ from skincal.model.actions import Exclude, Restore
 from skincal.rig.tip_frame import TipState, fit_tip_frame, pokes_of_fit
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.session import Session
-from skincal.simulate.contacts import add_tips, simulate_contacts, unguided
-from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.contacts import add_tips, simulate_contacts, unguided
+from skincal.simulation.example_parts import ExamplePart
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.taxels.result import Method, State
 from skincal.words.tip_words import tip_sentence
 from tests.skincal.poke_script import estimate_key

@@ -3,8 +3,8 @@
 import socket
 from contextlib import closing, contextmanager
 
-from skincal.simulate.emulated_devices import NameTalk
-from skincal.simulate.emulated_transports import TalkOutlet
+from skincal.simulation.emulated_devices import NameTalk
+from skincal.simulation.emulated_transports import TalkOutlet
 from tests.skincal.meanwhile import meanwhile
 
 

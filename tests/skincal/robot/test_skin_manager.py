@@ -11,8 +11,8 @@ from skincal.cli import main
 from skincal.devices.yarp import read_answer, write_question
 from skincal.files.icub import read_icub
 from skincal.model.scene import resource
-from skincal.simulate.emulated_devices import PlainTalk, SkinManagerTalk
-from skincal.simulate.emulated_transports import SkinManagerOutlet, TalkOutlet
+from skincal.simulation.emulated_devices import PlainTalk, SkinManagerTalk
+from skincal.simulation.emulated_transports import SkinManagerOutlet, TalkOutlet
 from tests.approved import approved
 from tests.skincal.robot.robot_support import robot
 

@@ -25,9 +25,9 @@ from skincal.session.closing_pokes import (
 )
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided, unguided_presses
-from skincal.simulate.operator import Habits
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided, unguided_presses
+from skincal.simulation.operator import Habits
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from skincal.words.rig_words import closing_sentence, earlier_closings
 from skincal.words.verdict_words import figures

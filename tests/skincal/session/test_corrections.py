@@ -19,8 +19,8 @@ from skincal.rig.frame_check import diagnose, frame_correction
 from skincal.session.corrections import correct_action, corrected_progress, used_of
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
-from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_words
 from tests.approved import approved

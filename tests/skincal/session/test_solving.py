@@ -12,8 +12,8 @@ from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
 from skincal.session.corrections import correct_action
 from skincal.session.solving import MODULES_AT_ONCE, TAXELS_AT_ONCE
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from tests import build
 from tests.skincal.poke_script import same_estimates

@@ -12,7 +12,7 @@ from skincal.journal.writer import create_session
 from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkState, SideReading, Stream
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from skincal.simulate.emulated_devices import X25, _crc
+from skincal.simulation.emulated_devices import X25, _crc
 from skincal.streams.links import LinkSpec
 from tests.skincal.poke_script import write_scene
 

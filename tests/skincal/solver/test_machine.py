@@ -17,8 +17,8 @@ from skincal.mesh.search import PUSHED_FACE_MIN_COSINE, nearest_in_metric
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
 from skincal.taxels import solve

@@ -16,8 +16,8 @@ from skincal.devices.rtde import RtdeHandshake
 from skincal.devices.yarp import name_server, read_names
 from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
-from skincal.simulate.emulated_devices import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
-from skincal.simulate.emulated_transports import MakerOutlets, TalkOutlet
+from skincal.simulation.emulated_devices import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
+from skincal.simulation.emulated_transports import MakerOutlets, TalkOutlet
 from skincal.streams import links
 from skincal.streams.intake import Intake
 from skincal.streams.links import ADDRESS_MAX_CHARS, ChunkQueue, Reader, format_of, open_link, parse_address

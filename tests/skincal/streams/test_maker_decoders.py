@@ -11,7 +11,7 @@ from skincal.devices.decoding import pack
 from skincal.devices.netft import read_page
 from skincal.devices.robotiq import FRAME_HEAD, SATURATED_RAW_COUNT, START_ANSWER, START_BYTES, crc_modbus
 from skincal.model.readings import TEMPERATURE, Loss, SideReading, Stream
-from skincal.simulate.board_formats import SkbEncoder, SktEncoder
+from skincal.simulation.board_formats import SkbEncoder, SktEncoder
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder, make_decoder
 from tests.skincal.streams.maker_records import RDT_PAGE, VECTORS, WRENCH, rdt_packets, rdt_record
 

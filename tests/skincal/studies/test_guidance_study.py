@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from skincal.plotting import render
-from skincal.simulate.example_parts import forearm
-from skincal.simulate.poking_strategies import Conditions
+from skincal.simulation.example_parts import forearm
+from skincal.simulation.poking_strategies import Conditions
 from skincal.studies import guidance_study
 from skincal.studies.guidance_study import QUICK_SIZES
 

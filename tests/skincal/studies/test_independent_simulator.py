@@ -13,7 +13,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import load_scene, resource
 from skincal.modules.pose import ModuleModel
-from skincal.simulate.example_parts import forearm
+from skincal.simulation.example_parts import forearm
 from skincal.studies.independent_simulator import (
     CASES,
     GUIDED_LANDMARK_POKES,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skincal.plotting import render
-from skincal.simulate.poking_strategies import TABLE_I
+from skincal.simulation.poking_strategies import TABLE_I
 from skincal.studies import paper
 from skincal.studies.paper import QUICK_SIZES, error_statistics, run_good, run_trial
 

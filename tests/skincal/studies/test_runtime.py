@@ -15,7 +15,7 @@ from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.plotting import render
-from skincal.simulate.example_parts import SHAPES, forearm
+from skincal.simulation.example_parts import SHAPES, forearm
 from skincal.studies import baselines, runtime
 from skincal.studies.benchmarking import gc_disabled, quartiles, time_words, timed, usable_cores
 from skincal.studies.runtime import SURFACE_SEARCHES, known_positions, main_rows, runtime_limits, summary

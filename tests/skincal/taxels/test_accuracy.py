@@ -10,9 +10,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.operator import Habits
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.operator import Habits
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.estimate_support import solve
 from tests.skincal.sim_support import make_rig

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.simulate.contacts import simulate_contacts
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import PressedPlaces, answer
+from skincal.simulation.contacts import simulate_contacts
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import PressedPlaces, answer
 from skincal.taxels.gains import MIN_NORMAL_LOAD_N, MIN_POKES_TO_ESTIMATE_GAIN, taxel_gains
 from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig

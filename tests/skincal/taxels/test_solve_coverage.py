@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from skincal.methods import estimate_taxels
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import PER_TAXEL, Method, State
 from tests.skincal.sim_support import make_rig, recipe
 

@@ -12,9 +12,9 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import pitch
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.operator import Habits
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.operator import Habits
+from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Method
 from skincal.taxels.solve import solve

@@ -18,10 +18,10 @@ from skincal.model.skin import Anchor
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import find_start
 from skincal.session.session import Session
-from skincal.simulate.contacts import simulate_contacts
-from skincal.simulate.operator import Habits, aimed_presses
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.contacts import simulate_contacts
+from skincal.simulation.operator import Habits, aimed_presses
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.solve import RIVAL_ESTIMATE_MAX_ODDS
 from tests.skincal.estimate_support import solve

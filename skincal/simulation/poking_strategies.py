@@ -18,11 +18,11 @@ from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
 from skincal.guide.surroundings import Surroundings
 from skincal.session.session import Session
-from skincal.simulate.contacts import POKE_CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
-from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.operator import OPERATORS, Habits, aimed_presses, unguided_presses
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import PressedPlaces, Rig, push_directions
+from skincal.simulation.contacts import POKE_CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
+from skincal.simulation.example_parts import ExamplePart
+from skincal.simulation.operator import OPERATORS, Habits, aimed_presses, unguided_presses
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import PressedPlaces, Rig, push_directions
 from skincal.taxels.result import Estimate, Method
 
 SHORT_LEVER_POSE = "2"

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from skincal.model.readings import Chunk, LinkState, Stream
-from skincal.simulate.board_formats import make_encoder
-from skincal.simulate.device import Clock, LossyLink, SimulatedDevice
-from skincal.simulate.emulated_devices import MAKERS
-from skincal.simulate.emulated_transports import MakerOutlets, RdtOutlet, TalkOutlet
-from skincal.simulate.outlets import TcpOutlet
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.board_formats import make_encoder
+from skincal.simulation.device import Clock, LossyLink, SimulatedDevice
+from skincal.simulation.emulated_devices import MAKERS
+from skincal.simulation.emulated_transports import MakerOutlets, RdtOutlet, TalkOutlet
+from skincal.simulation.outlets import TcpOutlet
+from skincal.simulation.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec, Reader
 
 PTYS = hasattr(os, "openpty")

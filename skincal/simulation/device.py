@@ -14,11 +14,11 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import Stream
-from skincal.simulate.board_formats import Encoder, make_encoder
-from skincal.simulate.emulated_devices import MAKERS
-from skincal.simulate.operator import HandPress, Move, Operator, OperatorAction
-from skincal.simulate.rig_errors import RigErrors, WrenchNoise
-from skincal.simulate.simulated_rig import Rig, SimulatedArmPose
+from skincal.simulation.board_formats import Encoder, make_encoder
+from skincal.simulation.emulated_devices import MAKERS
+from skincal.simulation.operator import HandPress, Move, Operator, OperatorAction
+from skincal.simulation.rig_errors import RigErrors, WrenchNoise
+from skincal.simulation.simulated_rig import Rig, SimulatedArmPose
 
 US_PER_S = 1_000_000
 NS_PER_S = 1_000_000_000

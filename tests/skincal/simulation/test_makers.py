@@ -10,15 +10,15 @@ from skincal.contacts.outcome import Contact
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.emulated_devices import MAKERS, assign_devices
-from skincal.simulate.operator import AutoOperator, Habits
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.serve import Server
+from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.emulated_devices import MAKERS, assign_devices
+from skincal.simulation.operator import AutoOperator, Habits
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.serve import Server
 from skincal.streams.intake import Intake
 from tests.skincal.meanwhile import meanwhile
 from tests.skincal.sim_support import make_rig
-from tests.skincal.simulate.orchestra_support import (
+from tests.skincal.simulation.orchestra_support import (
     PATIENCE_S,
     PTYS,
     SKINS,

@@ -18,8 +18,8 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import SENSOR_STREAMS, Stream
-from skincal.simulate.board_formats import Encoder
-from skincal.simulate.ros_outlets import Ros2Encoder
+from skincal.simulation.board_formats import Encoder
+from skincal.simulation.ros_outlets import Ros2Encoder
 
 NETFT_COUNTS_PER_UNIT = 1_000_000
 """Counts of the simulated Net F/T per N and per N m."""

@@ -9,10 +9,10 @@ from skincal.contacts.outcome import Contact
 from skincal.journal.reader import SessionLog
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
-from skincal.simulate.device import DeviceSettings
-from skincal.simulate.operator import Habits
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.virtual_session import simulate_session
+from skincal.simulation.device import DeviceSettings
+from skincal.simulation.operator import Habits
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.virtual_session import simulate_session
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import scene_and_surface
 

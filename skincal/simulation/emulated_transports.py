@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from skincal.model.readings import Stream
-from skincal.simulate.emulated_devices import (
+from skincal.simulation.emulated_devices import (
     NameTalk,
     PageTalk,
     PlainTalk,
@@ -19,8 +19,8 @@ from skincal.simulate.emulated_devices import (
     XelaTalk,
     YarpTalk,
 )
-from skincal.simulate.outlets import Outlet, PtyOutlet, TcpOutlet
-from skincal.simulate.ros_outlets import RosOutlet
+from skincal.simulation.outlets import Outlet, PtyOutlet, TcpOutlet
+from skincal.simulation.ros_outlets import RosOutlet
 
 RDT_RECORD_BYTES = 36
 YARP_PORTS = {

@@ -8,10 +8,10 @@ from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.operator import Habits, presses_at, unguided_presses
-from skincal.simulate.rig_errors import RigErrors, WrenchNoise
-from skincal.simulate.simulated_rig import Foam, Rig, answer, felt_share
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.operator import Habits, presses_at, unguided_presses
+from skincal.simulation.rig_errors import RigErrors, WrenchNoise
+from skincal.simulation.simulated_rig import Foam, Rig, answer, felt_share
 from tests.approved import approved_pattern
 from tests.skincal.sim_support import make_rig, scene_and_surface
 

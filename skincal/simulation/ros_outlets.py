@@ -10,7 +10,7 @@ import numpy as np
 
 from skincal.model.readings import Stream
 from skincal.ros.dds import Participant, default_domain
-from skincal.simulate.board_formats import Encoder
+from skincal.simulation.board_formats import Encoder
 
 TOPIC_OF_STREAM: Mapping[Stream, tuple[str, str]] = MappingProxyType(
     {

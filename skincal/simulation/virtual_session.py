@@ -16,10 +16,10 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.operator import AutoOperator, Habits
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.operator import AutoOperator, Habits
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.streams.links import LinkSpec
 
 SESSION_START_TIME_NS = 1_000_000_000

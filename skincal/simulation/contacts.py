@@ -15,9 +15,9 @@ from skincal.geometry import FloatArray, IntArray, inverse_pose
 from skincal.model.scene import Landmark
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.landmark_pokes import landmark_normals
-from skincal.simulate.operator import Habits, LandmarkHabits, second_touches, unguided_presses
-from skincal.simulate.rig_errors import drift_step, slow_mean_sd
-from skincal.simulate.simulated_rig import PressedPlaces, Rig, SimulatedArmPose, cone_tilts, push_directions, tangents
+from skincal.simulation.operator import Habits, LandmarkHabits, second_touches, unguided_presses
+from skincal.simulation.rig_errors import drift_step, slow_mean_sd
+from skincal.simulation.simulated_rig import PressedPlaces, Rig, SimulatedArmPose, cone_tilts, push_directions, tangents
 
 POKE_CYCLE_S = 2.5
 """s, one poke and the movement to the next (`Habits`)."""

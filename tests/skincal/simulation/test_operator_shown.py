@@ -15,8 +15,8 @@ from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, write_line
 from skincal.session.landmark_pokes import poke_at
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.device import DeviceTimeline
-from skincal.simulate.operator import (
+from skincal.simulation.device import DeviceTimeline
+from skincal.simulation.operator import (
     AutoOperator,
     GuidedOperator,
     Habits,
@@ -26,8 +26,8 @@ from skincal.simulate.operator import (
     PoseOrder,
     ScriptedOperator,
 )
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import tangents
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
 from tests.approved import approved_pattern
 from tests.skincal.sim_support import ask_on, make_rig

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skincal.model.errors import InputError
-from skincal.simulate.operator import (
+from skincal.simulation.operator import (
     AutoOperator,
     Habits,
     HandPress,
@@ -15,8 +15,8 @@ from skincal.simulate.operator import (
     press,
     read_order,
 )
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import push_directions, tangents
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import push_directions, tangents
 from tests.approved import approved_pattern
 from tests.skincal.sim_support import make_rig
 

@@ -12,10 +12,10 @@ from skincal.model.actions import AskLandmark
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.robot.target_lines import NoTarget, PokeTarget
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.emulated_devices import MAKERS
-from skincal.simulate.operator import GuidedOperator, Habits
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.emulated_devices import MAKERS
+from skincal.simulation.operator import GuidedOperator, Habits
+from skincal.simulation.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec
 from tests.approved import approved
 from tests.skincal.sim_support import make_rig

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from skincal.model.readings import Stream
-from skincal.simulate.emulated_transports import MakerOutlets
-from skincal.simulate.outlets import Outlet, PtyOutlet, TcpOutlet
+from skincal.simulation.emulated_transports import MakerOutlets
+from skincal.simulation.outlets import Outlet, PtyOutlet, TcpOutlet
 from skincal.streams.links import LinkSpec
 
 MAX_CATCH_UP_TIME_S = 1.0

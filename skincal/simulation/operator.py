@@ -18,7 +18,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import nearest_pushed_points
 from skincal.model.errors import InputError
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, NoTarget, PokeTarget
-from skincal.simulate.simulated_rig import (
+from skincal.simulation.simulated_rig import (
     PressedPlaces,
     Rig,
     SimulatedArmPose,

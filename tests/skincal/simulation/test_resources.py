@@ -6,7 +6,7 @@ import trimesh
 
 from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
-from skincal.simulate.example_parts import SHAPES
+from skincal.simulation.example_parts import SHAPES
 from tests.skincal.sim_support import scene_and_surface
 
 

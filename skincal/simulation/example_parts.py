@@ -27,9 +27,9 @@ from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.model.skin import Layout
 from skincal.modules.pose import ModuleModel
-from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import TAXELS_CHECKED_AROUND_TIP, Rig
+from skincal.simulation.contacts import simulate_contacts, unguided
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import TAXELS_CHECKED_AROUND_TIP, Rig
 
 MESH_TRIANGLES_FOR_LAYING_LAYOUT = 4_000
 """Size of the mesh for laying the layout: on 100,000 triangles it takes 3 s."""

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from skincal.robot.target_lines import PokeTarget
-from skincal.simulate.operator import OPERATORS, GuidedOperator, Habits, apply_bias
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import push_directions, tangents
+from skincal.simulation.operator import OPERATORS, GuidedOperator, Habits, apply_bias
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import push_directions, tangents
 from tests.skincal.sim_support import ask_on, make_rig
-from tests.skincal.simulate.operators_support import followed
+from tests.skincal.simulation.operators_support import followed
 
 NORMALS = np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8], [0.0, -1.0, 0.0]])
 

@@ -12,11 +12,11 @@ import serial
 
 from skincal.cli import main
 from skincal.model.readings import Stream
-from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.operator import AutoOperator, Habits
-from skincal.simulate.outlets import PtyOutlet, TcpOutlet
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.serve import Server
+from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.operator import AutoOperator, Habits
+from skincal.simulation.outlets import PtyOutlet, TcpOutlet
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.serve import Server
 from skincal.streams.decoders.auto_detect import make_decoder
 from tests.approved import approved
 from tests.skincal.meanwhile import meanwhile

@@ -19,7 +19,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.model.skin import Anchor
-from skincal.simulate.rig_errors import RigErrors
+from skincal.simulation.rig_errors import RigErrors
 
 
 @dataclass(frozen=True, slots=True, eq=False)

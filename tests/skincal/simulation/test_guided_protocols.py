@@ -20,13 +20,13 @@ from skincal.part.part import load_part
 from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import write_line
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.operator import GuidedOperator, Habits
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.operator import GuidedOperator, Habits
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.studies.unmodelled import inside_95_ellipsoid
 from skincal.taxels.result import Method
-from tests.skincal.simulate.orchestra_support import SKINS, WRENCHES, Brought, Orchestra, pairs_of_each, reading
+from tests.skincal.simulation.orchestra_support import SKINS, WRENCHES, Brought, Orchestra, pairs_of_each, reading
 
 MOST = 40
 """Pokes. A protocol that spoils them makes the guide ask for more."""

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from skincal.cli.simulate import SERVED_MOMENT_NOISE_NM
 from skincal.model.readings import Loss, Stream
-from skincal.simulate.board_formats import SkbEncoder, SktEncoder, cobs, make_encoder
-from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.operator import AutoOperator, Habits, HandPress, Move, PokeOrder, PoseOrder, ScriptedOperator
-from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import Rig
+from skincal.simulation.board_formats import SkbEncoder, SktEncoder, cobs, make_encoder
+from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.operator import AutoOperator, Habits, HandPress, Move, PokeOrder, PoseOrder, ScriptedOperator
+from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_rig import Rig
 from skincal.streams.decoders.auto_detect import make_decoder
 from tests.skincal.sim_support import make_rig, scene_and_surface
 

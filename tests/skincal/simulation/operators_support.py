@@ -9,9 +9,9 @@ from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
 from skincal.guide.surroundings import Surroundings
 from skincal.session.session import Session
-from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.operator import OPERATORS
-from skincal.simulate.poking_strategies import Conditions, MeantPokes, displaced_rig, errors_of, poke_by_hand
+from skincal.simulation.example_parts import ExamplePart
+from skincal.simulation.operator import OPERATORS
+from skincal.simulation.poking_strategies import Conditions, MeantPokes, displaced_rig, errors_of, poke_by_hand
 from skincal.studies.unmodelled import CHI2_95, in_known_directions
 from skincal.taxels.result import Method
 
