@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from skincal.files.export import write_calibration
-from skincal.files.reference import error_summary, read_reference
-from skincal.following.results import SessionResults
+from skincal.interface.scene import Scene
+from skincal.interface.session import Session, simulate
 from skincal.model.errors import InputError
-from skincal.session.pipeline import Pipeline
 from skincal.taxels.result import Method
 
 SIMULATED_POKE_COUNT = 168
@@ -31,48 +29,31 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
         f"{why}\nThe same session runs without it: {SIMULATED_POKE_COUNT} pokes on the simulated "
         f"{scene_path.parent.name}, in {out}"
     )
-    pipeline = _simulate(scene_path, out)
-    results = SessionResults(pipeline)
-    calibration, method = results.calibration(), results.leading or Method.FREE
-    positions = out / "positions.txt"
-    _say(f"{method.value} predicts the smallest error, and is written and drawn")
-    _say(f"{calibration.verdicts[method]}.")
-    for finding in write_calibration(calibration, "icub", positions, method):
+    scene = Scene.load(scene_path)
+    session = simulate(scene, SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED, folder=out, progress=_show_progress)
+    method, positions = session.method, out / "positions.txt"
+    _say(f"{method} predicts the smallest error, and is written and drawn")
+    _say(f"{session.verdict(method)}")
+    for finding in session.export(positions, "icub", method):
         _say(finding)
-    truth = read_reference(out / "truth.json")
-    for name, estimates in calibration.estimates.items():
-        error = error_summary(estimates, truth)
-        if error is not None:
-            _say(f"{name.value}: {error.taxels} taxels, {error.mean * 1e3:.1f} mm mean error, {error.max * 1e3:.1f} mm largest")
+    for name in scene.methods:
+        if session.truth is not None and (error := session.taxels(name).compare(session.truth)).worst_channel is not None:
+            words = f"{error.mean * 1e3:.1f} mm mean error, {error.worst * 1e3:.1f} mm largest"
+            _say(f"{name}: {len(error.channel)} taxels, {words}")
     _say(f"calibration file: {positions}")
-    _say(f"picture: {_draw(pipeline, method, out / 'picture.png')}")
+    _say(f"picture: {_draw(session, method, out / 'picture.png')}")
     return 0
 
 
-def _simulate(scene_path: Path, out: Path) -> Pipeline:
-    from skincal.mesh.load import load_surface
-    from skincal.model.scene import load_scene
-    from skincal.simulation.rig_errors import RigErrors
-    from skincal.simulation.virtual_session import simulate_session
-
-    scene = load_scene(scene_path)
-    surface = None if scene.surface is None else load_surface(scene.surface)[0]
-    return simulate_session(
-        scene, surface, out, SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED, RigErrors.noise(), progress=_show_progress
-    )
-
-
-def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
+def _draw(session: Session, method: str, path: Path) -> Path:
     from app.scene3d.drawing_probe import choose_offscreen
 
     # Before VTK is imported: on a machine without OpenGL that may fail, too.
     choose_offscreen()
     from app.scene3d.offscreen import picture
-    from skincal.mesh.lay import place_layout
 
-    skin = pipeline.scene.skin
-    laid = None if skin.layout is None else place_layout(skin.layout, skin.anchor, pipeline.session.surface)
-    picture(pipeline.scene, pipeline.session.surface, laid, pipeline.snapshot(), method, path)
+    part = session.scene.part
+    picture(part.scene, part.surface, part.laid, session.results.snapshot, Method(method), path)
     return path
 
 

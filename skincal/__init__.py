@@ -28,13 +28,16 @@ from typing import TYPE_CHECKING, Any
 from skincal.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from skincal.files.formats import ExportOptions, Inertia
+    from skincal.files.reference import Comparison
     from skincal.interface.scene import Scene
     from skincal.interface.session import Judgement, Session, read_bag, read_csv, simulate, solve
-    from skincal.interface.taxels import Comparison, Taxels
+    from skincal.interface.taxels import Taxels
     from skincal.model.errors import InputError
 
 __all__ = [
-    "Comparison", "InputError", "Judgement", "Scene", "Session", "Taxels", "read_bag", "read_csv", "simulate", "solve",
+    "Comparison", "ExportOptions", "Inertia", "InputError", "Judgement", "Scene", "Session", "Taxels", "read_bag", "read_csv",
+    "simulate", "solve",
 ]  # fmt: skip
 
 # OpenBLAS, MKL and Accelerate read these once, when numpy or scipy is imported.
@@ -42,9 +45,11 @@ for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THR
     os.environ.setdefault(_variable, "1")
 
 _PUBLIC_NAMES = {
+    "skincal.files.formats": ("ExportOptions", "Inertia"),
+    "skincal.files.reference": ("Comparison",),
     "skincal.interface.scene": ("Scene",),
     "skincal.interface.session": ("Judgement", "Session", "read_bag", "read_csv", "simulate", "solve"),
-    "skincal.interface.taxels": ("Comparison", "Taxels"),
+    "skincal.interface.taxels": ("Taxels",),
     "skincal.model.errors": ("InputError",),
 }
 

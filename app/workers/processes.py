@@ -268,9 +268,9 @@ class JobQueue:
 
 def report_job(session: Path, path: Path, method: Method, _progress: Progress) -> str:
     """Write a session's report and return its verdict."""
-    from skincal.reporting.page import write_report
+    from skincal.interface.session import Session
 
-    return write_report(session, path, method)
+    return Session.load(session).report(path, method.value)
 
 
 def positions_job(path: Path, link: str, channels: Collection[int], _progress: Progress) -> tuple[TaxelPositions, ...]:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from skincal.cli.solve import Correct, Json, LayoutOption, MethodOption, Part, Replay, open_results
+from skincal.cli.solve import Correct, Json, LayoutOption, MethodOption, Part, Replay
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 
@@ -56,6 +56,7 @@ def apply(
     positions are read first and kept in a file; this command restores them from it. At the first refusal it stops.
     """
     from skincal.cli import output
+    from skincal.interface.session import Session
     from skincal.robot.skin_manager import (
         apply_positions,
         calibrated_positions,
@@ -72,7 +73,7 @@ def apply(
             raise InputError(f"{source} is a file of positions; expected --part alone with it, since only a session is solved.")
         positions = file_positions(source, part)
     else:
-        results = open_results(source, replay, layout, correct)
+        results = Session.load(source, layout=layout, replayed=replay, correct=correct).results
         chosen = results.choose_method(method)
         positions = calibrated_positions(results.calibration(), chosen, part)
         verdict = output.verdict_words(results.verdict(chosen))

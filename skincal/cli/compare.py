@@ -9,9 +9,7 @@ import typer
 from skincal.cli.solve import Json
 
 if TYPE_CHECKING:
-    from skincal.files.reference import TaxelPositions
-    from skincal.geometry import IntArray
-    from skincal.taxels.differences import Repeatability
+    from skincal.files.reference import Comparison
 
 Places = typer.Argument(
     help="Folder of a session, or a file: a calibration's JSON or CSV, an iCub position file, a URDF with a tactile sensor, a "
@@ -30,30 +28,23 @@ def add_to(app: typer.Typer) -> None:
 def compare(first: Annotated[str, Places], second: Annotated[str, Places], as_json: Json = False) -> None:
     """Compare two sets of positions of the same taxels: mean and worst, common rigid motion, module by module."""
     from skincal.cli import output
-    from skincal.files.reference import compare_sets
-    from skincal.following.named_places import find_places
+    from skincal.interface.taxels import Taxels
 
-    sets = find_places(first), find_places(second)
-    channels, modules, found = compare_sets(*sets)
-    result = comparison_result(sets, channels, modules, found)
+    result = comparison_result(Taxels.load(first).compare(Taxels.load(second)))
     output.print_result(result, _lines(result), as_json)
 
 
-def comparison_result(
-    sets: tuple[TaxelPositions, TaxelPositions], channels: IntArray, modules: IntArray, found: Repeatability
-) -> dict[str, Any]:
-    """Convert a comparison to JSON, in millimetres and degrees; `channels` and `modules` are from `compare_sets`."""
+def comparison_result(found: Comparison) -> dict[str, Any]:
+    """Convert a comparison to JSON, in millimetres and degrees."""
     import numpy as np
 
-    summary, motion = found.summary, found.motion
-    known = [(int(channels[row]), float(found.lengths[row])) for row in np.flatnonzero(np.isfinite(found.lengths)).tolist()]
+    motion, count = found.motion, len(found.channel)
     return {
-        "first": sets[0].name,
-        "second": sets[1].name,
-        "taxels": 0 if summary is None else summary.known,
-        "error_mm": None if summary is None else {
-            "mean": summary.mean * 1e3, "rms": summary.rms * 1e3, "worst": summary.largest * 1e3,
-            "worst_channel": int(channels[summary.row]),
+        "first": found.first,
+        "second": found.second,
+        "taxels": count,
+        "error_mm": None if not count else {
+            "mean": found.mean * 1e3, "rms": found.rms * 1e3, "worst": found.worst * 1e3, "worst_channel": found.worst_channel,
         },
         "common_motion": None if motion is None else {
             "turn_deg": float(np.degrees(motion.turn)), "shift_mm": motion.shift * 1e3,
@@ -61,12 +52,15 @@ def comparison_result(
         },
         "modules": [
             {
-                "module": int(modules[each.module]), "taxels": each.known, "mean_mm": each.mean * 1e3,
+                "module": module, "taxels": each.known, "mean_mm": each.mean * 1e3,
                 "shift_mm": each.shift * 1e3, "shape_mm": None if each.shape is None else each.shape * 1e3,
             }
-            for each in found.modules
+            for module, each in found.modules.items()
         ],
-        "apart_mm": {str(channel): length * 1e3 for channel, length in known},
+        "apart_mm": {
+            str(channel): length * 1e3
+            for channel, length in zip(found.channel.tolist(), found.distance.tolist(), strict=True)
+        },
     }  # fmt: skip
 
 

@@ -33,9 +33,9 @@ def report(
 ) -> None:
     """Write the report of a session: verdict and evidence, pictures, errors, rig, pokes, settings and versions in one file."""
     from skincal.cli import output
-    from skincal.reporting.page import write_report
+    from skincal.interface.session import Session
 
     if out.suffix.lower() not in PAGE_SUFFIXES:
         raise InputError(f"{out}: a report is a page for the browser; expected --out with a name that ends in .html.")
-    verdict = write_report(session, out, method, correct=correct)
+    verdict = Session.load(session, correct=correct).report(out, None if method is None else method.value)
     output.print_result({"file": out, "verdict": verdict}, [verdict, f"wrote {out}"], as_json)

@@ -107,6 +107,7 @@ def solve(
     """
     from skincal.cli import output
     from skincal.files.reference import read_reference
+    from skincal.interface.session import Session
     from skincal.words.frame_words import frame_sentences
     from skincal.words.layout_words import sheet_findings
     from skincal.words.setup_words import setup_sentences
@@ -116,7 +117,7 @@ def solve(
     if prefix is not None and out is None:
         raise InputError("--prefix begins the names of taxels in the files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
-    results = open_results(session, replay, layout, correct)
+    results = Session.load(session, layout=layout, replayed=replay, correct=correct).results
     pipeline, snapshot = results.pipeline, results.snapshot
     planned = pipeline.scene.skin.layout, snapshot.part_size
     counts = output.poke_counts(snapshot)
@@ -165,17 +166,6 @@ def solve(
     text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in snapshot.dead.items())]
     text += [*output.loss_lines(totals.links), *findings, *(f"wrote {path}" for path in files)]
     output.print_result(result, text, as_json)
-
-
-def open_results(session: Path, replay: bool, layout: Path | None, correct: bool) -> SessionResults:
-    """Open a recorded session, as the options say."""
-    from skincal.following.results import SessionResults, use_offered
-    from skincal.session import replay as sessions
-
-    pipeline = (sessions.replay if replay else sessions.load)(session, layout)
-    if correct:
-        use_offered(pipeline.session)
-    return SessionResults(pipeline)
 
 
 def _distance(tried: TriedDistance) -> dict[str, Any]:
@@ -349,18 +339,17 @@ def export(
 ) -> None:
     """Write the calibration file of a session."""
     from skincal.cli import output
-    from skincal.files.export import write_calibration
+    from skincal.interface.session import Session
 
     options = ExportOptions(part, prefix, inertia, into)
     options.require_use(format_)
-    results = open_results(session, replay, layout, correct)
-    chosen, calibration = results.choose_method(method), results.calibration()
-    findings = [*results.pipeline.findings, *write_calibration(calibration, format_, out, chosen, options)]
-    summary = output.method_summary(
-        calibration.estimates[chosen], None, results.session.scene.skin.layout, calibration.part_size
-    )
-    verdict, unchecked = calibration.verdicts[chosen], calibration.unmodelled_rig_error_m[chosen]
+    opened = Session.load(session, layout=layout, replayed=replay, correct=correct)
+    results, chosen = opened.results, opened.results.choose_method(method)
+    findings = [*opened.findings, *opened.export(out, format_.value, chosen.value, options)]
+    snapshot, judged = results.snapshot, results.verdict(chosen)
+    summary = output.method_summary(snapshot.estimates[chosen], None, results.session.scene.skin.layout, snapshot.part_size)
     line = output.method_line(chosen.value, summary) + (output.LEADS_WORDS if chosen is results.leading else "")
+    verdict, unchecked = output.verdict_words(judged), judged.unchecked
     result = {
         "file": out,
         "format": format_.value,

@@ -16,7 +16,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.methods import leading_by
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_JSON_BYTES, parse_json, read_regular
-from skincal.taxels.differences import Repeatability, repeatability
+from skincal.taxels.differences import CommonMotion, ModuleDifference, repeatability
 from skincal.taxels.result import Estimate, Method
 
 TRUTH_NAME = "truth.json"
@@ -101,10 +101,50 @@ def read_places(path: Path, method: Method | None = None) -> TaxelPositions:
     return chosen
 
 
-def compare_sets(first: TaxelPositions, second: TaxelPositions) -> tuple[IntArray, IntArray, Repeatability]:
-    """Return the taxels that either set knows, the modules' ids, and how well the sets repeat each other.
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Distances between two sets of positions of the same taxels."""
 
-    The differences are of the first, ascending; the numbers of the modules count the second.
+    first: str
+    """Name of the first set."""
+    second: str
+    channel: IntArray
+    """(n,) channels known in both sets, ascending."""
+    distance: FloatArray
+    """(n,) float, metres."""
+    motion: CommonMotion | None
+    """Rigid motion from the first set to the second (turn in rad, shift in metres), and what it leaves; `None` if fewer than
+    three taxels, or taxels on one line, do not determine it."""
+    modules: Mapping[int, ModuleDifference]
+    """By the id of each module that has a taxel in both sets."""
+
+    @property
+    def mean(self) -> float:
+        """Mean distance, metres; NaN without a common taxel."""
+        return float(self.distance.mean()) if len(self.distance) else float("nan")
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the distances, metres; NaN without a common taxel."""
+        return float(np.sqrt(np.mean(self.distance * self.distance))) if len(self.distance) else float("nan")
+
+    @property
+    def worst(self) -> float:
+        """Largest distance, metres; NaN without a common taxel."""
+        return float(self.distance.max()) if len(self.distance) else float("nan")
+
+    @property
+    def worst_channel(self) -> int | None:
+        """Channel of the largest distance; `None` without a common taxel."""
+        return int(self.channel[self.distance.argmax()]) if len(self.distance) else None
+
+    def __repr__(self) -> str:
+        """Mean and largest distance in a line."""
+        return f"Comparison({len(self.channel)} taxels: {self.mean * 1e3:.2f} mm mean, {self.worst * 1e3:.2f} mm at most)"
+
+
+def compare_sets(first: TaxelPositions, second: TaxelPositions) -> Comparison:
+    """Compare two sets of positions of the same taxels.
 
     Raises InputError: the sets are in frames of different names.
     """
@@ -113,19 +153,20 @@ def compare_sets(first: TaxelPositions, second: TaxelPositions) -> tuple[IntArra
             f"{first.name} is in the frame of {first.link!r}, {second.name} in that of {second.link!r}; expected places of "
             "the same part."
         )
-    channels = np.array(sorted(first.places.keys() | second.places.keys()), dtype=np.int64)
+    channels = np.array(sorted(first.places.keys() & second.places.keys()), dtype=np.int64)
     module_of = {**second.modules, **first.modules}
     ids = np.array([module_of.get(channel, -1) for channel in channels.tolist()], dtype=np.int64)
     named, owners = np.unique(ids, return_inverse=True)
     # The smallest id is that of taxels without a module, where there are some.
     none = int(len(named) > 0 and named[0] < 0)
     here, there = (_rows(each.places, channels) for each in (first, second))
-    return channels, named[none:], repeatability(here, there, owners.astype(np.int64) - none)
+    found = repeatability(here, there, owners.astype(np.int64) - none)
+    modules = {int(named[none + each.module]): each for each in found.modules}
+    return Comparison(first.name, second.name, channels, found.lengths, found.motion, modules)
 
 
 def _rows(places: Mapping[int, FloatArray], channels: IntArray) -> FloatArray:
-    unknown = np.full(3, np.nan)
-    return np.array([places.get(channel, unknown) for channel in channels.tolist()], dtype=float).reshape(-1, 3)
+    return np.array([places[channel] for channel in channels.tolist()], dtype=float).reshape(-1, 3)
 
 
 def load_reference(path: Path, link: str, channels: Collection[int], origin: Origin = Origin.FILE) -> TaxelPositions:

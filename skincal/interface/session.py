@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from skincal.contacts.outcome import Outcome, Rejection
 from skincal.files.export import write_calibration
-from skincal.files.formats import ExportFormat, ExportOptions, Inertia
+from skincal.files.formats import ExportFormat, ExportOptions
 from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace
 from skincal.files.reference import TaxelPositions, find_truth
 from skincal.following.results import SessionResults, use_offered
@@ -28,7 +28,9 @@ from skincal.words.poke_words import rejection_words
 from skincal.words.verdict_words import verdict_sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+    from skincal.reporting.session_facts import SessionFacts
 
 
 @dataclass(frozen=True)
@@ -51,13 +53,20 @@ class Judgement:
 
 
 class Session:
-    """Pokes on a part and the estimates from them. Make one with `load`, `skincal.solve`, `skincal.simulate` or a reader."""
+    """Pokes on a part and the estimates from them. Make one with `load`, `skincal.solve`, `skincal.simulate` or a reader.
+
+    `name` is that of its folder or file, `results` are the values behind, as the program's commands use them.
+    """
 
     def __init__(
-        self, pipeline: Pipeline, name: str, truth: TaxelPositions | None = None, findings: tuple[str, ...] = ()
+        self,
+        pipeline: Pipeline,
+        name: str,
+        read_truth: Callable[[], TaxelPositions | None] = lambda: None,
+        findings: tuple[str, ...] = (),
     ) -> None:
-        self._results, self.name, self._truth = SessionResults(pipeline), name, truth
-        self._findings = findings
+        self.results, self.name = SessionResults(pipeline), name
+        self._read_truth, self._findings = read_truth, findings
 
     @classmethod
     def load(
@@ -80,23 +89,23 @@ class Session:
         pipeline = (replay if replayed else load)(path, None if layout is None else Path(layout))
         if correct:
             use_offered(pipeline.session)
-        channels = pipeline.session.channels
-        return cls(pipeline, path.resolve().name, find_truth(path, pipeline.scene.link, list(channels)))
+        channels = list(pipeline.session.channels)
+        return cls(pipeline, path.resolve().name, lambda: find_truth(path, pipeline.scene.link, channels))
 
     @cached_property
     def scene(self) -> Scene:
         """The part that was calibrated."""
-        return Scene(self._results.part)
+        return Scene(self.results.part)
 
     @property
     def method(self) -> str:
         """Leading method: the one with the smallest predicted error among the nearly complete ones."""
-        return self._results.choose_method(None).value
+        return self.results.choose_method(None).value
 
     @property
     def pokes(self) -> tuple[Outcome, ...]:
         """Every poke in order: a `Contact`, or a `Rejection` that does not count."""
-        return tuple(record.outcome for record in self._results.snapshot.pokes)
+        return tuple(record.outcome for record in self.results.snapshot.pokes)
 
     @property
     def rejections(self) -> Mapping[int, str]:
@@ -106,26 +115,30 @@ class Session:
     @property
     def findings(self) -> tuple[str, ...]:
         """Sentences on the recording: what was lost, paused or unusual."""
-        return (*self._results.pipeline.findings, *self._findings)
+        return (*self.results.pipeline.findings, *self._findings)
+
+    @cached_property
+    def _truth(self) -> TaxelPositions | None:
+        return self._read_truth()
 
     @property
     def truth(self) -> Taxels | None:
-        """True taxels of a simulated session; `None` for a real one."""
-        return None if self._truth is None else taxels_at(self._truth, self._results.session.scene.link)
+        """True taxels of a simulated session; `None` for a real one. Raises InputError: its file cannot be read."""
+        return None if self._truth is None else taxels_at(self._truth, self.results.session.scene.link)
 
     def taxels(self, method: str | None = None) -> Taxels:
         """Return the estimates of `free`, `surface` or `modules`; `None` for the leading method.
 
         Raises InputError: the scene lacks what the method needs.
         """
-        chosen, snapshot = self._method(method), self._results.snapshot
+        chosen, snapshot = self._method(method), self.results.snapshot
         # The normals of the smooth part, as in files.
-        estimates = self._results.session.calibration().estimates[chosen]
-        return taxels_of(estimates, self._results.session.scene, chosen, snapshot.part_size)
+        estimates = self.results.session.calibration().estimates[chosen]
+        return taxels_of(estimates, self.results.session.scene, chosen, snapshot.part_size)
 
     def verdict(self, method: str | None = None) -> Judgement:
         """Judge the estimates of a method; `None` for the leading one. Raises InputError: as for `taxels`."""
-        found = self._results.verdict(self._method(method))
+        found = self.results.verdict(self._method(method))
         return Judgement(verdict_sentence(found), found.enough, found.is_finished, found.believed, found.doubted)
 
     def export(
@@ -133,11 +146,7 @@ class Session:
         path: str | Path,
         format: str,  # noqa: A002 - as in the command
         method: str | None = None,
-        *,
-        part: str | None = None,
-        prefix: str | None = None,
-        inertia: str = "none",
-        into: str | Path | None = None,
+        options: ExportOptions | None = None,
     ) -> tuple[str, ...]:
         """Write the calibration file; an older one is kept as `.bak`.
 
@@ -145,7 +154,7 @@ class Session:
         ----------
         format : such as `"icub"`, `"urdf"`, `"json"`; `skincal export --help` lists all
         method : whose positions are written; `None` for the leading one
-        part, prefix, inertia, into : as the options of `skincal export`
+        options : that only some formats have, such as `skincal.ExportOptions(prefix="left_")`
 
         Returns
         -------
@@ -156,20 +165,24 @@ class Session:
         InputError
             An option does not fit the format, or the file cannot be written.
         """
-        written = _member(ExportFormat, format, "format")
-        options = ExportOptions(part, prefix, _member(Inertia, inertia, "inertia"), None if into is None else Path(into))
-        options.require_use(written)
-        return write_calibration(self._results.calibration(), written, Path(path), self._method(method), options)
+        written, chosen = _member(ExportFormat, format, "format"), options or ExportOptions()
+        chosen.require_use(written)
+        return write_calibration(self.results.calibration(), written, Path(path), self._method(method), chosen)
 
-    def report(self, path: str | Path, method: str | None = None) -> None:
-        """Write the report, a page for the browser; an older one is kept as `.bak`.
+    def facts(self, method: str | None = None) -> SessionFacts:
+        """Gather everything that the report shows. Raises InputError: as for `taxels`."""
+        from skincal.reporting.session_facts import gather_facts
+
+        return gather_facts(self.results, self.name, self._truth, self._method(method))
+
+    def report(self, path: str | Path, method: str | None = None) -> str:
+        """Write the report, a page for the browser, and return the verdict; an older file is kept as `.bak`.
 
         Raises InputError: the scene lacks what the method needs, or the file cannot be written.
         """
-        from skincal.reporting.page import write_facts
-        from skincal.reporting.session_facts import facts_of
+        from skincal.reporting.page import write_report
 
-        write_facts(Path(path), facts_of(self._results, self.name, self._truth, self._method(method)))
+        return write_report(self.facts(method), Path(path))
 
     def __repr__(self) -> str:
         """Count the pokes in a line."""
@@ -179,7 +192,7 @@ class Session:
         return f"<p>{escape(repr(self))}. {escape(str(self.verdict()))}</p>{self.taxels().html()}"
 
     def _method(self, asked: str | None) -> Method:
-        return self._results.choose_method(None if asked is None else _member(Method, asked, "method"))
+        return self.results.choose_method(None if asked is None else _member(Method, asked, "method"))
 
 
 def solve(scene: Scene, wrenches: Any, responses: Any, poses: Any = None, times: Any = None) -> Session:
@@ -205,7 +218,14 @@ def solve(scene: Scene, wrenches: Any, responses: Any, poses: Any = None, times:
     return Session(pipeline_of_arrays(scene.part, wrenches, responses, poses, times), "arrays")
 
 
-def simulate(scene: Scene, pokes: int = 252, seed: int = 1, errors: str = "noise", folder: str | Path | None = None) -> Session:
+def simulate(
+    scene: Scene,
+    pokes: int = 252,
+    seed: int = 1,
+    errors: str = "noise",
+    folder: str | Path | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Session:
     """Simulate a session of random pokes on a rig with known taxels (`Session.truth`).
 
     Parameters
@@ -213,6 +233,7 @@ def simulate(scene: Scene, pokes: int = 252, seed: int = 1, errors: str = "noise
     seed : equal seeds give equal sessions
     errors : of the rig: `none`, `noise` (a good rig), or `paper` (those of the paper's rig)
     folder : for the recording; `None` to keep none
+    progress : called with the number of each poke that begins
 
     Raises
     ------
@@ -228,8 +249,9 @@ def simulate(scene: Scene, pokes: int = 252, seed: int = 1, errors: str = "noise
     rig: RigErrors = getattr(RigErrors, errors)()
     with TemporaryDirectory() as temporary:
         place = Path(temporary) / "simulated" if folder is None else Path(folder)
-        pipeline = simulate_session(part.scene, part.surface, place, pokes, seed, rig)
-        return Session(pipeline, place.name, find_truth(place, scene.link, part.channels.tolist()))
+        pipeline = simulate_session(part.scene, part.surface, place, pokes, seed, rig, progress=progress)
+        truth = find_truth(place, scene.link, part.channels.tolist())
+        return Session(pipeline, place.name, lambda: truth)
 
 
 def read_csv(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skincal.files.reference import TaxelPositions, compare_sets
+from skincal.files.reference import Comparison, TaxelPositions, compare_sets
 from skincal.following.named_places import find_places
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene as SceneFile
@@ -22,37 +22,9 @@ from skincal.taxels.shared_errors import known_error
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray, IntArray
     from skincal.part.part import Part
-    from skincal.taxels.differences import CommonMotion
 
 ROWS_SHOWN_IN_NOTEBOOK = 12
 """A longer table is cut in the middle, as pandas does it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Distances between two sets of positions of the same taxels."""
-
-    channel: IntArray
-    """(n,) channels known in both sets, ascending."""
-    distance: FloatArray
-    """(n,) float, metres."""
-    motion: CommonMotion | None
-    """Rigid motion from the first set to the second (turn in rad, shift in metres), and what it leaves; `None` if fewer than
-    three taxels, or taxels on one line, do not determine it."""
-
-    @property
-    def mean(self) -> float:
-        """Mean distance, metres; NaN without a common taxel."""
-        return float(self.distance.mean()) if len(self.distance) else float("nan")
-
-    @property
-    def worst(self) -> float:
-        """Largest distance, metres; NaN without a common taxel."""
-        return float(self.distance.max()) if len(self.distance) else float("nan")
-
-    def __repr__(self) -> str:
-        """Mean and largest distance in a line."""
-        return f"Comparison({len(self.channel)} taxels: {self.mean * 1e3:.2f} mm mean, {self.worst * 1e3:.2f} mm at most)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +94,7 @@ class Taxels:
         Raises InputError: the frames have different names, or `other` cannot be read.
         """
         there = other if isinstance(other, Taxels) else Taxels.load(other)
-        channels, _, found = compare_sets(self.places(), there.places())
-        known = np.isfinite(found.lengths)
-        return Comparison(channels[known], found.lengths[known], found.motion)
+        return compare_sets(self.places(), there.places())
 
     def plot(self) -> Any:
         """Draw the taxels from three sides with matplotlib, coloured by module; return the figure."""

@@ -20,10 +20,10 @@ from skincal.following.error_history import MAX, MEAN, P95, TAXELS
 from skincal.guide.progress import GuideSettings
 from skincal.model.errors import list_channels, plural
 from skincal.reporting.drawings import VIEW_NAMES, draw_course, draw_map, draw_sides, error_name
-from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
+from skincal.reporting.session_facts import MethodFacts, SessionFacts
 from skincal.rig.correction import RIG
 from skincal.taxels.gains import TaxelGain
-from skincal.taxels.result import Estimate, Method
+from skincal.taxels.result import Estimate
 from skincal.taxels.shared_errors import PredictedError
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
@@ -93,23 +93,11 @@ class ReportSection:
     tables: Sequence[ReportTable] = ()
 
 
-def write_report(folder: Path, path: Path, method: Method | None = None, *, correct: bool = False) -> str:
-    """Write the report of a recorded session; return its verdict. An older file is kept as `.bak`.
+def write_report(facts: SessionFacts, path: Path) -> str:
+    """Write the report and return its verdict; an older file is kept as `.bak`.
 
-    Parameters
-    ----------
-    method, correct : as for `gather_facts`
-
-    Raises
-    ------
-    InputError
-        The folder is no session, the scene lacks the method, no correction is offered, or the file cannot be written.
+    Raises InputError: the file cannot be written.
     """
-    return write_facts(path, gather_facts(folder, method, correct=correct))
-
-
-def write_facts(path: Path, facts: SessionFacts) -> str:
-    """Write the report of gathered facts, as `write_report`."""
     write_atomically(path, report_page(facts).encode("utf-8"))
     return verdict_sentence(facts.verdict)
 

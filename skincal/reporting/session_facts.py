@@ -9,23 +9,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import numpy as np
 
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.files.export import calibration_file
 from skincal.files.formats import ExportFormat
-from skincal.files.reference import ErrorSummary, TaxelPositions, error_summary, find_truth
+from skincal.files.reference import ErrorSummary, TaxelPositions, error_summary
 from skincal.following.error_history import ErrorCourse, ErrorSeries, spreads_of
-from skincal.following.results import SessionResults, use_offered
+from skincal.following.results import SessionResults
 from skincal.geometry import FloatArray
 from skincal.guide.verdict import Verdict
 from skincal.methods import estimate_taxels
 from skincal.modules.health import spacing_ratio
 from skincal.part.part import Part
 from skincal.session.pipeline import Pipeline
-from skincal.session.replay import load
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.gains import TaxelGain
@@ -95,29 +93,8 @@ class SessionFacts:
         return self.results.verdict(self.method)
 
 
-def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = False) -> SessionFacts:
-    """Load a recorded session and gather what a report shows; nothing in the folder changes.
-
-    Parameters
-    ----------
-    method : whose estimates are shown; `None` for the leading one
-    correct : whether the corrections that landmark pokes offer are used (`use_offered`)
-
-    Raises
-    ------
-    InputError
-        The folder is no session, its scene does not have the method, or no correction is offered.
-    """
-    pipeline = load(folder)
-    if correct:
-        use_offered(pipeline.session)
-    results = SessionResults(pipeline)
-    truth = find_truth(folder, pipeline.scene.link, results.part.channels.tolist())
-    return facts_of(results, folder.resolve().name, truth, results.choose_method(method))
-
-
-def facts_of(results: SessionResults, name: str, truth: TaxelPositions | None, method: Method) -> SessionFacts:
-    """Gather what a report shows of results; the parameters are fields of `SessionFacts`."""
+def gather_facts(results: SessionResults, name: str, truth: TaxelPositions | None, method: Method) -> SessionFacts:
+    """Gather everything that a report shows; the parameters are fields of `SessionFacts`."""
     session, snapshot = results.session, results.snapshot
     calibration, errors = session.calibration(), errors_of(snapshot.estimates[method], truth, snapshot.part_size)
     names = [mark.name for mark in session.decisions.landmarks]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import html
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import skincal
 from app.panels.inspect_panel import estimate_cells
 from app.text.outcomes import error_words
 from skincal.cli import main
@@ -18,7 +18,6 @@ from skincal.mesh.surface import Surface
 from skincal.methods import leading_method
 from skincal.model.scene import resource
 from skincal.reporting.page import report_page
-from skincal.reporting.session_facts import gather_facts
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 from skincal.words.taxel_words import taxel_error_words
 from skincal.words.verdict_words import figures
@@ -74,7 +73,7 @@ def test_export_writes_the_leading_method_unless_it_is_named(tmp_path, capsys):
 
 
 def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_path, capsys):
-    facts = gather_facts(Path(SAMPLE))
+    facts = skincal.Session.load(SAMPLE).facts()
     errors = [1e3 * each.rms for each in facts.estimates if each.rms is not None]
     said = approved("now.predicted", mean_mm=f"{np.mean(errors):.1f}", worst_mm=f"{max(errors):.1f}")
     assert error_words(facts.estimates, math.inf) == said
@@ -91,7 +90,7 @@ def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_pat
 @pytest.mark.parametrize("size", [0.02, 0.003])
 def test_an_error_above_the_size_of_the_part_is_not_known_yet_wherever_it_is_said(tmp_path, capsys, monkeypatch, size):
     monkeypatch.setattr(Surface, "size", size)
-    facts = gather_facts(Path(SAMPLE), Method.FREE)
+    facts = skincal.Session.load(SAMPLE).facts("free")
     every = [each for each in facts.estimates if each.rms is not None]
     errors = [each.rms for each in every if each.rms <= size]
     counts = {"mean_mm": f"{1e3 * np.mean(errors):.1f}", "worst_mm": f"{1e3 * max(errors):.1f}"} if errors else {}

@@ -65,27 +65,24 @@ def test_a_known_motion_between_two_sets_is_found_again_module_by_module(calibra
     first = read_places(tmp_path / "c.json", Method.FREE)
     turn = Rotation.from_rotvec(np.radians([0.0, 0.0, 3.0]))
     moved = {channel: turn.apply(place) + np.array([0.0, 0.002, 0.0]) for channel, place in first.places.items() if channel > 1}
-    channels, modules, found = compare_sets(first, TaxelPositions("moved", "", moved))
-    assert channels.tolist() == sorted(first.places)
-    assert found.summary.known == len(first.places) - 2
+    found = compare_sets(first, TaxelPositions("moved", "", moved))
+    assert found.channel.tolist() == sorted(moved)
     assert np.degrees(found.motion.turn) == pytest.approx(3.0, abs=1e-9)
     assert found.motion.largest < 1e-12
-    assert [int(modules[each.module]) for each in found.modules] == [17, 21, 25]
-    assert [each.known for each in found.modules] == [9, 10, 12]
-    assert max(each.shape for each in found.modules) < 1e-12
+    assert {module: each.known for module, each in found.modules.items()} == {17: 9, 21: 10, 25: 12}
+    assert max(each.shape for each in found.modules.values()) < 1e-12
     # The other way round it is the same motion back.
-    back = compare_sets(TaxelPositions("moved", "", moved), first)[2]
-    assert (back.motion.turn, back.summary.mean) == (
-        pytest.approx(found.motion.turn), pytest.approx(found.summary.mean),
-    )  # fmt: skip
+    back = compare_sets(TaxelPositions("moved", "", moved), first)
+    assert (back.motion.turn, back.mean) == (pytest.approx(found.motion.turn), pytest.approx(found.mean))
 
 
 def test_sets_of_other_frames_are_refused_and_sets_without_a_common_taxel_say_nothing():
     here, there = (TaxelPositions(name, name, {0: np.zeros(3)}) for name in ("one", "two"))
     with pytest.raises(InputError, match=approved_pattern("places.frames", first="one", second="two")):
         compare_sets(here, there)
-    found = compare_sets(here, TaxelPositions("other", "one", {1: np.zeros(3)}))[2]
-    assert (found.summary, found.motion, found.modules) == (None, None, ())
+    found = compare_sets(here, TaxelPositions("other", "one", {1: np.zeros(3)}))
+    assert (len(found.channel), found.worst_channel, found.motion, found.modules) == (0, None, None, {})
+    assert np.isnan([found.mean, found.rms, found.worst]).all()
 
 
 def test_a_truth_is_read_as_before(tmp_path):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import skincal
 from skincal.cli import main
 from skincal.following.results import verdicts_of
 from skincal.following.session_guide import SessionGuide
@@ -14,7 +15,6 @@ from skincal.journal.writer import create_session
 from skincal.model.actions import Action, AddLandmark, AskPoke, SetPose, SkipLandmark, SkipPoke
 from skincal.model.scene import resource
 from skincal.part.part import lay_part
-from skincal.reporting.session_facts import gather_facts
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import replay, resume
 from skincal.taxels.result import Method
@@ -99,7 +99,7 @@ def said_of(folder: Path, capsys) -> set[str]:
     command = ["export", str(folder), "--format", "json", "--out", str(out), "--method", "modules", "--json"]
     assert main(command) == 0
     said = {json.loads(capsys.readouterr().out)["verdict"], json.loads(out.read_text(encoding="utf-8"))["verdicts"]["modules"]}
-    return {f"{each}." for each in said} | {verdict_sentence(gather_facts(folder, Method.MODULES).verdict)}
+    return {f"{each}." for each in said} | {verdict_sentence(skincal.Session.load(folder).facts("modules").verdict)}
 
 
 @pytest.fixture(scope="module")

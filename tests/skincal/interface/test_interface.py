@@ -134,9 +134,9 @@ def test_tables_are_frozen_and_shown_in_notebooks(sample):
 
 @pytest.mark.parametrize(("inside", "finished"), [(9, False), (10, True)])
 def test_a_session_is_finished_only_with_enough_test_pokes(sample, monkeypatch, inside, finished):
-    found = sample._results.verdict(Method.MODULES)
+    found = sample.results.verdict(Method.MODULES)
     tested = replace(found, enough=True, done=found.used, left=(), check=Check(inside, inside))
-    monkeypatch.setattr(sample._results, "verdict", lambda _method: tested)
+    monkeypatch.setattr(sample.results, "verdict", lambda _method: tested)
     judged = sample.verdict("modules")
     assert (judged.enough, judged.finished) == (True, finished)
     assert judged.sentence.startswith("Not finished") is not finished
@@ -172,7 +172,7 @@ def test_a_scene_is_made_from_a_mesh_and_refused_with_a_sentence(plate, tmp_path
     [
         (lambda session: session.taxels("modul"), "method: is 'modul'; expected one of free, surface, modules"),
         (lambda session: session.export("out.txt", "ikub"), "format: is 'ikub'; expected one of"),
-        (lambda session: session.export("out.json", "json", part="r_arm"), "part"),
+        (lambda session: session.export("out.json", "json", options=skincal.ExportOptions(part="r_arm")), "part"),
     ],
 )
 def test_wrong_words_are_refused(sample, ask, said, tmp_path, monkeypatch):

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import skincal
 from skincal.cli import main
 from skincal.files.reference import error_summary, read_reference
 from skincal.following.error_history import MEAN, TAXELS
@@ -25,8 +26,8 @@ from skincal.model.readings import TEMPERATURE, SideReading
 from skincal.model.scene import Landmark, resource
 from skincal.reporting import session_facts
 from skincal.reporting.drawings import side_frames
-from skincal.reporting.page import DASH, ReportTable, report_page, write_report
-from skincal.reporting.session_facts import SessionFacts, errors_of, gather_facts
+from skincal.reporting.page import DASH, ReportTable, report_page
+from skincal.reporting.session_facts import SessionFacts, errors_of
 from skincal.rig.correction_fit import correct_rig
 from skincal.session.corrections import offered
 from skincal.session.replay import load, resume
@@ -69,7 +70,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def facts() -> SessionFacts:
-    return gather_facts(SAMPLE)
+    return skincal.Session.load(SAMPLE).facts()
 
 
 def other_results(facts, **changes):
@@ -247,7 +248,7 @@ def test_a_part_without_mesh_arm_and_landmarks_has_a_report_too(tmp_path, rng, p
     rig, session, out = make_rig(RigErrors.noise(), name="flat-patch"), tmp_path / "patch", tmp_path / "report.html"
     contacts = simulate_contacts(rig, unguided(rig, 1, rng).subset(slice(0, pokes)), rng)
     noted_session(session, rig.scene, None, contacts).close()
-    verdict = write_report(session, out)
+    verdict = skincal.Session.load(session).report(out)
     text = out.read_text(encoding="utf-8")
     found = Page(text)
     assert verdict in found.text
@@ -289,7 +290,7 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
     solved = json.loads(capsys.readouterr().out)
     assert main(["report", str(session), "--correct", "--out", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == f"{solved['verdict']}."
-    facts, found = gather_facts(session, correct=True), Page(out.read_text(encoding="utf-8")).text
+    facts, found = skincal.Session.load(session, correct=True).facts(), Page(out.read_text(encoding="utf-8")).text
     assert facts.method.value == solved["leads"]
     for each in facts.methods:
         own = solved["methods"][each.method.value]
@@ -298,7 +299,7 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
         assert f"{own['predicted_error_mm']['mean']:.2f}" in found
     (used,) = facts.results.snapshot.decisions.corrections.values()
     assert correction_sentence(used) in found
-    assert not gather_facts(session).results.snapshot.decisions.corrections, "the recording is as it was"
+    assert not skincal.Session.load(session).facts().results.snapshot.decisions.corrections, "the recording is as it was"
     assert main(["report", str(SAMPLE), "--correct", "--out", str(tmp_path / "none.html")]) == 2
     assert approved("landmark.needs_landmarks_to_correct") in capsys.readouterr().err
     assert not (tmp_path / "none.html").exists()
@@ -311,7 +312,7 @@ def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
     action = offered(None, answer, count, {})
     pipeline.act(action, 1000)
     pipeline.close()
-    facts = gather_facts(session)
+    facts = skincal.Session.load(session).facts()
     found = Page(report_page(facts)).text
     assert sum(map(len, facts.misses.values())) == count
     for name, misses in facts.misses.items():
