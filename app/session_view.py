@@ -326,7 +326,7 @@ class SessionView(QObject):
             guidance=self.guided.guidance,
             diversity=self._diversity.get(
                 (snapshot.generation, self.method, channel, self.guided.guidance),
-                lambda: None if channel is None else self.guided.guide.axis_diversity(channel, tick.evidence),
+                lambda: None if channel is None else self.guided.guide.axis_diversity(channel),
             ),
             coaching=self.guided.coach.coaching,
             review=self._rig.in_use(snapshot),
@@ -477,7 +477,7 @@ class SessionView(QObject):
         if state is None or self._tick is None or state.guidance is None:
             return
         found = None if state.review is None else state.review.rig
-        verdict = self.guided.guide.verdict(state.snapshot, state.method, self._tick.evidence, found)
+        verdict = self.guided.guide.verdict(state.snapshot, state.method, found)
         rig = rig_state(state.offers, state.snapshot.decisions.corrections.values(), state.review)
         can_export, settled = state.may.export, not state.offers
         dialog = VerdictDialog(verdict, self.workspace.names, parent, rig=rig, can_export=can_export, settled=settled)
@@ -515,7 +515,7 @@ class SessionView(QObject):
             # Pokes may come while the dialog is open; the positions of the newest are sent.
             tick = self._tick
             assert tick is not None
-            return verdict_sentence(self.guided.guide.verdict(tick.snapshot, method, tick.evidence, rig))
+            return verdict_sentence(self.guided.guide.verdict(tick.snapshot, method, rig))
 
         address = str(settings.value("apply/address", "")) or offered_port(link.address for link in self._controller.links)
         dialog = ApplyDialog(self.workspace.methods, self.method, verdict_of, address, self.workspace.window())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from skincal.session.snapshot import LiveView, Snapshot
     from skincal.session.undo import HistoryEntry
     from skincal.streams.links import LinkSpec
-    from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
 
 TICK_PERIOD_MS = 33  # 30 pictures per second
@@ -87,8 +86,6 @@ class Tick:
     """Time up to which readings were processed, host's monotonic clock, ns."""
     behind_s: float
     """Backlog of readings, s; 0 without one."""
-    evidence: Callable[[Collection[int]], Evidence]
-    """Contact evidence of some channels; valid until the next tick."""
     unsolved: int = 0
     """Taxels that still have to be solved; 0 too while that is fast."""
 
@@ -442,7 +439,7 @@ class Controller(QObject):
             guided.coach.follow_reading(live.progress, None if guided.guidance is None else guided.guidance.target)
         self._solving_since_ns = (self._solving_since_ns or now_ns) if session.unsolved else 0
         unsolved = session.unsolved if now_ns - self._solving_since_ns >= 1e9 * SHOW_SOLVING_AFTER_S else 0
-        self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, session.evidence, unsolved))
+        self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, unsolved))
 
     def publish_again(self) -> None:
         """Publish the newest snapshot again after a change of the guide or the panels."""

@@ -159,11 +159,11 @@ class GuidedSession:
         -------
         Whether a robot got the message that it is enough.
         """
-        pose, evidence = pipeline.poses.current, pipeline.session.evidence
+        pose = pipeline.poses.current
         asked = snapshot, self.method, self.guide.wanted
         # A robot that carries the part changes the arm's pose on its way, and another pose may have other needs.
         if not (server is not None and self._robot.has_open_request and asked == self._asked):
-            self.guidance = self.guide.next_target(snapshot, pose, self.method, evidence, now_ns * 1e-9)
+            self.guidance = self.guide.next_target(snapshot, pose, self.method, now_ns * 1e-9)
             self._asked = asked
         if is_recording:
             record_request(self.guidance, pipeline, now_ns)

@@ -23,7 +23,6 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
-from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
 from skincal.words.rig_words import frame_sentence, rig_sentences
 from skincal.words.verdict_words import verdict_sentence
@@ -112,16 +111,12 @@ class SessionResults:
     def verdict(self, method: Method) -> Verdict:
         """Judge the calibration of one method."""
         if method not in self._verdicts:
-            self._verdicts[method] = self._guide.verdict(self.snapshot, method, self._contacts.evidence, self.rig)
+            self._verdicts[method] = self._guide.verdict(self.snapshot, method, self.rig)
         return self._verdicts[method]
 
     @cached_property
     def _guide(self) -> SessionGuide:
         return SessionGuide(self.part)
-
-    @cached_property
-    def _contacts(self) -> ContactTable:
-        return ContactTable(self.snapshot.contacts)
 
     @cached_property
     def layout_repair(self) -> LayoutRepair | None:
@@ -152,13 +147,8 @@ def verdicts_of(part: Part, snapshot: Snapshot, methods: Sequence[Method], rig: 
 
     `rig` is the fitted rig correction; `None` if it was not computed, or there are no landmark pokes.
     """
-    if part.cover is not None and part.surface is not None:
-        from skincal.guide.surface_search import SurfaceSearch
-
-        # A guide notes poked places in it, and another thread may be at work with the part's own.
-        part = replace(part, cover=SurfaceSearch(part.surface))
-    guide, evidence = SessionGuide(part), ContactTable(snapshot.contacts).evidence
-    return {method: guide.verdict(snapshot, method, evidence, rig) for method in methods}
+    guide, apart = SessionGuide(part), snapshot.detached()
+    return {method: guide.verdict(apart, method, rig) for method in methods}
 
 
 def checked(calibration: Calibration, rig: RigAnswer | None, verdicts: Mapping[Method, Verdict]) -> Calibration:

@@ -6,17 +6,16 @@ Nothing here changes the session; `guided_session` records the requests.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise, starmap
 from operator import ne
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Rejection
+from skincal.contacts.outcome import Rejection
 from skincal.geometry import FloatArray
 from skincal.guide.believed_positions import (
-    DEFAULT_TAXEL_SPACING_M,
     PlannedPlaces,
     plan_from_layout,
     plan_without_positions,
@@ -59,7 +58,6 @@ from skincal.session.decisions import ClosingRound
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
-from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
 ARM_STILL_MIN_S = 1.0
@@ -76,13 +74,10 @@ class SessionGuide:
         self.closing = ClosingGuide(part.scene.noise, self.landmarks)
         layout = part.scene.skin.layout
         self._module_model = None if layout is None else ModuleModel(layout, part.scene.skin.anchor, part.surface)
-        self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One for each method that was shown."""
         self.robot: RobotPace | None = None
         """Pace of the robot that pokes; `None` for a hand."""
-        self._skipped: Counter[Method] = Counter()
-        """Number of the session's skips that each guide knows."""
         self._followed: tuple[Snapshot, Method] | None = None
         self._skin_guidance: Guidance | None = None
         """Guidance for the skin alone."""
@@ -94,24 +89,15 @@ class SessionGuide:
         """Contacts on one module before the landmarks and the other modules: of a demonstration, which shows taxels at once."""
         self.surroundings = None if layout is None else Surroundings(layout, self.plan.channels)
         """Neighbours of the taxels; `None` without a layout."""
-        methods, on_mesh = methods_of(part.scene, part.surface), part.surface is not None
-        self.costs = costs_of(self.plan, methods, part.scene.noise, self.surroundings, on_mesh=on_mesh)
+        self.costs = costs_of(self.plan, methods_of(part.scene, part.surface), part.scene.noise, self.surroundings)
         """Approximate pokes that each method takes until it is enough; empty if no layout places the taxels."""
 
-    def next_target(
-        self,
-        snapshot: Snapshot,
-        pose: CurrentPose,
-        method: Method,
-        evidence: Callable[[Collection[int]], Evidence],
-        now_s: float,
-    ) -> Guidance | None:
+    def next_target(self, snapshot: Snapshot, pose: CurrentPose, method: Method, now_s: float) -> Guidance | None:
         """Choose the next target; `None` while guidance is off. The same snapshot and method cost nothing again.
 
         Parameters
         ----------
         pose : current arm pose
-        evidence : rows of this snapshot's contacts for some channels
         now_s : host's monotonic clock, seconds, when it is seen
         """
         if not self.wanted:
@@ -120,7 +106,7 @@ class SessionGuide:
             return None
         now = snapshot, method
         if now != self._followed:
-            self._skin_guidance = self.next_skin_target(snapshot, method, evidence)
+            self._skin_guidance = self._ask(self._guide_of(method), snapshot)
             self._followed = now
         assert self._skin_guidance is not None
         if len(snapshot.contacts) < self.first_module_pokes:
@@ -140,93 +126,75 @@ class SessionGuide:
         row = int(np.where(plan.modules == plan.modules[last], distances, -1.0).argmax())
         return replace(guidance, target=_straight(int(plan.channels[row]), plan.places[row], plan.normals[row]))
 
-    def next_skin_target(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
-        """Choose the next target on the skin, without landmarks."""
-        guide = self._guide_of(method)
-        guide.robot = self.robot
-        for skip in snapshot.decisions.skips[self._skipped[method] :]:
+    def next_skin_target(self, snapshot: Snapshot, method: Method) -> Guidance:
+        """Choose the next target on the skin, without landmarks. The question changes nothing."""
+        if self._followed == (snapshot, method) and self._skin_guidance is not None:
+            return self._skin_guidance
+        return self._ask(self._new_guide(method, is_question=True), snapshot)
+
+    def _ask(self, guide: Guide, snapshot: Snapshot) -> Guidance:
+        """Let a guide of one method follow a snapshot, and choose the next target on the skin."""
+        guide.robot, method = self.robot, guide.method
+        for skip in snapshot.decisions.skips[guide.session_skips :]:
             # A place without a known taxel is skipped for all methods.
             if isinstance(skip, SkipPoke) and (skip.method == method.value or skip.channel < 0):
                 guide.skip(_target_of(skip, skip.push), is_impossible=bool(skip.reason))
-        self._skipped[method] = len(snapshot.decisions.skips)
+        guide.session_skips = len(snapshot.decisions.skips)
         asked = {record.outcome.poke: record.asked for record in snapshot.pokes}
         guidance = guide.update(
-            _contacts(snapshot),
-            {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
-            evidence,
+            snapshot,
             lambda poke: _asked_target(asked.get(poke)),
             {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
             rig_error_sd(counting_landmark_pokes(snapshot), self._scene.noise),
         )
-        return self._with_test_poke(guidance, snapshot, evidence)
+        return self._with_test_poke(guidance, snapshot)
 
-    def _with_test_poke(
-        self, guidance: Guidance, snapshot: Snapshot, evidence: Callable[[Collection[int]], Evidence]
-    ) -> Guidance:
+    def _with_test_poke(self, guidance: Guidance, snapshot: Snapshot) -> Guidance:
         """Ask for pokes that test the result, once no taxel needs any and too few others could be predicted."""
         if guidance.phase is not GuidePhase.ENOUGH or not guidance.finished:
             return guidance
-        estimates, contacts = snapshot.estimates[guidance.method], snapshot.contacts
-        dead = {estimate.channel for estimate in estimates if estimate.state is State.DEAD}
+        dead = {estimate.channel for estimate in snapshot.estimates[guidance.method] if estimate.state is State.DEAD}
         used = [channel for channel in guidance.channels.tolist() if channel not in dead]
-        noise, model = self._scene.noise, self._module_model
-        tested = check(contacts, used, evidence, guidance.method, noise, self._surface, model, estimates)
+        tested = check(snapshot, used, guidance.method, self._scene.noise, self._surface, self._module_model)
         missing = max(0, MIN_CHECKED_POKES - tested.checked)
         # Where as many held-out pokes cannot be predicted, as of a single taxel as a module, more pokes do not help.
-        is_in_vain = len(held_out(contacts)) - tested.checked >= MIN_CHECKED_POKES
+        is_in_vain = len(held_out(snapshot.contacts)) - tested.checked >= MIN_CHECKED_POKES
         target = None if is_in_vain else _test_target(guidance, snapshot)
         if not missing or target is None:
             return replace(guidance, tests_missing=missing)
         return replace(guidance, phase=GuidePhase.TEST, target=target, tests_missing=missing, pokes_left=missing)
 
-    def remaining_work(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
+    def remaining_work(self, snapshot: Snapshot, method: Method) -> Guidance:
         """List the remaining needs of a method, on the skin and at landmarks. This alone decides whether it is enough.
 
         It follows from the session alone, with its skips, and not from the time. A streamed arm counts as standing still in the
         pose of the last poke.
         """
-        return self.landmarks.added(self.next_skin_target(snapshot, method, evidence), snapshot)
+        return self.landmarks.added(self.next_skin_target(snapshot, method), snapshot)
 
-    def verdict(
-        self,
-        snapshot: Snapshot,
-        method: Method,
-        evidence: Callable[[Collection[int]], Evidence],
-        rig: RigAnswer | None = None,
-    ) -> Verdict:
-        """Judge the session by a method; `remaining_work` decides whether it is enough.
+    def verdict(self, snapshot: Snapshot, method: Method, rig: RigAnswer | None = None) -> Verdict:
+        """Judge the session by a method; `remaining_work` decides whether it is enough. The question changes nothing.
 
         Parameters
         ----------
-        evidence : rows of this snapshot's contacts for some channels
         rig : fit to the landmark pokes; `None` if there was none
         """
-        guidance = self.remaining_work(snapshot, method, evidence)
+        guidance = self.remaining_work(snapshot, method)
         estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.decisions.corrections.get(RIG)
         landmarks = landmark_agreement(rig, used)
-        verdict = verdict_of(
-            guidance,
-            estimates,
-            _contacts(snapshot),
-            evidence,
-            noise,
-            self._surface,
-            GuideSettings(),
-            self._module_model,
-            landmarks,
-            unchecked_of(used, landmarks, estimates, snapshot.contacts, counting_landmark_pokes(snapshot), noise),
-            snapshot.part_size,
-            snapshot.poke_counts,
-        )
+        verdict = verdict_of(guidance, snapshot, noise, self._surface, self._module_model, landmarks)
+        unchecked = unchecked_of(used, landmarks, estimates, snapshot.contacts, counting_landmark_pokes(snapshot), noise)
         left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
         doubt = frame_in_doubt(snapshot.wrench_frames, snapshot.contacts)
-        return replace(verdict, left=left, closings=closings_of(snapshot, noise), frame_in_doubt=doubt)
+        closings = closings_of(snapshot, noise)
+        return replace(verdict, unchecked=unchecked, left=left, closings=closings, frame_in_doubt=doubt)
 
-    def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
+    def axis_diversity(self, channel: int) -> AxisDiversity | None:
         """Describe the pokes of a channel; `None` while guidance is off or nothing is known. Call `next_target` before."""
         if not self.wanted or self._followed is None:
             return None
-        return self._guides[self._followed[1]].axis_diversity(channel, evidence)
+        snapshot, method = self._followed
+        return self._guides[method].axis_diversity(channel, snapshot)
 
     def skip(self, reason: str = "") -> SkipClosing | SkipLandmark | SkipPoke | None:
         """Make the action that skips the current target; `None` without a target. `reason` as in `SkipPoke`."""
@@ -254,26 +222,15 @@ class SessionGuide:
 
     def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
-            layout, noise, cover = self._scene.skin.layout, self._scene.noise, self._part.cover
-            spacing, on_surface = DEFAULT_TAXEL_SPACING_M if layout is None else layout.spacing, self._surface is not None
-            around = self.surroundings
-            self._guides[method] = Guide(
-                self.plan, noise, method, spacing, search=cover, surroundings=around, on_surface=on_surface
-            )
+            self._guides[method] = self._new_guide(method)
         return self._guides[method]
 
-    def _planned(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
-        """Order the estimates as the channels of the plan."""
-        channels = self.plan.channels.tolist()
-        if [estimate.channel for estimate in estimates] == channels:
-            return estimates
-        known = {estimate.channel: estimate for estimate in estimates}
-        # An unknown channel gets the same object each time, since guides compare identities.
-        unseen = self._nothing
-        return [
-            known.get(channel) or unseen.setdefault((method, channel), Estimate(channel, method, State.UNSEEN, 0))
-            for channel in channels
-        ]
+    def _new_guide(self, method: Method, *, is_question: bool = False) -> Guide:
+        """Make a guide of a method; the places that it pokes are marked in the part's own search, but not by a question."""
+        search = self._part.cover
+        if is_question and search is not None:
+            search = search.unpoked()
+        return Guide(self.plan, self._scene.noise, method, search=search, surroundings=self.surroundings)
 
 
 class LandmarkGuide:
@@ -554,8 +511,6 @@ def costs_of(
     methods: Iterable[Method],
     noise: NoiseSettings,
     surroundings: Surroundings | None = None,
-    *,
-    on_mesh: bool,
 ) -> Mapping[Method, int]:
     """Estimate how many pokes each method takes until it is enough, the cheapest first; see `SessionGuide.costs`."""
     if not len(plan.channels) or not np.isfinite(plan.places).all():
@@ -563,7 +518,9 @@ def costs_of(
     settings = GuideSettings()
     on_sheets = planned_sheet_pokes(plan, noise, settings)
     pokes = {
-        method: count_pokes_from_start(method, plan.modules, settings, surroundings, on_mesh=on_mesh, on_sheets=on_sheets)
+        method: count_pokes_from_start(
+            method, plan.modules, settings, surroundings, on_mesh=plan.on_surface, on_sheets=on_sheets
+        )
         for method in methods
     }
     return dict(sorted(pokes.items(), key=lambda item: item[1]))
@@ -573,8 +530,7 @@ def plan_of(part: Part) -> PlannedPlaces:
     """Collect the planned taxel positions of the part's layout; none without a laid layout."""
     layout, laid = part.scene.skin.layout, part.laid
     plan = None if layout is None or laid is None else plan_from_layout(layout, laid)
-    return plan or plan_without_positions(part.channels, None if layout is None else layout.module_of[part.channels])
-
-
-def _contacts(snapshot: Snapshot) -> dict[int, Contact]:
-    return {contact.poke: contact for contact in snapshot.contacts}
+    if plan is None:
+        plan = plan_without_positions(part.channels, None if layout is None else layout.module_of[part.channels])
+        plan = plan if layout is None else replace(plan, spacing=layout.spacing)
+    return replace(plan, on_surface=part.surface is not None)

@@ -48,6 +48,10 @@ class PlannedPlaces:
     """(n,) index of the module, from 0."""
     sheet: FloatArray | None = None
     """(n, 2) float, metres: positions in the plane of the layout if it is of soft sheets; `None` for boards."""
+    spacing: float = DEFAULT_TAXEL_SPACING_M
+    """m, usual distance of neighbours."""
+    on_surface: bool = True
+    """Whether a mesh gives the depth of the taxels; without one, modules need tilted pushes for it."""
 
 
 def plan_from_layout(layout: Layout, laid: PlacedLayout) -> PlannedPlaces | None:
@@ -57,7 +61,9 @@ def plan_from_layout(layout: Layout, laid: PlacedLayout) -> PlannedPlaces | None
     if not len(channels):
         return None
     flat = layout.places[channels] if layout.kind is SkinKind.SHEET else None
-    return PlannedPlaces(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels], flat)
+    return PlannedPlaces(
+        channels, laid.places[channels], laid.normals[channels], layout.module_of[channels], flat, layout.spacing
+    )
 
 
 def planned_sheet_pokes(plan: PlannedPlaces, noise: NoiseSettings, settings: GuideSettings) -> int | None:

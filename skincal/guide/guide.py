@@ -6,7 +6,7 @@ reasons (`guidance.py`); the sentences are made in `skincal.words` and by the wi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,7 @@ from skincal.guide.candidates import (
     predict_gains,
 )
 from skincal.guide.guidance import Guidance, GuidePhase, Target
+from skincal.guide.moment import Moment
 from skincal.guide.poke_history import PokeHistory, TargetOfPoke, axis_of
 from skincal.guide.progress import (
     AxisDiversity,
@@ -50,7 +51,6 @@ from skincal.guide.surroundings import Surroundings
 from skincal.guide.taxel_statistics import TaxelStatistics
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose_fit import CONTACT_TO_PAD_CENTRE_SD_FACTOR
-from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
 if TYPE_CHECKING:
@@ -84,10 +84,8 @@ class Guide:
     Parameters
     ----------
     plan : positions of the taxels by the layout, if there is one
-    spacing : m, usual distance of neighbours
     search : places to poke without a layout; None with a layout
     surroundings : neighbours of the plan's taxels, for the modules method; None without a layout
-    on_surface : whether a mesh gives the depth; without one, modules need tilted pushes for it
     """
 
     def __init__(
@@ -95,18 +93,15 @@ class Guide:
         plan: PlannedPlaces,
         noise: NoiseSettings,
         method: Method,
-        spacing: float,
         settings: GuideSettings | None = None,
         search: SurfaceSearch | None = None,
         surroundings: Surroundings | None = None,
-        *,
-        on_surface: bool = True,
     ) -> None:
         count = len(plan.channels)
         self.plan, self.method, self.settings = plan, method, settings or GuideSettings()
-        self._noise, self._spacing, self._search = noise, spacing, search
+        self._noise, self._search = noise, search
         self._is_sheet = method is Method.MODULES and plan.sheet is not None
-        self._in_plane, self._tilted = method is not Method.FREE, method is Method.MODULES and not on_surface
+        self._in_plane, self._tilted = method is not Method.FREE, method is Method.MODULES and not plan.on_surface
         self._statistics = TaxelStatistics(plan.channels, noise, self.settings.unknown, self._in_plane)
         self._pokes = PokeHistory(plan.channels, self.settings)
         self._places, self._normals = plan.places.copy(), plan.normals.copy()
@@ -123,6 +118,10 @@ class Guide:
         # Skipped pushes of each taxel, by its index; and the taxel skipped last, until the next poke.
         self._skips: dict[int, list[FloatArray]] = {}
         self._just_skipped = -1
+        self.session_skips = 0
+        """Number of the session's skips that the guide knows."""
+        self._unseen: dict[tuple[Method, int], Estimate] = {}
+        """Estimates of taxels that no estimate is given for: the same object each time, since identities are compared."""
         self.robot: RobotPace | None = None
         """Pace of the robot that pokes; `None` for a hand."""
         self._estimates: list[Estimate | None] = [None] * count
@@ -135,9 +134,7 @@ class Guide:
 
     def update(
         self,
-        contacts: Mapping[int, Contact],
-        estimates: Mapping[Method, Sequence[Estimate]],
-        evidence: Callable[[Collection[int]], Evidence],
+        moment: Moment,
         target_of: TargetOfPoke,
         rejections: Mapping[int, Rejection] | None = None,
         rig: float = 0.0,
@@ -146,18 +143,18 @@ class Guide:
 
         Parameters
         ----------
-        contacts, rejections : that count, by the number of their poke
-        estimates : in the plan's order
-        evidence : gives the rows of some channels
         target_of : gives the target that was shown for a poke
+        rejections : by the number of their poke
         rig : m, sd of the shift of all estimates by the rig's errors in each direction, 0 if unknown
         """
+        contacts = {contact.poke: contact for contact in moment.contacts}
+        estimates = {method: self._in_plan_order(method, every) for method, every in moment.estimates.items()}
         own = estimates[self.method]
         dirty = self._update_statistics(contacts, estimates, rejections or {}, rig, target_of)
         if dirty:
             # A contact that the method doubts counts less here, too.
             doubted = {each.channel: each.doubted for each in own if each.channel in dirty}
-            found = evidence(dirty)
+            found = moment.evidence(dirty)
             pairs = zip(found.channels[found.taxels].tolist(), found.pokes.tolist(), strict=True)
             trust = np.array([doubted[channel].get(poke, 1.0) for channel, poke in pairs])
             drawn = self._plan_positions()
@@ -166,6 +163,17 @@ class Guide:
             self._mark_stale_near([self._statistics.row_of[channel] for channel in dirty])
         self._update_needs(own, dirty)
         return self._guidance(own)
+
+    def _in_plan_order(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
+        """Order the estimates of a method as the channels of the plan."""
+        channels = self.plan.channels.tolist()
+        if [estimate.channel for estimate in estimates] == channels:
+            return estimates
+        known, unseen = {estimate.channel: estimate for estimate in estimates}, self._unseen
+        return [
+            known.get(channel) or unseen.setdefault((method, channel), Estimate(channel, method, State.UNSEEN, 0))
+            for channel in channels
+        ]
 
     def skip(self, target: Target, *, is_impossible: bool = False) -> None:
         """Request another poke instead of a target. A side of a taxel that is skipped twice, or is impossible, is left out."""
@@ -224,7 +232,7 @@ class Guide:
         return np.where(self._unplanned[:, None], self._places, self.plan.places)
 
     def _find_neighbours(self) -> None:
-        self._neighbours = find_answering(self._places, self._spacing, self._noise)
+        self._neighbours = find_answering(self._places, self.plan.spacing, self._noise)
         self._answer_offsets = answer_offsets(self._places, self._neighbours)
         self._pushes = candidate_pushes(self._normals, self._usable_tilt)
 
@@ -478,11 +486,11 @@ class Guide:
         """
         unanswered = self._pokes.unanswered
         # The cell of a single taxel has no size.
-        if unanswered[row] or not np.isfinite(self._spacing):
+        if unanswered[row] or not np.isfinite(self.plan.spacing):
             return np.zeros(3)
         number = len(self._pokes.contacts) + int(unanswered.sum())
         shares = (0.5 + number * np.array(CELL_SEQUENCE_STEPS)) % 1.0 - 0.5
-        return 2.0 * TARGET_MAX_CELL_SHARE * self._spacing * shares @ orthonormal_pair(self._normals[row][None])[0]
+        return 2.0 * TARGET_MAX_CELL_SHARE * self.plan.spacing * shares @ orthonormal_pair(self._normals[row][None])[0]
 
     def _make_target(self, state: ChoiceState, row: int, push: int) -> Target:
         direction = state.pushes[row, push]
@@ -507,15 +515,15 @@ class Guide:
             rms_after=after,
         )
 
-    def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
+    def axis_diversity(self, channel: int, moment: Moment) -> AxisDiversity | None:
         """Describe the contacts of a taxel and the gain of each further push; `None` before `update`, or without a position.
 
-        `evidence` is as for `update`.
+        `moment` is that of the last `update`.
         """
         state, row = self._state, self._statistics.row_of.get(channel, -1)
         if state is None or row < 0 or not np.isfinite(self._places[row]).all():
             return None
-        found, normal, estimate = evidence([channel]), self._normals[row], self._estimates[row]
+        found, normal, estimate = moment.evidence([channel]), self._normals[row], self._estimates[row]
         pokes, drawn = found.pokes.tolist(), self._plan_positions()
         off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
         doubted: Mapping[int, float] = {} if estimate is None else estimate.doubted

@@ -22,6 +22,7 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray, crossed
 from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModuleModel
 from skincal.modules.pose_fit import Fitted, Touches
+from skincal.taxels.predictions import PokePredictions
 
 MIN_LOG_LIKELIHOOD_GAIN = 2.5
 """Pads on their plan gain more by chance in 1 of 80 sessions: half of P(chi2(1) > 5)."""
@@ -69,17 +70,18 @@ def log_likelihood(modules: Sequence[ModuleMisses], pad_sd: float, noise: float)
     return -0.5 * total
 
 
-def find_pads_off_plan(
-    touches: Touches, fitted: Fitted, model: ModuleModel, at: IntArray, misses: FloatArray, own: FloatArray, answers: IntArray
+def find_taxels_off_plan(
+    touches: Touches, fitted: Fitted, model: ModuleModel, at: IntArray, predicted: PokePredictions, answers: IntArray
 ) -> float | None:
-    """Find the distance of pads from the plan of their modules, sd in each direction, metres; `None` without evidence.
+    """Find the distance of taxels from the plan of their modules, sd in each direction, metres; `None` without evidence.
 
     Parameters
     ----------
-    at, misses, own : touches and their misses, as for `predicted_misses`
+    at : (n,) indices of the touches that are `predicted`
     answers : (n,) number of taxels that answered each poke of `at`, on all modules
     """
     ends = np.append(touches.starts, len(touches.answers))
+    misses, own = predicted.misses, predicted.own
     used = np.isfinite(misses).all(axis=1) & (answers <= MAX_ANSWERS) & (np.diff(ends)[at] == answers)
     of_kind: dict[int, list[ModuleMisses]] = {}
     every = [np.empty(0)]

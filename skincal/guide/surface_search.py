@@ -24,16 +24,27 @@ MAX_UNPOKED_DISTANCE_M = 0.025
 
 
 class SurfaceSearch:
-    """Places on a part's surface where taxels may be, and which of them are still to be poked."""
+    """Places on a part's surface where taxels may be, and which of them are still to be poked.
 
-    def __init__(self, surface: Surface) -> None:
+    Parameters
+    ----------
+    places, normals : (n, 3) float, metres and unit, of an earlier search; `None` to spread them
+    """
+
+    def __init__(self, surface: Surface, places: FloatArray | None = None, normals: FloatArray | None = None) -> None:
         self._surface = surface
-        self.places, triangles = spread_over(surface, SEARCH_PLACE_SPACING_M)
-        self.normals: FloatArray = surface.normals[triangles]
+        if places is None or normals is None:
+            places, triangles = spread_over(surface, SEARCH_PLACE_SPACING_M)
+            normals = surface.normals[triangles]
+        self.places, self.normals = places, normals
         self._pokes: dict[int, tuple[FloatArray, bool]] = {}
         """By number: position, (3,) metres, and whether a taxel answered."""
         self._counted: list[int] = []
         self._skipped = np.zeros(len(self.places), dtype=bool)
+
+    def unpoked(self) -> SurfaceSearch:
+        """Copy the places, none of them poked or skipped."""
+        return SurfaceSearch(self._surface, self.places, self.normals)
 
     def add_poke(self, number: int, axis: PokeAxis, *, answered: bool) -> None:
         """Record a poke at the surface point nearest to its force axis, on the side that faces the push."""

@@ -5,7 +5,7 @@ estimates, and is left out only for its prediction. The taxel that it answered m
 that position at r = E (p - a), two numbers across the push, with the covariance E S E' + D: S is that of the taxel so solved
 and D the poke's own noise. r' (E S E' + D)^-1 r is chi-square with two degrees of freedom, at most 5.99 for 95 of 100 pokes. D
 contains the scatter of the contact points that the other pokes show beyond the scene's noise (`contact_scatter.py`). By the
-modules method the touched module is solved without the poke (`predicted_misses`), and the axis passes the centre of the pads
+modules method the touched module is solved without the poke (`predict_pokes`), and the axis passes the centre of the taxels
 that answered.
 
 This shows errors that the prediction does not contain: a wrong frame, a slipped sensor, a part that moved. Errors that shift
@@ -16,30 +16,32 @@ all pokes alike are shown by landmarks alone. Their pokes are held out, too, and
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import comb, inf
+from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.contacts.poke_counts import PokeCounts
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import IntArray
 from skincal.guide.contact_scatter import PokeMisses, learn_scatter
 from skincal.guide.guidance import Guidance
-from skincal.guide.plan_check import find_pads_off_plan
+from skincal.guide.moment import Moment
+from skincal.guide.plan_check import find_taxels_off_plan
 from skincal.guide.progress import MIN_CHECKED_POKES, GuideSettings, Need, Why, working_time
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import SkinKind
-from skincal.modules.estimate import predicted_misses
+from skincal.modules.estimate import predict_pokes
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_modules_from_pokes
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import offset_square, row_precision
-from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Estimate, Method, State
+from skincal.taxels.predictions import PokePredictions
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.taxels.solve import Solution, solve
 
@@ -69,7 +71,7 @@ class Check:
     checked: int
     inside: int
     off_plan: float | None = None
-    """m, distance of pads from the plan of their modules, sd in each direction; `None` without evidence of one."""
+    """m, distance of taxels from the plan of their modules, sd in each direction; `None` without evidence of one."""
 
     @property
     def chance(self) -> float:
@@ -87,7 +89,7 @@ class Check:
 
     @property
     def agrees(self) -> bool:
-        """Whether the p-value is high and no pad is off its plan: the held-out pokes agree with the predicted errors."""
+        """Whether the p-value is high and no taxel is off its plan: the held-out pokes agree with the predicted errors."""
         return self.off_plan is None and self.chance >= AGREE_IF_P_VALUE_AT_LEAST
 
     @property
@@ -112,33 +114,26 @@ def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
 
 
 def check(
-    contacts: Sequence[Contact],
+    moment: Moment,
     channels: Collection[int],
-    evidence: Callable[[Collection[int]], Evidence],
     method: Method,
     noise: NoiseSettings,
     surface: Surface | None,
     module_model: ModuleModel | None = None,
-    estimates: Sequence[Estimate] = (),
 ) -> Check:
-    """Predict the held-out contacts from the others.
+    """Predict the held-out contacts of a moment from the others.
 
     Parameters
     ----------
-    contacts : that count, by number
     channels : taxels that are used
-    evidence : gives the rows of some channels
     surface : needed by the surface method
-    module_model : needed by the modules method
-    estimates : of the modules method, where the search for the modules' poses begins
+    module_model : needed by the modules method, whose search for the modules' poses begins at the moment's estimates
     """
     if method is Method.MODULES:
-        if module_model is None:
-            return Check(0, 0)
-        return _check_modules(contacts, channels, evidence, noise, module_model, estimates)
+        return Check(0, 0) if module_model is None else _check_modules(moment, channels, noise, module_model)
     used = set(channels)
-    pairs = [(each.poke, each.strongest_channel) for each in contacts if each.strongest_channel in used]
-    answers = evidence(sorted({channel for _, channel in pairs}))
+    pairs = [(each.poke, each.strongest_channel) for each in moment.contacts if each.strongest_channel in used]
+    answers = moment.evidence(sorted({channel for _, channel in pairs}))
     cuts = _cuts(answers, pairs)
     if not cuts:
         return Check(0, 0)
@@ -146,50 +141,40 @@ def check(
     sizes, others = np.array([len(others) for _, others in cuts]), np.concatenate([others for _, others in cuts])
     solution = solve(answers.take(others, np.arange(len(cuts)), sizes), [method], noise, surface)
     out = np.array([out for out, _ in cuts])
-    return _check_misses(contacts, answers, out, *_misses(answers, out, solution, method, noise))
+    return _check_misses(moment.contacts, answers, _predictions(answers, out, solution, method, noise))
 
 
-def _check_misses(
-    contacts: Sequence[Contact],
-    answers: Evidence,
-    rows: IntArray,
-    levers: FloatArray,
-    misses: FloatArray,
-    covariances: FloatArray,
-    own: FloatArray,
-) -> Check:
-    """Count the held-out pokes, and those inside; the scatter is learned from the other pokes. `rows` are their answers."""
-    known = np.flatnonzero(np.isfinite(misses).all(axis=1))
-    counts = {contact.poke: len(contact.channels) for contact in contacts}
-    pokes = answers.pokes[rows][known]
+def _check_misses(contacts: Sequence[Contact], answers: Evidence, predicted: PokePredictions) -> Check:
+    """Count the held-out pokes, and those inside; the scatter is learned from the other pokes."""
+    known = np.flatnonzero(np.isfinite(predicted.misses).all(axis=1))
+    rows = predicted.rows[known]
     every = PokeMisses(
-        pokes=pokes,
-        poses=answers.poses[rows][known],
-        answers=np.array([counts[poke] for poke in pokes.tolist()], dtype=np.int64),
-        pairs=answers.pairs[rows][known],
-        levers=levers[known],
-        misses=misses[known],
-        covariances=covariances[known],
-        variances=np.trace(own[known], axis1=1, axis2=2) / 2.0,
+        pokes=answers.pokes[rows],
+        poses=answers.poses[rows],
+        answers=_answer_counts(contacts, answers.pokes[rows]),
+        pairs=answers.pairs[rows],
+        levers=predicted.levers[known],
+        misses=predicted.misses[known],
+        covariances=predicted.covariances[known],
+        variances=np.trace(predicted.own[known], axis1=1, axis2=2) / 2.0,
     )
-    out = np.isin(pokes, [poke for poke, _ in held_out(contacts)])
+    out = np.isin(every.pokes, [poke for poke, _ in held_out(contacts)])
     scatter = learn_scatter(every.select(np.flatnonzero(~out)))
     squares = every.select(np.flatnonzero(out)).squares(scatter)
     return Check(len(squares), int((squares <= CHI2_2DOF_QUANTILE_95).sum()))
 
 
-def _check_modules(
-    contacts: Sequence[Contact],
-    channels: Collection[int],
-    evidence: Callable[[Collection[int]], Evidence],
-    noise: NoiseSettings,
-    model: ModuleModel,
-    estimates: Sequence[Estimate],
-) -> Check:
+def _answer_counts(contacts: Sequence[Contact], pokes: IntArray) -> IntArray:
+    """Look up (n,) the numbers of taxels that answered `pokes` (n,)."""
+    counts = {contact.poke: len(contact.channels) for contact in contacts}
+    return np.array([counts[poke] for poke in pokes.tolist()], dtype=np.int64)
+
+
+def _check_modules(moment: Moment, channels: Collection[int], noise: NoiseSettings, model: ModuleModel) -> Check:
     """Predict the held-out contacts from the others of their module."""
-    width, module_of = model.layout.width, model.layout.module_of
-    answers = evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
-    by_channel = {estimate.channel: estimate for estimate in estimates}
+    width, module_of, contacts = model.layout.width, model.layout.module_of, moment.contacts
+    answers = moment.evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
+    by_channel = {estimate.channel: estimate for estimate in moment.estimates.get(Method.MODULES, ())}
     weights = {contact.poke: float(contact.responses.sum() / contact.responses.max()) for contact in contacts}
     totals = np.array([weights[poke] for poke in answers.pokes.tolist()])
     if model.layout.kind is SkinKind.SHEET:
@@ -197,20 +182,16 @@ def _check_modules(
         from skincal.modules.sheet_estimate import predict_sheet_pokes
         from skincal.modules.sheet_fit import fit_sheets
 
-        found = predict_sheet_pokes(fit_sheets(answers, totals, model, noise, [by_channel]))
-        return _check_misses(contacts, answers, found.rows, found.levers, found.misses, found.covariances, found.own)
+        return _check_misses(contacts, answers, predict_sheet_pokes(fit_sheets(answers, totals, model, noise, [by_channel])))
     fit = fit_modules_from_pokes(answers, totals, model, noise, [by_channel])
     if fit is None:
         return Check(0, 0)
     touches, fitted = fit
     at = np.flatnonzero(fitted.misses[touches.of] <= FORCE_AXIS_MAX_MISS_M)
-    rows = touches.rows[at]
-    levers = touches.contact_centres(fitted.pads)[0][at] - answers.sensors[rows]
-    misses, covariances, own = predicted_misses(touches, fitted, noise, at)
-    found = _check_misses(contacts, answers, rows, levers, misses, covariances, own)
-    counts = {contact.poke: len(contact.channels) for contact in contacts}
-    answered = np.array([counts[poke] for poke in answers.pokes[rows].tolist()], dtype=np.int64)
-    return replace(found, off_plan=find_pads_off_plan(touches, fitted, model, at, misses, own, answered))
+    predicted = predict_pokes(touches, fitted, noise, at)
+    answered = _answer_counts(contacts, answers.pokes[predicted.rows])
+    off_plan = find_taxels_off_plan(touches, fitted, model, at, predicted, answered)
+    return replace(_check_misses(contacts, answers, predicted), off_plan=off_plan)
 
 
 def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
@@ -228,10 +209,8 @@ def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int
     return cuts
 
 
-def _misses(
-    answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Compute levers (n, 3), misses (n, 2), their covariances and the pokes' own (n, 2, 2); NaN if the taxel is unknown."""
+def _predictions(answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings) -> PokePredictions:
+    """Predict the pokes of the answers `out` (n,) by the taxels that were solved without them."""
     if method is Method.FREE and solution.has_free:
         places, known = solution.answer["solution"], solution.answer["free"]
         there = known["sd"] <= POSITION_MAX_SD_M
@@ -248,7 +227,7 @@ def _misses(
     own = np.asarray(np.linalg.inv(precision), dtype=np.float64)
     off = (pairs @ (places - answers.nearest[out])[:, :, None])[:, :, 0]
     total = pairs @ covariances @ pairs.transpose(0, 2, 1) + own
-    return lever, np.where(there[:, None], off, np.nan), total, own
+    return PokePredictions(out, lever, np.where(there[:, None], off, np.nan), total, own)
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,12 +261,12 @@ class Verdict:
     """`None` from too few landmark pokes."""
     predicted: PredictedError | None
     """`None` without an estimate."""
-    unchecked: float | None
-    """m, rms shift of the taxels by rig errors that the prediction leaves out; `None` under a correction, whose uncertainty is
-    in the prediction, or without an estimate."""
     counts: PokeCounts
     seconds: float
     """s, of work, without pauses."""
+    unchecked: float | None = None
+    """m, rms shift of the taxels by rig errors that the prediction leaves out; `None` under a correction, whose uncertainty is
+    in the prediction, or without an estimate."""
     closings: tuple[Closing, ...] = ()
     """Each closing check; the last one counts."""
     landmarks_left: int = 0
@@ -327,48 +306,37 @@ class Verdict:
 
 def verdict_of(
     guidance: Guidance,
-    estimates: Sequence[Estimate],
-    contacts: Mapping[int, Contact],
-    evidence: Callable[[Collection[int]], Evidence],
+    moment: Moment,
     noise: NoiseSettings,
     surface: Surface | None,
-    settings: GuideSettings,
     module_model: ModuleModel | None = None,
     landmarks: LandmarkAgreement | None = None,
-    unchecked: float | None = None,
-    part_size: float = inf,
-    counts: PokeCounts | None = None,
 ) -> Verdict:
-    """Judge a session.
+    """Judge a moment of a session by the method of its guidance.
 
     Parameters
     ----------
-    estimates : of the method of `guidance`
-    contacts : that count, by the number of their poke
-    evidence, surface, module_model : as for `check`
-    landmarks, unchecked : see `Verdict`
-    part_size : m, see `known_error`
-    counts : of all pokes; `None` if there are no others than `contacts`
+    surface, module_model : as for `check`
+    landmarks : see `Verdict`
     """
+    estimates, contacts = moment.estimates[guidance.method], moment.contacts
     state = {estimate.channel: estimate.state for estimate in estimates}
     used = [channel for channel in guidance.channels.tolist() if state.get(channel) is not State.DEAD]
     left = tuple(_unfinished_taxels(guidance, state))
-    ordered = [contacts[poke] for poke in sorted(contacts)]
     return Verdict(
         method=guidance.method,
         enough=guidance.enough and bool(used),
-        wanted=settings.wanted_by(guidance.method),
+        wanted=GuideSettings().wanted_by(guidance.method),
         done=len(used) - sum(taxel.why is not Why.DEAD for taxel in left),
         used=len(used),
         left=left,
-        check=check(ordered, used, evidence, guidance.method, noise, surface, module_model, estimates),
+        check=check(moment, used, guidance.method, noise, surface, module_model),
         landmarks=landmarks,
         landmarks_left=0 if guidance.landmark is None else guidance.landmark.pokes_left,
-        predicted=predicted_error(estimates, part_size),
-        unchecked=unchecked,
-        counts=counts or PokeCounts(on_skin=len(contacts)),
+        predicted=predicted_error(estimates, moment.part_size),
+        counts=moment.poke_counts,
         states=Counter(state[channel] for channel in used if channel in state),
-        seconds=working_time(*(np.array([getattr(contact, name) for contact in ordered]) for name in ("start_s", "end_s"))),
+        seconds=working_time(*(np.array([getattr(contact, name) for contact in contacts]) for name in ("start_s", "end_s"))),
     )
 
 

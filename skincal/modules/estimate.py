@@ -6,7 +6,7 @@ pads that answered, and the poses are found by least squares (`skincal.modules.p
 A search begins at the pose that fits the module's own estimates by the surface method, or else the free one, each weighted by
 its precision; if these do not determine the turn, at the plan's. So the answer depends on the contacts alone.
 
-**Leave-one-out prediction** (`predicted_misses`): how far each poke lies from the prediction of the other pokes of its module,
+**Leave-one-out prediction** (`predict_pokes`): how far each poke lies from the prediction of the other pokes of its module,
 in closed form. At the minimum the gradients cancel, sum t A'r = 0 with A and r the slopes and misses of a poke in standard
 deviations and t its trust. Without poke i the information is N_i = sum t A'A - t_i A_i'A_i, and the minimum moves so that
 
@@ -30,6 +30,7 @@ from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO, Fitted, Touches, fit_modules_from_pokes, whitened_rows
 from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.predictions import PokePredictions
 from skincal.taxels.result import (
     FORCE_AXIS_MAX_MISS_M,
     POSITION_MAX_SD_M,
@@ -257,24 +258,18 @@ def _add_shared_errors(
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 
 
-def predicted_misses(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> tuple[FloatArray, ...]:
+def predict_pokes(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> PokePredictions:
     """Predict pokes from the other pokes of their module.
 
     Parameters
     ----------
     touches, fitted : all pokes, and the modules as they place them
     at : (n,) indices of the touches
-
-    Returns
-    -------
-    misses : (n, 2) float, metres, along the pairs of the pokes; NaN if the others are few or predict worse than
-        `POSITION_MAX_SD_M`
-    covariances : (n, 2, 2) float, m^2, of the misses: the module's and the poke's own
-    own : (n, 2, 2) float, m^2, of the poke's own noise
     """
     if not len(at):
-        return np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2))
-    rows, gradients = whitened_rows(touches, fitted.pads, noise), touches.contact_centres(fitted.pads)[1][at]
+        return PokePredictions.none()
+    centres, gradients = (each[at] for each in touches.contact_centres(fitted.pads)[:2])
+    rows, answers = whitened_rows(touches, fitted.pads, noise), touches.rows[at]
     slopes, misses, trust = rows.slopes[at], rows.misses[at], fitted.trust[at, None, None]
     every = fitted.trust[:, None, None] * (rows.slopes.transpose(0, 2, 1) @ rows.slopes)
     whole = np.add.reduceat(every, np.searchsorted(touches.of, np.arange(len(touches.modules))), axis=0)
@@ -294,8 +289,10 @@ def predicted_misses(touches: Touches, fitted: Fitted, noise: NoiseSettings, at:
     scale = np.asarray(np.linalg.inv(rows.whiten[at]), dtype=np.float64)
     there = (known & (sds <= POSITION_MAX_SD_M))[:, None]
     to_metres = scale.transpose(0, 2, 1)
-    return (
-        np.where(there, (scale @ off)[:, :, 0], np.nan),
-        scale @ (np.eye(2) + leverage) @ to_metres,
-        scale @ to_metres,
+    return PokePredictions(
+        rows=answers,
+        levers=centres - touches.evidence.sensors[answers],
+        misses=np.where(there, (scale @ off)[:, :, 0], np.nan),
+        covariances=scale @ (np.eye(2) + leverage) @ to_metres,
+        own=scale @ to_metres,
     )

@@ -7,7 +7,6 @@ pokes and the prior of the sheet.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel
 from skincal.modules.sheet_fit import SheetFit, fit_sheets
 from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.predictions import PokePredictions
 from skincal.taxels.result import (
     FORCE_AXIS_MAX_MISS_M,
     POSITION_MAX_SD_M,
@@ -171,23 +171,7 @@ def _with_shared_errors(
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SheetPredictions:
-    """Pokes on sheets, each predicted by the others of its sheet."""
-
-    rows: IntArray
-    """(n,) an answer of each poke in the evidence."""
-    levers: FloatArray
-    """(n, 3) float, metres, from the sensor's origin to the centre of the pads that answered."""
-    misses: FloatArray
-    """(n, 2) float, metres, along the pairs of the pokes; NaN where the prediction's sd is beyond `POSITION_MAX_SD_M`."""
-    covariances: FloatArray
-    """(n, 2, 2) float, m^2, of the misses."""
-    own: FloatArray
-    """(n, 2, 2) float, m^2, of each poke's own noise."""
-
-
-def predict_sheet_pokes(fits: Sequence[SheetFit]) -> SheetPredictions:
+def predict_sheet_pokes(fits: Sequence[SheetFit]) -> PokePredictions:
     """Predict each poke on sheets from the other pokes of its sheet."""
     found: list[tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
     for fit in fits:
@@ -205,6 +189,5 @@ def predict_sheet_pokes(fits: Sequence[SheetFit]) -> SheetPredictions:
         off = np.where(known[:, None], (scale @ misses[:, :, None])[:, :, 0], np.nan)
         found.append((at, levers, off, predicted + own, own))
     if not found:
-        none = np.empty((0, 2, 2))
-        return SheetPredictions(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 2)), none, none)
-    return SheetPredictions(*(np.concatenate(each) for each in zip(*found, strict=True)))
+        return PokePredictions.none()
+    return PokePredictions(*(np.concatenate(each) for each in zip(*found, strict=True)))

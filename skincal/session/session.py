@@ -38,7 +38,6 @@ from skincal.version import __version__
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
     from skincal.mesh.surface import Surface
-    from skincal.taxels.contact_table import Evidence
 
 MARKED_DEAD = "marked by the operator"
 """Reason of a channel that the operator left out."""
@@ -308,6 +307,8 @@ class Session:
             tip_frame=self.tip_frame,
             wrench_frames=self.wrench_frames,
             part_size=self._part_size(estimates),
+            noise=self.scene.noise,
+            table=self._solving.table_state,
         )
         return self._snapshot
 
@@ -334,10 +335,6 @@ class Session:
             self._solving.tips = TipFusion(self.tip_frame, self.scene.noise)
         for contact in contacts:
             self._solving.poke_changed(contact.poke, contact.channels.tolist())
-
-    def evidence(self, channels: Collection[int]) -> Evidence:
-        """Return the evidence rows of the last snapshot's contacts for `channels` that answered, all with full weight."""
-        return self._solving.evidence(channels)
 
     def calibration(self) -> Calibration:
         """Gather what the calibration files are written from."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome, Progress, Rejection
 from skincal.contacts.poke_counts import PokeCounts, count_pokes
@@ -14,14 +16,17 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import AskPoke
 from skincal.model.readings import LinkHealth
+from skincal.model.scene import NoiseSettings
 from skincal.model.wrench_frames import WrenchFrame
+from skincal.rig.tip_frame import TipFrame, TipState
+from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions
 from skincal.session.undo import History, describe_entry
+from skincal.taxels.contact_table import ContactTable, Evidence, TableState
 from skincal.taxels.result import Estimate, Method
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
-    from skincal.rig.tip_frame import TipFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +67,52 @@ class Snapshot:
     """Frames that the messages of the wrench name; empty without such messages."""
     part_size: float = inf
     """m, of `known_error`: of the mesh, else of the layout, else of the box around the estimates."""
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    """Of the scene."""
+    table: TableState | None = None
+    """Rows of the contacts, shared with the session until it solves again; see `evidence`."""
 
-    @cached_property
+    @property
     def contacts(self) -> tuple[Contact, ...]:
         """The contacts that count, in the order of their numbers."""
-        return tuple(record.outcome for record in self.pokes if isinstance(record.outcome, Contact) and not record.excluded)
+        return self._contacts
 
     @cached_property
+    def _contacts(self) -> tuple[Contact, ...]:
+        return tuple(record.outcome for record in self.pokes if isinstance(record.outcome, Contact) and not record.excluded)
+
+    def evidence(self, channels: Collection[int]) -> Evidence:
+        """Gather the evidence of those of `channels` that answered in a contact that counts, all with full weight.
+
+        Only the session's thread may ask; another one asks the `detached` snapshot.
+        """
+        table = None if self.table is None else self.table.unchanged_table
+        return self._own_evidence.evidence(channels) if table is None else table.evidence(channels)
+
+    @cached_property
+    def _own_evidence(self) -> Evidence:
+        """Evidence of all channels, gathered from `contacts`."""
+        table = ContactTable(self._contacts_with_tips)
+        return table.evidence({channel for contact in self.contacts for channel in contact.channels.tolist()})
+
+    @property
+    def _contacts_with_tips(self) -> Sequence[Contact]:
+        """The contacts; their axes are moved towards the tips if these are used."""
+        if self.tip_frame is None or self.tip_frame.state is not TipState.USED:
+            return self.contacts
+        return TipFusion(self.tip_frame, self.noise).moved_axes(self.contacts)
+
+    def detached(self) -> Snapshot:
+        """Copy the snapshot for another thread: it shares no table with the session."""
+        return replace(self, table=None)
+
+    @property
     def poke_counts(self) -> PokeCounts:
         """Counts of all pokes."""
+        return self._poke_counts
+
+    @cached_property
+    def _poke_counts(self) -> PokeCounts:
         return count_pokes(
             (record.outcome, self.is_taken_out(record), record.outcome.poke in self.at_landmarks) for record in self.pokes
         )
@@ -90,6 +132,12 @@ class Snapshot:
     def can_redo(self) -> str:
         """Description of the entry that redo would do again; empty without one."""
         return describe_entry(self.history.undone[-1]) if self.history.undone else ""
+
+
+def snapshot_of(contacts: Sequence[Contact], estimates: Mapping[Method, Sequence[Estimate]]) -> Snapshot:
+    """Make a snapshot of contacts that all count, in the order of their numbers, and of estimates by them."""
+    records = tuple(PokeRecord(contact, excluded=False) for contact in contacts)
+    return Snapshot(0, records, {method: tuple(every) for method, every in estimates.items()}, np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

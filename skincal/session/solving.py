@@ -17,14 +17,13 @@ from skincal.model.skin import SkinKind
 from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.pose import ModuleModel
 from skincal.rig.tip_fusion import TipFusion
-from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.contact_table import ContactTable, TableState
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 from skincal.taxels.shared_errors import SharedRows, add_shared_errors
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
     from skincal.modules.distances import TriedDistance
-    from skincal.taxels.contact_table import Evidence
 
 MODULES_AT_ONCE, SHEETS_AT_ONCE, TAXELS_AT_ONCE = 4, 1, 64
 """Solved between two looks at the clock: some 40 ms by the modules method, less for taxels alone."""
@@ -106,7 +105,7 @@ class Solving:
         self._channels.intersection_update(channels)
         parts = self._parts(sorted(self._channels), within_s)
         if len(parts) > 1 and self._table is self._shown:
-            # The old table answers `evidence` until everything is solved.
+            # The last snapshot reads its evidence from the old table until everything is solved.
             self._table = ContactTable(self._with_tips(kept(known)))
         else:
             for poke in self._pokes:
@@ -145,9 +144,10 @@ class Solving:
         self._fresh.clear()
         return fresh
 
-    def evidence(self, channels: Collection[int]) -> Evidence:
-        """Return the evidence rows of the shown solution's contacts for those of `channels` that answered."""
-        return self._shown.evidence(channels)
+    @property
+    def table_state(self) -> TableState:
+        """The contacts of the shown solution, which `Snapshot.evidence` reads until they change."""
+        return TableState(self._shown)
 
     def _parts(self, channels: Sequence[int], within_s: float) -> Sequence[Sequence[int]]:
         """Split channels into parts to solve; a module's stay together."""

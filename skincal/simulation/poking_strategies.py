@@ -173,8 +173,7 @@ def run_course(part: ExamplePart, way: str, method: Method, conditions: Conditio
         raise ValueError("a course needs a poke")
     session, guidance = last
     if guidance is None:
-        contacts = {contact.poke: contact for contact in session.contacts}
-        guidance = _guide(part, method).update(contacts, session.snapshot().estimates, session.evidence, lambda _: None)
+        guidance = _guide(part, method).update(session.snapshot(), lambda _: None)
     done, falsely = _judged(guidance, session.snapshot().estimates[method], rig)
     pokes, mean, p95, spent = (np.array(column) for column in zip(*rows, strict=True))
     return ErrorCourse(pokes.astype(np.int64), mean, p95, spent, done, falsely, enough, given_up)
@@ -234,9 +233,8 @@ def _guided(
     """Poke the targets of a guide."""
     session, seconds, hand = _session(part, method), 0.0, None
     guide = _guide(part, method)
-    contacts: dict[int, Contact] = {}
     targets: dict[int, Target | None] = {}
-    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
+    guidance = guide.update(session.snapshot(), targets.get)
     for count in range(1, limit + 1):
         if guidance.target is not None:
             meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
@@ -249,9 +247,8 @@ def _guided(
         hand = pokes.points[0]
         for contact in made:
             session.add(contact)
-            contacts[contact.poke] = contact
         targets[count] = guidance.target
-        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
+        guidance = guide.update(session.snapshot(), targets.get)
         yield count, seconds, session, guidance
 
 
@@ -261,7 +258,7 @@ def _session(part: ExamplePart, method: Method) -> Session:
 
 def _guide(part: ExamplePart, method: Method) -> Guide:
     around = Surroundings(part.layout, part.plan.channels)
-    return Guide(part.plan, part.scene.noise, method, part.spacing, GuideSettings(), surroundings=around)
+    return Guide(part.plan, part.scene.noise, method, surroundings=around)
 
 
 def _seconds(ways: FloatArray) -> FloatArray:

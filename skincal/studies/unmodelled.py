@@ -25,11 +25,11 @@ from skincal.palette import BLACK, BLUE, VERMILION
 from skincal.plotting import GREY, Axes, Figure
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, LandmarkPoke, RigRequest, correct_rig, landmark_agreement
+from skincal.session.snapshot import snapshot_of
 from skincal.simulation.example_parts import forearm
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.studies.independent_simulator import CASES, SimulatedSession, simulate_session
 from skincal.studies.unmodelled_sheet import AS_BOARD, AT_END, SHEET_CASE, SHEET_COUNTS, run_sheet
-from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import SharedRows
 
@@ -154,12 +154,12 @@ def _solve(
     layout = scene.skin.layout
     assert layout is not None
     model, channels = ModuleModel(layout, scene.skin.anchor, surface), poked.channels.tolist()
-    table = ContactTable(contacts)
     estimates = estimate_taxels(contacts, channels, tuple(Method), scene.noise, surface, model=model, shared=shared)
     solved: Solved = {}
     for method, by_channel in estimates.items():
         own = list(by_channel.values())
-        tried = check(contacts, channels, table.evidence, method, scene.noise, surface, model, own)
+        moment = snapshot_of(contacts, {method: own})
+        tried = check(moment, channels, method, scene.noise, surface, model)
         solved[method.value] = error_numbers(own, poked.places), tried
     return solved
 

@@ -149,10 +149,10 @@ def run_sheet(seed: int, compare: Compare) -> dict[str, Any]:
     assert plan is not None
     session = Session(scene, sheet.surface, {Method.FREE, Method.SURFACE, Method.MODULES})
     around, settings = Surroundings(layout, plan.channels), GuideSettings()
-    guide = Guide(plan, scene.noise, Method.MODULES, layout.spacing, surroundings=around)
+    guide = Guide(plan, scene.noise, Method.MODULES, surroundings=around)
     contacts: dict[int, Contact] = {}
     targets: dict[int, Target | None] = {}
-    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
+    guidance = guide.update(session.snapshot(), targets.get)
     found: dict[str, Any] = {"planned": planned_sheet_pokes(plan, scene.noise, settings), "pokes": None}
     for number in range(1, MAX_POKES + 1):
         # After the end each taxel in turn, as an operator goes on who wants more.
@@ -165,7 +165,7 @@ def run_sheet(seed: int, compare: Compare) -> dict[str, Any]:
             contacts[number] = contact
         elif guidance.target is not None:
             guide.skip(guidance.target)
-        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
+        guidance = guide.update(session.snapshot(), targets.get)
         is_end = found["pokes"] is None and guidance.phase is GuidePhase.ENOUGH
         if is_end:
             found |= {"pokes": number, "given_up": len(guidance.given_up)}

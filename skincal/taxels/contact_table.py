@@ -23,6 +23,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,6 +140,8 @@ class ContactTable:
         self._contacts = np.zeros(_INITIAL_TABLE_ROWS, dtype=_CONTACT)
         self._answers = np.zeros(_INITIAL_TABLE_ROWS, dtype=_ANSWER)
         self._contact_count = self._answer_count = self._dropped = 0
+        self.changes = 0
+        """Rises with each change of the contacts."""
         self._row_of: dict[int, int] = {}
         self._answers_of: dict[int, array[int]] = {}
         self._poses: dict[str, int] = {}
@@ -155,6 +158,7 @@ class ContactTable:
         if not contacts:
             return
         columns, (owner, channels, weights, unranked) = _carry_to_link(contacts), _list_answers(contacts)
+        self.changes += 1
         first, begin = self._contact_count, self._answer_count
         self._contact_count, self._answer_count = first + len(contacts), begin + len(owner)
         if self._contact_count > len(self._contacts):
@@ -184,6 +188,7 @@ class ContactTable:
         if row is not None:
             self._contacts["live"][row] = False
             self._dropped += 1
+            self.changes += 1
 
     def evidence(self, channels: Collection[int]) -> Evidence:
         """Gather the evidence of those of `channels` that answered in a contact."""
@@ -257,6 +262,19 @@ class ContactTable:
         self._contacts[: len(rows)] = self._contacts[rows]
         self._contact_count, self._answer_count, self._dropped = len(rows), int(kept.sum()), 0
         self._row_of = {poke: row for row, poke in enumerate(self._contacts["poke"][: len(rows)].tolist())}
+
+
+class TableState:
+    """The contacts of a table as they are now. It keeps no table alive, and knows when the contacts have changed."""
+
+    def __init__(self, table: ContactTable) -> None:
+        self._table, self._changes = ref(table), table.changes
+
+    @property
+    def unchanged_table(self) -> ContactTable | None:
+        """The table; `None` after a change of its contacts, or once it is gone."""
+        table = self._table()
+        return table if table is not None and table.changes == self._changes else None
 
 
 def _find_repeated(*ordered: NDArray[Any]) -> NDArray[np.bool_]:

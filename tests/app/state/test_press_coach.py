@@ -212,7 +212,7 @@ def test_the_guide_of_the_window_compares_with_its_own_target_on_the_skin():
     of, guiding, coached = Session(SCENE, None), SessionGuide(part()), coaching(part().surface)
     assert coached(held(20.0).progress, None) is None, "nobody guides yet"
     assert coached(reading().progress, None) is None
-    says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, of.evidence, 0.0)
+    says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
     assert says is not None
     assert says.target is not None
     view = held(20.0, asked=says.target, landed=says.target.channel)
@@ -228,7 +228,7 @@ def test_the_tip_is_measured_on_the_mesh_where_there_is_one():
     whole = part()
     sunk = replace(whole.laid, places=whole.laid.places - [0.0, 0.0, 0.004])
     of, guiding = Session(SCENE, None), SessionGuide(Part(SCENE, box(), sunk, PLAN.channels, ()))
-    says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, of.evidence, 0.0)
+    says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
     assert says is not None
     assert says.target is not None
     # The layout is believed 4 mm below the box's top; a tool that leans by 45 degrees touches the top right above it.

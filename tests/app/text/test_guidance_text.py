@@ -20,6 +20,7 @@ from skincal.guide.progress import Need
 from skincal.part.part import Part
 from skincal.rig.closing import ClosingPlace, ClosingPlaces
 from skincal.session.session import Session
+from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 from tests.approved import approved
 
@@ -144,41 +145,43 @@ def test_without_a_guide_every_accepted_poke_is_accepted():
 
 
 class Asked:
-    """A session's evidence, and how often it was asked for."""
+    """How often a snapshot's evidence was asked for."""
 
-    def __init__(self, of: Session) -> None:
-        self.of, self.times = of, 0
+    def __init__(self, monkeypatch) -> None:
+        self.times, gather = 0, Snapshot.evidence
 
-    def __call__(self, channels):
-        self.times += 1
-        return self.of.evidence(channels)
+        def evidence(snapshot, channels):
+            self.times += 1
+            return gather(snapshot, channels)
+
+        monkeypatch.setattr(Snapshot, "evidence", evidence)
 
 
-def test_the_guide_is_asked_once_for_what_is_new():
+def test_the_guide_is_asked_once_for_what_is_new(monkeypatch):
     of, guiding = Session(SCENE, None), SessionGuide(part())
-    asked = Asked(of)
-    first = guiding.next_target(of.snapshot(), ("", None), Method.FREE, asked, 0.0)
+    asked = Asked(monkeypatch)
+    first = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
     assert first is not None
     assert first.target is not None
-    assert guiding.next_target(of.snapshot(), ("", None), Method.FREE, asked, 0.0) is first
+    assert guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0) is first
     of.add(touch(1, (int(first.target.channel),)))
-    second = guiding.next_target(of.snapshot(), ("", None), Method.FREE, asked, 0.0)
+    second = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
     assert second is not None
     assert second is not first
     assert second.own.sum() == 1
-    assert guiding.next_target(of.snapshot(), ("", None), Method.FREE, asked, 0.0) is second
+    assert guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0) is second
     assert asked.times == 1
     guiding.wanted = False
-    assert guiding.next_target(of.snapshot(), ("", None), Method.FREE, asked, 0.0) is None
+    assert guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0) is None
     assert asked.times == 1
 
 
 def test_a_target_that_is_skipped_gives_way_to_another():
     of, guiding = Session(SCENE, None), SessionGuide(part())
     assert guiding.skip() is None
-    first = guiding.next_target(of.snapshot(), ("", None), Method.FREE, of.evidence, 0.0)
+    first = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
     of.act(guiding.skip())
-    second = guiding.next_target(of.snapshot(), ("", None), Method.FREE, of.evidence, 0.0)
+    second = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
     assert first is not None
     assert second is not None
     assert first.target is not None
@@ -196,7 +199,7 @@ def test_where_the_plan_leaves_a_taxel_out_the_guide_does():
     of, guiding = Session(SCENE, None), SessionGuide(whole)
     of.add(touch(1, (5, 6), (50.0, 20.0)))
     of.add(touch(2, (23,)))
-    says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, of.evidence, 0.0)
+    says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
     assert says is not None
     assert dict(zip(says.channels.tolist(), says.own.tolist(), strict=True))[23] == 1
 
@@ -206,13 +209,13 @@ def test_without_a_layout_on_the_part_taxels_are_guided_on_once_they_answered():
     for nowhere in (Part(bare, None, None, np.arange(24), ()), Part(SCENE, None, None, layout().channels, ())):
         guiding = SessionGuide(nowhere)
         of = Session(nowhere.scene, None)
-        says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, of.evidence, 0.0)
+        says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
         assert says.phase is GuidePhase.COVER
         assert says.target is None, "nowhere to look without a surface"
         assert not len(says.channels)
         for poke, (x, y) in enumerate([(0.0, 0.0), (3.0, 0.0), (0.0, 3.0)], 1):
             of.add(touch(poke, (5, 6), (50.0, 20.0), force=(x, y, -10.0)))
-        says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, of.evidence, 0.0)
+        says = guiding.next_target(of.snapshot(), ("", None), Method.FREE, 0.0)
         assert says.phase is GuidePhase.OWN
         assert says.channels.tolist() == [5, 6]
         assert says.own.tolist() == [3, 0]
@@ -227,7 +230,7 @@ def test_a_layout_that_lies_nowhere_still_tells_of_modules():
     for poke, (x, y) in enumerate([(0.0, 0.0), (3.0, 0.0), (0.0, 3.0), (2.0, 2.0), (-3.0, 0.0)], 1):
         of.add(touch(poke, (poke, poke + 1), (50.0, 20.0), force=(x, y, -10.0)))
     of.add(touch(6, (15, 16), (50.0, 20.0)))
-    says = guiding.next_target(of.snapshot(), ("", None), Method.MODULES, of.evidence, 0.0)
+    says = guiding.next_target(of.snapshot(), ("", None), Method.MODULES, 0.0)
     needs = dict(zip(says.channels.tolist(), says.needs, strict=True))
     assert Need.POKES in needs[15]
     assert Need.POKES not in needs[3]

@@ -114,11 +114,6 @@ def asking(now_s: float = 100.0, snapshot: Snapshot | None = None, of: Part | No
     return landmarks
 
 
-def nothing(_channels):
-    """What no contacts say."""
-    raise AssertionError("nobody poked the skin")
-
-
 LATER = 100.0 + VISUAL_REACTION_TIME_S + 0.01
 
 
@@ -141,7 +136,7 @@ def test_nothing_is_taken_where_nobody_wants_to_be_guided():
 
     def follow(wanted: bool, now_s: float):
         guiding.wanted = wanted
-        return guiding.next_target(at, LOW, Method.FREE, nothing, now_s)
+        return guiding.next_target(at, LOW, Method.FREE, now_s)
 
     assert follow(True, 100.0).landmark is not None
     assert follow(False, 110.0) is None
@@ -226,7 +221,7 @@ def test_what_is_skipped_is_the_landmark_or_else_the_taxel():
     skips = []
 
     def follow():
-        return guiding.next_target(decided(of_pokes(), skips=tuple(skips)), LOW, Method.FREE, nothing, 100.0)
+        return guiding.next_target(decided(of_pokes(), skips=tuple(skips)), LOW, Method.FREE, 100.0)
 
     names = []
     for _ in POINTS:

@@ -57,7 +57,7 @@ class Hand:
         self.phases = Counter[GuidePhase]()
 
     def look(self):
-        return self.guide.next_skin_target(self.session.snapshot(), self.method, self.session.evidence)
+        return self.guide.next_target(self.session.snapshot(), ("", None), self.method, 0.0)
 
     def poke(self, guidance):
         target = guidance.target
@@ -79,7 +79,7 @@ class Hand:
         return guidance
 
     def verdict(self):
-        return self.guide.verdict(self.session.snapshot(), self.method, self.session.evidence)
+        return self.guide.verdict(self.session.snapshot(), self.method)
 
 
 @pytest.mark.parametrize(("grid", "corners"), [("6x8@9mm", (0, 7, 40, 47)), ("4x10@6mm", (0, 9, 30, 39))])
@@ -185,3 +185,27 @@ def test_every_poke_is_counted_once_and_an_undone_landmark_poke_is_excluded():
     session.act(AtLandmark(1, "tip"))
     assert numbers() == (1, 0, 1, 1, 2)
     assert counted() == approved("counts.on_both")
+
+
+def test_a_verdict_is_a_question_and_changes_nothing():
+    """A verdict on an older moment let the guide forget a skip, and count it a second time with the next poke."""
+    asking, silent = (Hand("4x4@9mm", method=Method.SURFACE) for _ in range(2))
+    for _ in range(6):
+        for hand in (asking, silent):
+            hand.poke(hand.look())
+    before = asking.session.snapshot()
+    skipped = asking.look().target.channel
+    for hand in (asking, silent):
+        hand.look()
+        hand.session.act(hand.guide.skip())
+        hand.look()
+    for method in (Method.SURFACE, Method.FREE):
+        asking.guide.verdict(before, method)
+        asking.guide.verdict(asking.session.snapshot(), method)
+    for hand in (asking, silent):
+        hand.poke(hand.look())
+    asked, unasked = asking.look(), silent.look()
+    assert asked.target.channel == unasked.target.channel
+    assert np.array_equal(asked.places, unasked.places)
+    worth = [hand.guide.axis_diversity(skipped).worth for hand in (asking, silent)]
+    assert np.array_equal(*worth), "the skipped side"

@@ -73,7 +73,7 @@ def followed(folder: Path, actions: Iterable[Action] | None = None) -> tuple[boo
 
     def look():
         snapshot = session.snapshot()
-        guidance = guide.next_target(snapshot, pipeline.poses.current, Method.MODULES, session.evidence, 100.0)
+        guidance = guide.next_target(snapshot, pipeline.poses.current, Method.MODULES, 100.0)
         assert guidance is not None
         return guidance
 
@@ -84,7 +84,7 @@ def followed(folder: Path, actions: Iterable[Action] | None = None) -> tuple[boo
         skipped.append(guide.skip_landmarks() if line.landmark else guide.skip())
         pipeline.act(skipped[-1], len(skipped))
         line = look()
-    verdict = guide.verdict(session.snapshot(), Method.MODULES, session.evidence)
+    verdict = guide.verdict(session.snapshot(), Method.MODULES)
     assert verdict.enough is line.enough
     by_file = verdicts_of(lay_part(session.scene, session.surface, ()), session.snapshot(), (Method.MODULES,), None)
     assert verdict_sentence(by_file[Method.MODULES]) == verdict_sentence(verdict)

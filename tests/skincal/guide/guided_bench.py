@@ -16,8 +16,8 @@ PART = ExamplePart()
 STEADY = Conditions(replace(CAREFUL, aim=0.0, hand=0.0))
 
 
-def make_guide(method=Method.FREE, **options):
-    return Guide(PART.plan, PART.scene.noise, method, PART.spacing, **options)
+def make_guide(method=Method.FREE, plan=None, **options):
+    return Guide(plan or PART.plan, PART.scene.noise, method, **options)
 
 
 class GuidedBench:
@@ -31,8 +31,9 @@ class GuidedBench:
 
     def update(self, guide, estimates=None, **others):
         """What a guide says of the session."""
-        estimates = self.session.snapshot().estimates if estimates is None else estimates
-        return guide.update(self.contacts, estimates, self.session.evidence, self.targets.get, self.rejections, **others)
+        moment = self.session.snapshot()
+        moment = moment if estimates is None else replace(moment, estimates=estimates)
+        return guide.update(moment, self.targets.get, self.rejections, **others)
 
     def look(self):
         self.guidance = self.update(self.guide)
@@ -80,7 +81,7 @@ class GuidedBench:
         return self.rig.places[row], self.rig.normals[row]
 
     def diversity(self, row):
-        return self.guide.axis_diversity(int(PART.plan.channels[row]), self.session.evidence)
+        return self.guide.axis_diversity(int(PART.plan.channels[row]), self.session.snapshot())
 
 
 @cache

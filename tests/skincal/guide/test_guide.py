@@ -145,14 +145,14 @@ def test_doubted_contacts_count_less_at_their_taxel_alone():
     # By the contacts alone: the solver's own error would count where it is larger.
     trusting = [each if each.rms is None else replace(each, rms=1e-6) for each in estimates[Method.FREE]]
     mistrusted = list(trusting)
-    strongest = bench.session.evidence([mistrusted[row].channel]).pokes[:2].tolist()
+    strongest = bench.session.snapshot().evidence([mistrusted[row].channel]).pokes[:2].tolist()
     mistrusted[row] = replace(mistrusted[row], doubted=dict.fromkeys(strongest, 0.0))
     bench.update(plain, {**estimates, Method.FREE: trusting})
     bench.update(doubting, {**estimates, Method.FREE: mistrusted})
     beside = np.linalg.norm(bench.guidance.places - bench.guidance.places[row], axis=1)
     for at, share in ((row, 1.05), (int(beside.argmax()), 1.0)):
         channel = int(bench.guidance.channels[at])
-        worth = [each.axis_diversity(channel, bench.session.evidence).worth.max() for each in (plain, doubting)]
+        worth = [each.axis_diversity(channel, bench.session.snapshot()).worth.max() for each in (plain, doubting)]
         assert worth[1] > share * worth[0] if at == row else worth[1] == worth[0]
 
 
@@ -199,9 +199,9 @@ def test_the_axis_diversity_of_a_taxel_describes_its_contacts():
         assert np.linalg.norm(axes.beside) < 0.01
         assert np.linalg.norm(axes.offsets, axis=1).max() < 0.015
     fresh = GuidedBench()
-    assert make_guide().axis_diversity(0, fresh.session.evidence) is None, "before the first update"
+    assert make_guide().axis_diversity(0, fresh.session.snapshot()) is None, "before the first update"
     assert fresh.diversity(row_of(fresh.guidance.target.channel)).pushes.shape == (0, 3)
-    assert fresh.guide.axis_diversity(10**6, fresh.session.evidence) is None
+    assert fresh.guide.axis_diversity(10**6, fresh.session.snapshot()) is None
 
 
 @pytest.mark.parametrize("pokes", [3, 60, 150])
@@ -281,7 +281,7 @@ def test_a_skip_leads_to_another_module():
 def test_modules_without_a_mesh_are_pushed_from_all_sides():
     """Parallel axes leave the depth blind."""
     bench = GuidedBench(Method.MODULES)
-    bench.guide = make_guide(Method.MODULES, on_surface=False)
+    bench.guide = make_guide(Method.MODULES, replace(PART.plan, on_surface=False))
     bench.look()
     pushes = {module: [] for module in range(7)}
     for _ in range(24):
@@ -300,7 +300,7 @@ def test_a_flat_patch_without_a_mesh_is_finished_by_about_the_predicted_number_o
 
     def follow():
         pose = stance.name, stance.reported
-        return guide.next_target(session.snapshot(), pose, Method.MODULES, session.evidence, 100.0)
+        return guide.next_target(session.snapshot(), pose, Method.MODULES, 100.0)
 
     predicted = guide.costs[Method.MODULES]
     while not (guidance := follow()).enough:

@@ -20,7 +20,6 @@ from skincal.rig.correction_fit import RigRequest, TaxelGroups, _rigid_groups
 from skincal.session.session import Session
 from skincal.session.solving import methods_of
 from skincal.studies.unmodelled_sheet import SimulatedSheet
-from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 
 SETTINGS = GuideSettings()
@@ -43,10 +42,10 @@ def guided(of, pokes, answers=True):
     """Poke as the guide asks; yield guidance before each poke, and at the end."""
     session, plan = Session(of.scene, of.surface, METHODS), plan_of(of)
     around = Surroundings(of.scene.skin.layout, plan.channels)
-    guide = Guide(plan, of.scene.noise, Method.MODULES, of.scene.skin.layout.spacing, surroundings=around)
+    guide = Guide(plan, of.scene.noise, Method.MODULES, surroundings=around)
     contacts, targets = {}, {}
     for number in range(1, pokes + 2):
-        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
+        guidance = guide.update(session.snapshot(), targets.get)
         yield guidance, guide, session
         if number > pokes or guidance.target is None:
             return
@@ -60,8 +59,8 @@ def guided(of, pokes, answers=True):
 def test_a_sheet_of_48_taxels_is_not_finished_after_four_pokes_and_its_number_of_pokes_is_said():
     of = sheet()
     plan, noise = plan_of(of), of.scene.noise
-    said = costs_of(plan, METHODS, noise, on_mesh=True)[Method.MODULES]
-    board = costs_of(replace(plan, sheet=None), METHODS, noise, on_mesh=True)[Method.MODULES]
+    said = costs_of(plan, METHODS, noise)[Method.MODULES]
+    board = costs_of(replace(plan, sheet=None), METHODS, noise)[Method.MODULES]
     assert board == 10, "as many as can be tested"
     every = list(guided(of, 100))
     ends = [number for number, (guidance, *_) in enumerate(every) if guidance.phase is GuidePhase.ENOUGH]
@@ -100,11 +99,9 @@ def test_pokes_left_fall_with_the_error_and_end_at_zero():
 def test_held_out_pokes_agree_with_the_errors_of_a_sheet():
     of = sheet()
     *_, (_, _, session) = guided(of, 60)
-    contacts, channels = session.contacts, of.channels.tolist()
+    channels = of.channels.tolist()
     model = ModuleModel(of.scene.skin.layout, of.scene.skin.anchor, of.surface)
-    table = ContactTable(contacts)
-    estimates = session.snapshot().estimates[Method.MODULES]
-    tried = check(contacts, channels, table.evidence, Method.MODULES, of.scene.noise, of.surface, model, estimates)
+    tried = check(session.snapshot(), channels, Method.MODULES, of.scene.noise, of.surface, model)
     assert tried.has_enough
     assert tried.agrees
     assert tried.off_plan is None, "a sheet may be off its plan"

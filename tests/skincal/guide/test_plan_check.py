@@ -13,10 +13,10 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction_fit import LandmarkAgreement
+from skincal.session.snapshot import snapshot_of
 from skincal.simulation.example_parts import forearm
 from skincal.studies.independent_simulator import NOISY_RIG, simulate_session
 from skincal.studies.unmodelled import error_numbers
-from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from skincal.words.verdict_words import off_plan_sentence
 from tests.approved import approved
@@ -52,11 +52,12 @@ def judged(pads, seed):
     scene, true = forearm().scene, forearm().surface
     poked = simulate_session(scene, true.vertices, true.triangles, replace(NOISY_RIG, pads=pads), seed)
     surface, channels = make_surface(poked.vertices, true.triangles), poked.channels.tolist()
-    model, table = ModuleModel(scene.skin.layout, scene.skin.anchor, surface), ContactTable(poked.contacts)
+    model = ModuleModel(scene.skin.layout, scene.skin.anchor, surface)
     found = estimate_taxels(poked.contacts, channels, tuple(Method), scene.noise, surface, model=model)
     own = {method: list(by_channel.values()) for method, by_channel in found.items()}
+    moment = snapshot_of(poked.contacts, own)
     return {
-        method: (check(poked.contacts, channels, table.evidence, method, scene.noise, surface, model, estimates),
+        method: (check(moment, channels, method, scene.noise, surface, model),
                  error_numbers(estimates, poked.places))
         for method, estimates in own.items()
     }  # fmt: skip

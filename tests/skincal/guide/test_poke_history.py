@@ -130,7 +130,7 @@ def test_excluded_pokes_do_not_count_as_tries():
     target = bench.guidance.target
     row = int(np.searchsorted(PLAN.channels, target.channel))
     of_one = (getattr(PLAN, name)[row : row + 1] for name in ("channels", "places", "normals", "modules"))
-    alone = Guide(PlannedPlaces(*of_one), PART.scene.noise, Method.SURFACE, PART.spacing)
+    alone = Guide(PlannedPlaces(*of_one, spacing=PART.spacing), PART.scene.noise, Method.SURFACE)
     beside = target.place + 0.004 * np.cross(target.normal, [0.0, 0.0, 1.0])
 
     def given_up():

@@ -7,7 +7,7 @@ import pytest
 from guided_bench import PART
 
 from skincal.contacts.outcome import Reason, Rejection
-from skincal.guide.believed_positions import DEFAULT_TAXEL_SPACING_M, plan_without_positions
+from skincal.guide.believed_positions import plan_without_positions
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
 from skincal.guide.poke_history import PokeAxis
@@ -15,7 +15,7 @@ from skincal.guide.surface_search import MAX_UNPOKED_DISTANCE_M, SEARCH_PLACE_SP
 from skincal.mesh.search import nearest_points
 from skincal.session.session import Session
 from skincal.simulation.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Method
 
 
 def test_places_are_spread_evenly_without_a_hole():
@@ -55,16 +55,12 @@ def test_the_search_goes_far_from_all_pokes_and_around_those_that_were_answered(
 def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
     scene = replace(PART.scene, skin=replace(PART.scene.skin, layout=None, anchor=None))
     plan = plan_without_positions(np.arange(scene.skin.channels))
-    guide = Guide(plan, scene.noise, method, DEFAULT_TAXEL_SPACING_M, search=SurfaceSearch(PART.surface))
+    guide = Guide(plan, scene.noise, method, search=SurfaceSearch(PART.surface))
     session = Session(scene, PART.surface, (Method.FREE, Method.SURFACE))
     rig, rng = displaced_rig(PART, Conditions(), 1), np.random.default_rng(5)
     contacts, rejections, targets, seen, phases = {}, {}, {}, set(), []
     for poke in range(1, 181):
-        known = {m: {each.channel: each for each in every} for m, every in session.snapshot().estimates.items()}
-        estimates = {
-            m: [of.get(c) or Estimate(c, m, State.UNSEEN, 0) for c in plan.channels.tolist()] for m, of in known.items()
-        }
-        guidance = guide.update(contacts, estimates, session.evidence, targets.get, rejections)
+        guidance = guide.update(session.snapshot(), targets.get, rejections)
         phases.append(guidance.phase)
         target = targets[poke] = guidance.target
         made, pokes = poke_by_hand(rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)

@@ -19,6 +19,7 @@ from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, RigAnswer, RigRequest, correct_rig, landmark_agreement
 from skincal.rig.expected_gain import unchecked_of
 from skincal.session.session import Session
+from skincal.session.snapshot import snapshot_of
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.example_parts import ExamplePart
 from skincal.simulation.poking_strategies import Conditions, displaced_rig, errors_of, plan_pokes, poke_by_hand
@@ -54,8 +55,7 @@ def checked(method=Method.FREE, surface=None, noise=None, **which):
     session, _ = poked_session(**which)
     surface, noise = surface or part().surface, noise or part().scene.noise
     model = ModuleModel(part().scene.skin.layout, part().scene.skin.anchor, surface)
-    estimates = session.snapshot().estimates[method]
-    return check(session.contacts, session.channels, session.evidence, method, noise, surface, model, estimates)
+    return check(session.snapshot(), session.channels, method, noise, surface, model)
 
 
 def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
@@ -141,9 +141,7 @@ def test_an_arm_that_reports_a_wrong_pose_is_not_believed(method):
     moved = Session(part().scene, part().surface)
     for contact in session.contacts:
         moved.add(replace(contact, link_from_sensor=shift @ contact.link_from_sensor) if contact.poke % 2 else contact)
-    moved.snapshot()
-    estimates, noise = moved.snapshot().estimates[method], part().scene.noise
-    found = check(moved.contacts, moved.channels, moved.evidence, method, noise, None, moved.module_model, estimates)
+    found = check(moved.snapshot(), moved.channels, method, part().scene.noise, None, moved.module_model)
     assert not found.believed
 
 
@@ -154,9 +152,9 @@ def test_modules_are_checked_within_what_a_dialog_may_take(least_time):
 
 def test_without_a_module_model_modules_are_not_checked():
     session, _ = poked_session()
-    args = session.contacts, session.channels, session.evidence, Method.MODULES, part().scene.noise
-    assert check(*args, part().surface) == Check(0, 0)
-    assert check([], *args[1:2], Session(part().scene, None).evidence, *args[3:], None, session.module_model) == Check(0, 0)
+    args = session.channels, Method.MODULES, part().scene.noise
+    assert check(session.snapshot(), *args, part().surface) == Check(0, 0)
+    assert check(Session(part().scene, None).snapshot(), *args, None, session.module_model) == Check(0, 0)
 
 
 def test_a_few_pokes_that_agree_say_nothing():
@@ -184,16 +182,14 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
         mine.add(contact)
     mine.act(MarkDead(dead))
     snapshot = mine.snapshot()
-    contacts = {each.poke: each for each in mine.contacts}
-    guide = Guide(part().plan, part().scene.noise, Method.FREE, part().spacing)
-    guidance = guide.update(contacts, snapshot.estimates, mine.evidence, {}.get)
+    guide = Guide(part().plan, part().scene.noise, Method.FREE)
+    guidance = guide.update(snapshot, {}.get)
     estimates = snapshot.estimates[Method.FREE]
-    verdict = verdict_of(guidance, estimates, contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
+    verdict = verdict_of(guidance, snapshot, part().scene.noise, part().surface)
     by_modules = replace(guidance, method=Method.MODULES)
-    answers = (snapshot.estimates[Method.MODULES], contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
-    assert verdict_of(by_modules, *answers, mine.module_model).check.has_enough
+    assert verdict_of(by_modules, snapshot, part().scene.noise, part().surface, mine.module_model).check.has_enough
     assert verdict.used == 83
-    assert verdict.counts.accepted == len(contacts)
+    assert verdict.counts.accepted == len(mine.contacts)
     assert {taxel.channel: taxel.why for taxel in verdict.left}[dead] is Why.DEAD
     open_ = [taxel for taxel in verdict.left if taxel.why is not Why.DEAD]
     assert verdict.done == 83 - len(open_)
@@ -209,10 +205,8 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
 def test_a_session_without_pokes_has_a_verdict_too():
     session = Session(part().scene, part().surface)
     snapshot = session.snapshot()
-    guide = Guide(part().plan, NoiseSettings(), Method.SURFACE, part().spacing)
-    guidance = guide.update({}, snapshot.estimates, session.evidence, {}.get)
-    estimates = snapshot.estimates[Method.SURFACE]
-    verdict = verdict_of(guidance, estimates, {}, session.evidence, NoiseSettings(), part().surface, SETTINGS)
+    guidance = Guide(part().plan, NoiseSettings(), Method.SURFACE).update(snapshot, {}.get)
+    verdict = verdict_of(guidance, snapshot, NoiseSettings(), part().surface)
     assert (verdict.done, verdict.used, verdict.counts.accepted, verdict.seconds) == (0, 84, 0, 0.0)
     assert {taxel.why for taxel in verdict.left} == {Why.NOT_POKED_ENOUGH}
     assert verdict.check == Check(0, 0)
@@ -220,11 +214,9 @@ def test_a_session_without_pokes_has_a_verdict_too():
 
 
 def test_it_is_not_enough_where_there_is_nothing():
-    session = Session(part().scene, part().surface)
-    guide = Guide(plan_without_positions(np.arange(12)), NoiseSettings(), Method.FREE, 0.005)
-    estimates = {Method.FREE: [Estimate(channel, Method.FREE, State.UNSEEN, 0) for channel in range(12)]}
-    guidance = guide.update({}, estimates, session.evidence, {}.get)
-    verdict = verdict_of(guidance, estimates[Method.FREE], {}, session.evidence, NoiseSettings(), None, SETTINGS)
+    guide = Guide(plan_without_positions(np.arange(12)), NoiseSettings(), Method.FREE)
+    nothing = snapshot_of((), {Method.FREE: [Estimate(channel, Method.FREE, State.UNSEEN, 0) for channel in range(12)]})
+    verdict = verdict_of(guide.update(nothing, {}.get), nothing, NoiseSettings(), None)
     assert (verdict.done, verdict.used, verdict.enough) == (0, 0, False)
 
 
@@ -292,17 +284,15 @@ def test_a_session_of_a_rig_that_is_wrong_is_not_believed_without_its_correction
     right = [answer.correction.corrected(contact) for contact in contacts]
     used = UsedCorrection(RIG, answer.correction, answer.before, answer.after, len(known), answer.ratio)
     assert landmark_agreement(answer, used).agrees
-    guide = Guide(part().plan, rig.scene.noise, Method.FREE, part().spacing)
+    guide = Guide(part().plan, rig.scene.noise, Method.FREE)
     for correction, pokes in ((None, contacts), (used, right)):
         session = Session(rig.scene, rig.surface)
         for contact in pokes:
             session.add(contact)
-        estimates, by_poke = session.snapshot().estimates, {each.poke: each for each in session.contacts}
-        guidance = guide.update(by_poke, estimates, session.evidence, {}.get)
-        verdict = verdict_of(
-            replace(guidance, method=Method.MODULES), estimates[Method.MODULES], by_poke, session.evidence, rig.scene.noise,
-            rig.surface, SETTINGS, session.module_model, landmark_agreement(answer, correction),
-        )  # fmt: skip
+        snapshot = session.snapshot()
+        by_modules = replace(guide.update(snapshot, {}.get), method=Method.MODULES)
+        landmarks = landmark_agreement(answer, correction)
+        verdict = verdict_of(by_modules, snapshot, rig.scene.noise, rig.surface, session.module_model, landmarks)
         assert verdict.believed is (correction is not None and verdict.check.agrees)
         assert verdict.doubted is (correction is None or not verdict.check.believed)
         assert verdict.predicted.mean > 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from skincal.modules.estimate import predicted_misses
+from skincal.modules.estimate import predict_pokes
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_modules
 from skincal.rig.correction_fit import module_groups
@@ -19,7 +19,8 @@ from tests.skincal.sim_support import make_rig
 
 def predicted_squares(*case):
     """Squared misses in standard deviations."""
-    misses, covariances, _ = predicted_misses(*case)
+    predicted = predict_pokes(*case)
+    misses, covariances = predicted.misses, predicted.covariances
     return np.sum(misses * np.linalg.solve(covariances, misses[:, :, None])[:, :, 0], axis=1)
 
 

@@ -22,6 +22,7 @@ from skincal.modules.sheet_basis import FIELD_STEP_LENGTH_M, FIELD_STEP_SD_M, MO
 from skincal.modules.sheet_estimate import COMMON_AIM_SD_FACTOR, predict_sheet_pokes
 from skincal.modules.sheet_fit import fit_sheets
 from skincal.modules.sheet_plan import count_sheet_pokes
+from skincal.session.snapshot import snapshot_of
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Cause, Method, State
 from skincal.taxels.shared_errors import predicted_error
@@ -393,9 +394,8 @@ def test_channels_in_another_order_are_contradicted_by_held_out_pokes(true, agre
     """A sheet bends to much, but not to taxels in each other's places."""
     rng = np.random.default_rng(2)
     contacts = press(on_plane(layout().places)[true.ravel()], rng.permutation(48), rng)
-    table = ContactTable(contacts)
-    found = list(estimate(contacts).values())
-    tried = check(contacts, range(48), table.evidence, Method.MODULES, NOISE, plane(), model(), found)
+    moment = snapshot_of(contacts, {Method.MODULES: list(estimate(contacts).values())})
+    tried = check(moment, range(48), Method.MODULES, NOISE, plane(), model())
     assert tried.has_enough
     assert tried.agrees is agrees
     assert tried.believed is agrees

@@ -92,7 +92,7 @@ class Sessions:
 
     def look(self):
         snapshot = self.session.snapshot()
-        return self.guide.next_target(snapshot, self.pose, Method.MODULES, self.session.evidence, 100.0)
+        return self.guide.next_target(snapshot, self.pose, Method.MODULES, 100.0)
 
     def close(self) -> list[str]:
         """Poke what the closing check asks for; return what that was."""
@@ -111,7 +111,7 @@ class Sessions:
         return asked
 
     def verdict(self):
-        return self.guide.verdict(self.session.snapshot(), Method.MODULES, self.session.evidence)
+        return self.guide.verdict(self.session.snapshot(), Method.MODULES)
 
 
 def test_at_enough_three_landmarks_are_asked_for_once_more_and_nothing_moved():

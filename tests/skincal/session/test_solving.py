@@ -1,6 +1,8 @@
 """A session that is solved in parts: paused, gone on with, and the same at the end as solved at once."""
 
+import gc
 import itertools
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +16,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.solving import MODULES_AT_ONCE, TAXELS_AT_ONCE
 from skincal.simulation.contacts import simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
+from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from tests import build
 from tests.skincal.poke_script import same_estimates
@@ -105,19 +108,22 @@ def test_what_is_asked_meanwhile_is_of_the_snapshot_that_is_shown(rig, contacts,
     monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
     session = session_of(rig, contacts[:-1])
     channels = [int(channel) for channel in contacts[-1].channels]
-    before = session.evidence(channels)
+    shown = session.snapshot()
+    before = shown.evidence(channels)
     session.act(ACTION)
     session.snapshot(0.0)
     session.add(contacts[-1])
     session.snapshot(0.0)
     assert session.unsolved
-    meanwhile = session.evidence(channels)
+    assert session.snapshot(0.0) is shown
+    meanwhile = shown.evidence(channels)
     assert contacts[-1].poke not in meanwhile.pokes.tolist()
     assert np.array_equal(meanwhile.columns, before.columns), "as the rig reported it: the estimates that are shown are of that"
     steps_to_the_end(session)
-    after = session.evidence(channels)
+    after = session.snapshot().evidence(channels)
     assert contacts[-1].poke in after.pokes.tolist()
     assert after.columns.shape != before.columns.shape
+    assert np.array_equal(shown.evidence(channels).columns, before.columns), "a snapshot keeps its contacts"
 
 
 def test_the_same_correction_is_not_used_twice(rig, contacts):
@@ -135,3 +141,31 @@ def test_the_same_correction_is_not_used_twice(rig, contacts):
     session.add(contacts[20])
     session.snapshot(0.0)
     assert not session.unsolved, "a poke is solved in one step"
+
+
+def test_a_snapshot_answers_alike_for_good_and_in_any_thread(rig, contacts):
+    session = session_of(rig, contacts[:-1])
+    shown, channels = session.snapshot(), session.channels
+    shared, own = shown.evidence(channels), shown.detached().evidence(channels)
+    session.add(contacts[-1])
+    assert session.snapshot().evidence(channels).columns.shape != shared.columns.shape
+    for found in (own, shown.evidence(channels)):
+        for name in ("channels", "starts", "pokes", "columns", "weights", "trust", "unranked"):
+            assert np.array_equal(getattr(found, name), getattr(shared, name)), name
+
+
+def test_snapshots_keep_no_table_alive(rig, contacts, monkeypatch):
+    """A view, a dialog or a course of errors may hold snapshots as long as it likes."""
+    monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
+    gc.collect()
+    tables_before = len([each for each in gc.get_objects() if type(each) is ContactTable])
+    session, held = session_of(rig, contacts[:20]), []
+    table = weakref.ref(session._solving._shown)
+    for action in (ACTION, Undo(), ACTION, Undo()):
+        held.append(session.snapshot())
+        session.act(action)
+        steps_to_the_end(session)
+    gc.collect()
+    assert len(held) == 4
+    assert table() is None, "solved in parts, each correction has a table of its own"
+    assert len([each for each in gc.get_objects() if type(each) is ContactTable]) <= 1 + tables_before

@@ -45,17 +45,16 @@ def followed(operator, seed, limit=200, method=Method.MODULES):
     rig, rng = displaced_rig(part(), conditions, seed), np.random.default_rng([seed, 11])
     session = Session(part().scene, part().surface, set(Method))
     around = Surroundings(part().layout, part().plan.channels)
-    guide = Guide(part().plan, part().scene.noise, method, part().spacing, surroundings=around)
-    contacts, targets, pokes = {}, {}, 0
-    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
+    guide = Guide(part().plan, part().scene.noise, method, surroundings=around)
+    targets, pokes = {}, 0
+    guidance = guide.update(session.snapshot(), targets.get)
     while guidance.phase is not GuidePhase.ENOUGH and pokes < limit:
         pokes += 1
         meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
         for contact in poke_by_hand(rig, meant, conditions, rng, pokes)[0]:
             session.add(contact)
-            contacts[contact.poke] = contact
         targets[pokes] = guidance.target
-        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
+        guidance = guide.update(session.snapshot(), targets.get)
     estimates = session.snapshot().estimates[method]
     done, errors = np.array([not needs for needs in guidance.needs]), errors_of(estimates, rig)
     far, falsely = (int((done & (errors > bar)).sum()) for bar in (FAR, WRONG))

@@ -77,8 +77,8 @@ def guided_to_the_end(part, wrench, skin):
             snapshot = pipeline.snapshot()
             if snapshot is not known:
                 known = snapshot
-                pose, evidence = pipeline.poses.current, pipeline.session.evidence
-                guidance = guide.next_target(snapshot, pose, Method.MODULES, evidence, line.now)
+                pose = pipeline.poses.current
+                guidance = guide.next_target(snapshot, pose, Method.MODULES, line.now)
             if guidance.phase in (GuidePhase.CLOSING, GuidePhase.ENOUGH):
                 break
             # As the line that another process gets.

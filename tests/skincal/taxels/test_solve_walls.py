@@ -47,16 +47,14 @@ def follow_guide(method, seed, pokes):
     layout = scene.skin.layout
     plan = plan_from_layout(layout, place_layout(layout, TOP, surface))
     rig = Rig(scene, surface, replace(RigErrors.paper(), mount_shift=0.003), np.random.default_rng(seed))
-    session, guide, rng = Session(scene, surface), Guide(plan, scene.noise, method, 0.005), np.random.default_rng(seed + 100)
-    contacts, targets, made = {}, {}, []
+    session, guide, rng = Session(scene, surface), Guide(plan, scene.noise, method), np.random.default_rng(seed + 100)
+    targets, made = {}, []
     for poke in range(1, pokes + 1):
-        estimates = session.snapshot().estimates
-        target = targets[poke] = guide.update(contacts, estimates, session.evidence, targets.get).target
+        target = targets[poke] = guide.update(session.snapshot(), targets.get).target
         aimed = aimed_presses(rig, np.zeros(1, dtype=int), target.place[None], target.push[None], Habits(), rng)
         made.append(aimed)
         for contact in simulate_contacts(rig, aimed, rng, None, poke, Habits()):
             session.add(contact)
-            contacts[contact.poke] = contact
     return made, session
 
 
