@@ -1,4 +1,4 @@
-"""One moment of a session, as guide and verdict read it. `Snapshot` of the room `session`, which lies above, is one."""
+"""One moment of a session, as guide and verdict read it. `Snapshot` of the room `session` is one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from skincal.taxels.result import Estimate, Method
 
 
 class Moment(Protocol):
-    """The contacts that count, with all that follows from them."""
+    """The contacts that count, and the estimates that follow from them."""
 
     @property
     def contacts(self) -> Sequence[Contact]:

@@ -265,7 +265,7 @@ class ContactTable:
 
 
 class TableState:
-    """The contacts of a table as they are now. It keeps no table alive, and knows when the contacts have changed."""
+    """Reference to the present contacts of a table, which ends with their next change. It keeps no table alive."""
 
     def __init__(self, table: ContactTable) -> None:
         self._table, self._changes = ref(table), table.changes
