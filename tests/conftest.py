@@ -1,4 +1,4 @@
-"""What all tests share: repeatable random data, how work is timed, and a folder of modules that must not be run.
+"""What all tests share: repeatable random data, and a folder of modules that must not be run.
 
 Every run tries the same examples, so a red test is red again for anyone who repeats it. To search for new ones:
 `.venv/bin/python -m pytest --hypothesis-profile=search`.
@@ -7,9 +7,7 @@ Every run tries the same examples, so a red test is red again for anyone who rep
 from __future__ import annotations
 
 import os
-import time
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -39,28 +37,6 @@ NAMES = ("typer.py", "numpy.py", "pickle.py", "pip.py", "app/__init__.py", "skin
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     """Give random numbers that are the same in every run of this test, in whatever order tests run and wherever it stands."""
     return np.random.default_rng(zlib.crc32(request.node.name.encode()))
-
-
-@pytest.fixture
-def least_time() -> Callable[..., float]:
-    """Give a function that measures the least processor time of several runs of some work, seconds.
-
-    What others do on the machine only ever adds to it, and threads of the linear algebra that wait for a core count, too. It
-    is measured until it is below a bar: a quiet moment is waited for, the bar stays as it is.
-    """
-
-    def measure(work: Callable[[], object], below: float, tries: int = 30) -> float:
-        best = float("inf")
-        for _ in range(tries):
-            begin = time.process_time()
-            work()
-            best = min(best, time.process_time() - begin)
-            if best < below:
-                break
-            time.sleep(0.1)
-        return best
-
-    return measure
 
 
 @pytest.fixture

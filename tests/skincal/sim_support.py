@@ -13,11 +13,14 @@ from skincal.model.scene import Scene, load_scene, resource
 from skincal.robot.target_lines import PokeTarget
 from skincal.session.replay import load
 from skincal.simulation.contacts import RECIPE_TILT, RECIPE_TURN
+from skincal.simulation.device import DeviceSettings
 from skincal.simulation.operator import Habits, presses_at
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import PressedPlaces, Rig
 from tests.build import noted_session
 
+SLOW_DEVICES = DeviceSettings(wrench_hz=200.0, joints_hz=20.0, block_s=0.02)
+"""A fifth of the readings: the same pipeline in less time."""
 RECIPE_HAND = float(np.radians(6.0))
 """rad, sd of the push about the one asked for, in each direction: a hand without a guide. Assumed."""
 

@@ -18,6 +18,7 @@ from skincal.model.readings import LinkEvent, Stream
 from skincal.model.scene import resource
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec, Reader
+from tests.skincal.record_support import told_to_poke
 
 PATCH = resource("scenes/flat-patch/scene.toml")
 PAGE = Path(__file__).parents[2] / "docs" / "devices.md"
@@ -36,10 +37,9 @@ def test_a_session_over_makers_devices_is_recorded_and_plays_to_the_same(tmp_pat
     ) as server:
         try:
             links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
-            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\n" * 2)  # on a busy machine some are rejected
-            server.stdin.flush()
             arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH), "--out", str(folder)]
-            assert main(["record", *arguments, "--pokes", "3", "--seconds", "30", "--json"]) == 0
+            with told_to_poke(server, *["3 0 0 9", "3 25 90 9"] * 6, accepted=2):
+                assert main(["record", *arguments, "--seconds", "120", "--json"]) == 0
         finally:
             server.terminate()
     live = json.loads(capsys.readouterr().out)

@@ -19,21 +19,19 @@ from skincal.model.readings import Loss
 from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.simulation.device import DeviceSettings
 from skincal.simulation.operator import Habits
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.virtual_session import simulate_session
 from skincal.taxels.result import Method, State
 from tests.approved import approved
-from tests.skincal.meanwhile import meanwhile
+from tests.skincal.record_support import told_to_poke
+from tests.skincal.sim_support import SLOW_DEVICES
 
 PATCH = resource("scenes/flat-patch/scene.toml")
 FOREARM = resource("scenes/icub-forearm/scene.toml")
 SERVE = ("simulate", "--serve", "--tcp", "--operator", "told", "--careful", "--pace", "4", "--seed", "4", "--scene")
 CHANNELS = load_scene(FOREARM).skin.layout.channels[:24]
 """Taxels of the forearm that are poked: two modules."""
-SLOW = DeviceSettings(wrench_hz=200.0, joints_hz=20.0, block_s=0.02)
-"""A fifth of the readings: the same pipeline in less time."""
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +43,7 @@ def forearm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pipeline]:
     surface, _ = load_surface(scene.surface)
     pipeline = simulate_session(
         scene, surface, folder, 40, 5, RigErrors.noise(),
-        poses=("1", "6"), channels=CHANNELS, habits=Habits.careful(), settings=SLOW,
+        poses=("1", "6"), channels=CHANNELS, habits=Habits.careful(), settings=SLOW_DEVICES,
     )  # fmt: skip
     return folder, pipeline
 
@@ -54,7 +52,7 @@ def forearm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pipeline]:
 def patch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A few pokes on the flat patch."""
     folder = tmp_path_factory.mktemp("patch") / "trial"
-    simulate_session(load_scene(PATCH), None, folder, 4, 2, RigErrors.noise(), habits=Habits.careful(), settings=SLOW)
+    simulate_session(load_scene(PATCH), None, folder, 4, 2, RigErrors.noise(), habits=Habits.careful(), settings=SLOW_DEVICES)
     return folder
 
 
@@ -122,17 +120,8 @@ def test_solving_a_patch_imports_and_starts_nothing_it_does_not_need(patch):
     assert set(json.loads(done.stdout)["methods"]) == {"free", "modules"}
 
 
-def pokes_in(server, folder):
-    """Order three pokes of a server once its readings are recorded in a folder: earlier ones would be missed or lack a tare."""
-
-    def order(over):
-        while not over.wait(0.1) and not list(folder.glob("segment-*.mcap")):
-            pass
-        if not over.wait(2.0):
-            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\npoke 3 25 210 9\n")
-            server.stdin.flush()
-
-    return meanwhile(order)
+POKES = ("3 0 0 9", "3 25 90 9", "3 25 210 9") * 4
+"""More than are needed: on a busy machine some are rejected."""
 
 
 @pytest.mark.timeout(240)
@@ -151,21 +140,20 @@ def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
             links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
             folder = tmp_path / "live"
             arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH), "--out", str(folder)]
-            with pokes_in(server, folder):
-                assert main(["record", *arguments, "--pokes", "3", "--seconds", "120", "--json"]) == 0
+            with told_to_poke(server, *POKES, accepted=3):
+                assert main(["record", *arguments, "--seconds", "120", "--json"]) == 0
         finally:
             server.terminate()
     said = json.loads(capsys.readouterr().out)
-    assert said["pokes"] == 3
-    assert said["accepted"] == 3
+    assert said["accepted"] >= 3
     assert main(["export", str(folder), "--format", "csv", "--out", str(tmp_path / "c.csv")]) == 0
     rows = [line.split(",") for line in (tmp_path / "c.csv").read_text(encoding="utf-8").splitlines()]
     assert ",".join(rows[0]) == (
         "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes,normal_sd_deg"
     )
     poked = next(row for row in rows if row[0] == "3")
-    assert poked[2:5] == ["free", "touched", "3"]
-    assert 1 <= int(dict(zip(rows[0], poked, strict=True))["gain_pokes"]) <= 3
+    assert poked[2:5] == ["free", "touched", str(said["accepted"])]
+    assert 1 <= int(dict(zip(rows[0], poked, strict=True))["gain_pokes"]) <= said["accepted"]
     unseen = next(row for row in rows[1:] if row[3] == "untouched")
     assert unseen[5:] == [*[""] * 9, "0", ""]
 
@@ -189,8 +177,8 @@ def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_pat
         try:
             links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
             arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH), "--orders"]
-            with pokes_in(server, tmp_path / "s"):
-                done = main(["record", *arguments, "--out", str(tmp_path / "s"), "--pokes", "3", "--seconds", "120"])
+            with told_to_poke(server, *POKES, accepted=3):
+                done = main(["record", *arguments, "--out", str(tmp_path / "s"), "--seconds", "120"])
         finally:
             server.terminate()
     assert done == 0

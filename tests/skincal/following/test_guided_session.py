@@ -19,14 +19,14 @@ from skincal.model.scene import resource
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget
 from skincal.robot.target_server import TargetServer, parse_port
 from skincal.session.pipeline import Pipeline
-from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.device import DeviceTimeline
 from skincal.simulation.operator import GuidedOperator, Habits
 from skincal.simulation.poking_strategies import errors_of
 from skincal.simulation.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from tests.approved import approved
-from tests.skincal.sim_support import make_rig
+from tests.skincal.sim_support import SLOW_DEVICES, make_rig
 
 DEMO_PACE, DEMO_S = 2.0, 170.0
 """The pace of a demo, and the time that is promised for it, three minutes, less what a window takes to open."""
@@ -70,8 +70,7 @@ class SimulatedRobot:
 
 def play(rig, robot, server, method):
     """Play a rig's devices in virtual time, the robot and the guide beside them, to enough; the pipeline."""
-    settings = DeviceSettings(wrench_hz=200.0, joints_hz=20.0, block_s=0.02)
-    line = DeviceTimeline(rig, robot.hand, np.random.default_rng(4), settings)
+    line = DeviceTimeline(rig, robot.hand, np.random.default_rng(4), SLOW_DEVICES)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
     pipeline = Pipeline(rig.scene, links, rig.surface)
     guide = RobotGuide(pipeline, server, method)

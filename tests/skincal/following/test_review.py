@@ -161,14 +161,6 @@ def test_every_bit_of_a_contact_arrives(session):
     assert isinstance(there.contacts()[0], Contact)
 
 
-def test_ten_thousand_contacts_are_packed_in_milliseconds(session, least_time):
-    """Pickled as objects they take 0.3 s, in which the window stands still."""
-    request = ReviewRequest.from_session(session)
-    contacts = tuple(request.rig.contacts) * (10_000 // len(request.rig.contacts))
-    packed = SentReview.pack(replace(request, rig=replace(request.rig, contacts=contacts)))
-    assert least_time(lambda: pickle.dumps(packed), below=0.05) < 0.05
-
-
 def test_a_mesh_that_changed_or_is_gone_is_said_and_a_part_without_one_needs_none(session, tmp_path, monkeypatch):
     monkeypatch.setattr(review, "_loaded", {})
     there = sent(session)

@@ -145,11 +145,6 @@ def test_an_arm_that_reports_a_wrong_pose_is_not_believed(method):
     assert not found.believed
 
 
-def test_modules_are_checked_within_what_a_dialog_may_take(least_time):
-    assert checked(Method.MODULES, pokes=600).checked >= 90
-    assert least_time(lambda: checked(Method.MODULES, pokes=600), below=0.3) < 0.3
-
-
 def test_without_a_module_model_modules_are_not_checked():
     session, _ = poked_session()
     args = session.channels, Method.MODULES, part().scene.noise

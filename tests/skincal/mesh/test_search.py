@@ -190,16 +190,6 @@ def test_large_triangles_are_found_however_far_their_centres():
     assert wrong_centre > 3, "the case is as hard as it is meant to be"
 
 
-def test_a_hundred_thousand_triangles_take_milliseconds(least_time):
-    surface = tube(around=250, along=200)
-    push = np.array([-1.0, 0.1, 0.05])
-    metric = np.eye(3) - np.outer(push, push) / (push @ push)
-    target = np.array([0.04, 0.002, 0.07])
-    nearest_to(surface, metric, target, push)
-    # Measured 3 ms; every triangle by the same closed form takes 100 ms. The bar is loose for a busy machine.
-    assert least_time(lambda: nearest_to(surface, metric, target, push), below=0.03) < 0.03
-
-
 def square(z: float, cells: int = 1, side: float = 0.1) -> Surface:
     """A flat square about the z axis, normals along +z."""
     x, y = np.meshgrid(*[np.linspace(-side / 2, side / 2, cells + 1)] * 2, indexing="ij")

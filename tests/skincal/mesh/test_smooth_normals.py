@@ -1,7 +1,5 @@
 """Normals of the smooth part behind a mesh: formulas for round parts, creases, fillets, slivers, noise, turns."""
 
-import time
-
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
@@ -294,13 +292,3 @@ def test_the_answer_of_a_point_depends_on_no_other_one():
     whole = smooth_normals(surface, points, triangles, FOOTPRINT_M)
     alone = smooth_normals(surface, points[7:8], triangles[7:8], FOOTPRINT_M)
     np.testing.assert_allclose(alone.normals[0], whole.normals[7], atol=1e-13)
-
-
-@pytest.mark.quiet
-def test_four_thousand_taxels_take_a_fraction_of_a_second():
-    surface = on_grid(cylinder_mesh, np.linspace(-1.5, 1.5, 201), np.linspace(0, 0.3, 251))
-    points, triangles = points_on(surface, 4000)
-    smooth_normals(surface, points[:5], triangles[:5], FOOTPRINT_M)
-    begin = time.perf_counter()
-    smooth_normals(surface, points, triangles, FOOTPRINT_M)
-    assert time.perf_counter() - begin < 2.0

@@ -214,12 +214,6 @@ def test_without_a_layout_or_a_surface_taxels_move_with_the_rig(layout):
     assert mean_error(rig, corrected(request, answer)) < 0.5 * mean_error(rig, request.contacts)
 
 
-def test_six_hundred_pokes_in_seven_poses_take_half_a_second(least_time):
-    request = trial(1, "paper", 1, 3)[1]
-    assert len(request.contacts) > 580
-    assert least_time(lambda: correct_rig(request), below=0.5) < 0.5
-
-
 def test_the_scene_that_ships_has_its_landmarks_on_the_part():
     from skincal.mesh.search import nearest_points
 

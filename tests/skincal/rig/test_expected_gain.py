@@ -152,16 +152,8 @@ def test_a_rigid_motion_of_the_link_changes_nothing():
     assert (moved.now, moved.after) == pytest.approx((here.now, here.after), rel=1e-9)
 
 
-def test_four_thousand_taxels_take_no_longer_than_84(least_time):
-    """Of more than forty only some are used; without any there is nothing to predict."""
+def test_without_a_taxel_or_an_arm_pose_there_is_nothing_to_predict():
     rig = make_rig(RigErrors.noise(), 1)
-    plan = planned(rig, 3)
-
-    def seconds(times: int) -> float:
-        places, normals = np.tile(rig.places, (times, 1)), np.tile(rig.normals, (times, 1))
-        return least_time(lambda: gain_of(rig, (), plan, places=places, normals=normals), below=0.0, tries=7)
-
-    assert seconds(50) < 3.0 * seconds(1)
     with pytest.raises(ValueError, match="no taxel"):
         gain_of(rig, places=np.empty((0, 3)))
     with pytest.raises(ValueError, match="no arm pose"):

@@ -27,6 +27,7 @@ from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.virtual_session import simulate_session
 from skincal.words.poke_words import POLARITY_ADVICE, rejection_advice, rejection_words
 from skincal.words.setup_words import setup_sentences
+from tests.skincal.sim_support import SLOW_DEVICES
 
 POSES = "[robot.poses]\na = [94.0, 0.0]\nb = [60.0, -40.0]\nc = [30.0, 30.0]\n[contacts]\npitch_max = 0.025\n"
 ANCHOR_MM = np.array([0.0, -75.0, 46.0])
@@ -49,7 +50,10 @@ def rig(tmp_path_factory):
     part = load_part(out)
     habits = Habits.careful().at_pace(4.0)
     errors = RigErrors.paper()
-    pipeline = simulate_session(part.scene, part.surface, folder / "s", 30, 1, errors, poses=("a", "b", "c"), habits=habits)
+    pipeline = simulate_session(
+        part.scene, part.surface, folder / "s", 30, 1, errors,
+        poses=("a", "b", "c"), habits=habits, settings=SLOW_DEVICES,
+    )  # fmt: skip
     third = len(pipeline.session.contacts) // 3
     contacts = [
         contact for row in zip(*(pipeline.session.contacts[k * third :] for k in range(3)), strict=False) for contact in row
@@ -211,7 +215,9 @@ def test_a_check_that_fails_is_made_again_with_more_pokes(rig, monkeypatch):
 def test_a_wrong_polarity_is_named_at_the_first_poke(rig, tmp_path):
     part, _ = rig
     wrong = replace(part.scene, skin=replace(part.scene.skin, polarity=1))
-    pipeline = simulate_session(part.scene, part.surface, tmp_path / "s", 3, 1, RigErrors.noise(), seen_as=wrong)
+    pipeline = simulate_session(
+        part.scene, part.surface, tmp_path / "s", 3, 1, RigErrors.noise(), settings=SLOW_DEVICES, seen_as=wrong
+    )
     outcomes = [poke.outcome for poke in pipeline.snapshot().pokes]
     assert rejection_advice(outcomes[0]) == POLARITY_ADVICE
     assert "against the scene's polarity" in rejection_words(outcomes[0])
@@ -297,7 +303,7 @@ def test_solve_names_a_mistake_in_the_files_from_the_bytes_of_the_devices(rig, t
         wrong.write_text(wrong.read_text() + POSES)
     simulate_session(
         part.scene, part.surface, tmp_path / "s", 12, 1, RigErrors.noise(), poses=("a", "b"),
-        habits=Habits.careful().at_pace(4.0), seen_as=load_scene(wrong),
+        habits=Habits.careful().at_pace(4.0), settings=SLOW_DEVICES, seen_as=load_scene(wrong),
     )  # fmt: skip
     capsys.readouterr()
     assert main(["solve", str(tmp_path / "s")]) == 0

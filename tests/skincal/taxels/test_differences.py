@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.model.scene import load_scene, resource
-from skincal.model.skin import KINDS, Layout, Module
 from skincal.modules.health import neighbours_of
 from skincal.taxels.differences import (
     common_motion,
@@ -134,23 +133,6 @@ def test_each_module_has_its_own_spacing():
     np.testing.assert_allclose(ratios, [*shares, shares.mean()])
     flat[OWNERS == 3] = np.nan
     assert np.flatnonzero(np.isnan(neighbours_of(LAYOUT).ratios(CHANNELS, flat))).tolist() == [3]
-
-
-@pytest.mark.parametrize(("modules", "most_s"), [(7, 0.003), (350, 0.015)])
-def test_a_comparison_is_quick_enough_for_each_poke(rng, least_time, modules, most_s):
-    kind = KINDS["triangle_12"]
-    layout = Layout(tuple(Module(i, kind, 12 * i, np.array([0.03 * i, 0.0]), 0.0, False) for i in range(modules)), 12 * modules)
-    here, neighbours = bent(rng, layout), neighbours_of(layout)
-    there = here + 0.003 * rng.normal(size=here.shape)
-
-    def work():
-        lengths = differences(here, there)[1]
-        summarise(lengths)
-        worst_rows(lengths, 10)
-        compare_modules(layout.module_of[layout.channels], here, there)
-        neighbours.ratios(layout.channels, there)
-
-    assert least_time(work, below=most_s) < most_s
 
 
 def test_a_motion_of_all_taxels_is_found_again_and_leaves_nothing(rng):

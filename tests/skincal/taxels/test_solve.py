@@ -370,15 +370,3 @@ def test_a_pose_in_which_a_taxel_is_blind_does_not_count():
     assert (blind[0].reason.cause, blind[0].reason.inner.cause) == (Cause.BLIND_IN_POSES, Cause.ONE_AXIS)
     assert blind[1].state is State.UNSEEN
     assert average_over_poses([], [0], Method.FREE, NOISE, None)[0].state is State.UNSEEN
-
-
-def test_a_dirty_taxel_is_solved_in_milliseconds(least_time):
-    contacts, _, _ = session(np.random.default_rng(11), taxels=84, pokes=840, exact=False)
-    surface = tube(around=100, along=50)
-
-    def work():
-        for method in PER_TAXEL:
-            solve(contacts, [1, 2, 3], method, NOISE, surface)
-
-    # Measured 8 ms on 10,000 triangles with 30 contacts a taxel; the bar on the processor's time is loose for a busy machine.
-    assert least_time(work, below=0.05) < 0.05
