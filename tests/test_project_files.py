@@ -1,0 +1,40 @@
+"""Files that other programs read of a project: the citation and the workflow that runs README's commands."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from skincal.version import __version__
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+
+
+def read_yaml(path):
+    return pytest.importorskip("yaml").safe_load((CHECKOUT / path).read_text(encoding="utf-8"))
+
+
+def test_the_citation_names_this_version_and_the_paper():
+    citation = read_yaml("CITATION.cff")
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert citation["cff-version"] == "1.2.0"
+    assert (citation["title"], citation["license"]) == (project["name"], project["license"])
+    assert citation["version"] == __version__
+    assert [each["name"] for each in citation["authors"]] == [each["name"] for each in project["authors"]]
+    (paper,) = citation["references"]
+    assert f'{paper["authors"][0]["family-names"]} et al., "{paper["title"]}" (IROS {paper["year"]})' in README
+
+
+def test_the_workflow_runs_the_commands_of_the_readme_on_each_system():
+    (job,) = read_yaml(".github/workflows/checks.yml")["jobs"].values()
+    matrix = job["strategy"]["matrix"]
+    assert {name.partition("-")[0] for name in matrix["os"]} == {"ubuntu", "windows", "macos"}
+    assert job["runs-on"] == "${{ matrix.os }}"
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f">={matrix['python'][0]}" == project["requires-python"]
+    commands = re.findall(r"^python3 (\w+\.py) +#", README, re.MULTILINE)
+    run = [step["run"] for step in job["steps"] if "run" in step]
+    assert [command.split()[:2] for command in run] == [["python", name] for name in commands]
+    assert all((CHECKOUT / name).is_file() for name in commands)
