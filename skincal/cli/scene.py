@@ -80,7 +80,6 @@ def new_scene(
     from skincal.cli import output
     from skincal.files.layout_sources import parse_grid, read_layout_file, text_with_kind
     from skincal.model.skin import SkinKind
-    from skincal.part.mesh_units import unit_without_option
     from skincal.part.part import load_part
     from skincal.part.part_draft import PartDraft
     from skincal.part.robot_copy import ROBOT_FOLDER, size_words
@@ -107,7 +106,7 @@ def new_scene(
         copies_robot=not reference,
         mesh=mesh,
         sign=None if sign is None else int(sign),
-        unit=unit or (unit_without_option(mesh) if urdf is None else ""),
+        unit=unit or "",
         channels=channels,
         polarity=polarity,
         layout_text=layout_text,

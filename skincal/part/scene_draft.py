@@ -17,6 +17,7 @@ from skincal.model.scene import Scene, load_scene
 from skincal.model.urdf import Robot, read_urdf
 from skincal.part.draft_preview import PartPreview, PartPreviewer, completed_draft, propose_anchor
 from skincal.part.layout_placing import anchor_at
+from skincal.part.mesh_units import unit_without_option
 from skincal.part.part_draft import AnchorDraft, PartDraft, save_draft
 from skincal.part.robot_mesh import with_own_mesh
 
@@ -29,7 +30,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
 
     Parameters
     ----------
-    draft : without an anchor; with a URDF `unit` is what the user typed, or empty
+    draft : without an anchor; `unit` is what the user typed, or empty
     anchor_mm : (3,) mm, link frame: position of the layout's middle; `None` for that of `propose_anchor`
 
     Raises
@@ -40,6 +41,8 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     if draft.urdf is None and draft.mesh is None:
         raise InputError(f"{out}: name the robot's URDF (--urdf) or the part's mesh (--mesh).")
     robot = None if draft.urdf is None else read_urdf(draft.urdf)
+    if robot is None and not draft.unit and draft.mesh is not None:
+        draft = replace(draft, unit=unit_without_option(draft.mesh))
     if robot is not None:
         if not draft.sensor:
             raise InputError(f"{robot.path}: name the force/torque sensor (--sensor); {_list_sensors(robot)}.")

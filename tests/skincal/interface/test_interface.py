@@ -162,9 +162,26 @@ def test_a_scene_is_made_from_a_mesh_and_refused_with_a_sentence(plate, tmp_path
     np.testing.assert_allclose(spacing, 0.009, atol=1e-9)
     with pytest.raises(skincal.InputError, match=r"none\.stl"):
         skincal.Scene.from_mesh(tmp_path / "scene.toml", tmp_path / "none.stl", channels=4)
+    with pytest.raises(skincal.InputError, match="height: is no entry of a part; expected one of layout, channels"):
+        skincal.Scene.from_mesh(tmp_path / "scene.toml", scene.path.parent / "plate.obj", height=0.1)
     with pytest.raises(skincal.InputError, match="anchor: has the shape"):
         skincal.Scene.from_mesh(tmp_path / "scene.toml", scene.path.parent / "plate.obj", layout="2x2@5mm", anchor=(0.0, 0.0))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_is_made_from_a_robot_with_a_joint_that_does_not_move(tmp_path):
+    """The chain with a fixed joint, its angle in radians, is the whole chain at that angle."""
+    urdf, names = resource("examples/carrying_arm.urdf"), {"link": "r_forearm_dh_frame", "sensor": "wrist_ft", "channels": 4}
+    both = skincal.Scene.from_urdf(tmp_path / "both/scene.toml", urdf, joints=["bend", "twist"], copy=False, **names)
+    one = skincal.Scene.from_urdf(tmp_path / "one/scene.toml", urdf, joints=["bend"], fixed={"twist": 0.5}, sign=-1, **names)
+    assert (both.link, both.channels, both.methods, both.wrench_sign, one.wrench_sign) == (names["link"], 4, ("free",), 1, -1)
+    arms = [scene.part.scene.arm.arm for scene in (both, one)]
+    np.testing.assert_allclose(
+        arms[1].link_from_sensor(np.array([0.3])), arms[0].link_from_sensor(np.array([0.3, 0.5])), atol=1e-9
+    )
+    assert [path.name for path in tmp_path.rglob("*.urdf")] == ["carrying_arm.urdf"]
+    with pytest.raises(skincal.InputError, match="knee_ft"):
+        skincal.Scene.from_urdf(tmp_path / "no/scene.toml", urdf, **names | {"sensor": "knee_ft"})
 
 
 @pytest.mark.parametrize(
