@@ -1,11 +1,15 @@
 """The documentation is a site in which every link leads to a page, a heading or a picture."""
 
+import html
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+import skincal
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 
@@ -21,7 +25,7 @@ def build(folder, site):
 
 
 def test_every_link_leads_somewhere(tmp_path):
-    pytest.importorskip("mkdocs")
+    pytest.importorskip("mkdocstrings")
     assert build(CHECKOUT, tmp_path) == (0, [])
     pages = {path.relative_to(CHECKOUT / "docs").with_suffix("") for path in (CHECKOUT / "docs").rglob("*.md")}
     missing = [
@@ -34,9 +38,19 @@ def test_every_link_leads_somewhere(tmp_path):
     assert [page.name for page in pages if page.parent == Path() and page.name != "index" and f"({page}.md)" not in start] == []
 
 
+def test_the_reference_has_every_public_name_with_its_types(tmp_path):
+    pytest.importorskip("mkdocstrings")
+    assert build(CHECKOUT, tmp_path) == (0, [])
+    page = (tmp_path / "api" / "index.html").read_text(encoding="utf-8")
+    assert {name for name in skincal.__all__ if not re.search(rf'id="skincal[\w.]*\.{name}"', page)} == set()
+    text = re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", "", page)))
+    assert "load(path: str | Path) -> Scene" in text
+    assert "(n, 6) float, N and N m, sensor frame" in text
+
+
 @pytest.mark.parametrize("link", ["nowhere.md", "index.md#nowhere", "nowhere.png", "elsewhere"])
 def test_a_link_to_nowhere_is_found(tmp_path, link):
-    pytest.importorskip("mkdocs")
+    pytest.importorskip("mkdocstrings")
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs/index.md").write_text(f"[here]({link})\n")
     (tmp_path / "mkdocs.yml").write_bytes((CHECKOUT / "mkdocs.yml").read_bytes())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from skincal.session.arm_poses import SAME_POSE_COSINE, SAME_POSE_SHIFT_M
 from skincal.session.pipeline import Pipeline
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from skincal.contacts.outcome import Outcome
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
@@ -23,7 +25,9 @@ POSE_TOLERANCE = 1e-6
 """Largest difference of a rotation's R'R from the identity: single precision passes, a scaled or mirrored matrix does not."""
 
 
-def pipeline_of_arrays(part: Part, wrenches: Any, responses: Any, poses: Any = None, times: Any = None) -> Pipeline:
+def pipeline_of_arrays(
+    part: Part, wrenches: ArrayLike, responses: ArrayLike, poses: ArrayLike | None, times: ArrayLike | None
+) -> Pipeline:
     """Make a session's pipeline, without devices and recording, from arrays; see `skincal.solve`."""
     scene = part.scene
     forces = _array(wrenches, "wrenches", (None, 6), "a row a poke, force in N and moment in N m")
@@ -72,7 +76,7 @@ def _outcome(
     return judge(press, scene, after=None, final=True, ignored=frozenset())
 
 
-def _sensor_poses(scene: Scene, poses: Any, count: int) -> FloatArray:
+def _sensor_poses(scene: Scene, poses: ArrayLike | None, count: int) -> FloatArray:
     """Return (count, 4, 4) poses of the sensor in the link frame, metres."""
     if poses is None:
         if scene.arm is not None:
@@ -111,7 +115,7 @@ def _is_same(first: FloatArray, second: FloatArray) -> bool:
     return bool(cosine >= SAME_POSE_COSINE and np.linalg.norm(first[:3, 3] - second[:3, 3]) <= SAME_POSE_SHIFT_M)
 
 
-def _array(values: Any, name: str, shape: tuple[int | None, ...], meaning: str) -> FloatArray:
+def _array(values: ArrayLike, name: str, shape: tuple[int | None, ...], meaning: str) -> FloatArray:
     try:
         found = np.array(values, dtype=float)
     except (TypeError, ValueError):

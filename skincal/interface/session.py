@@ -30,6 +30,8 @@ from skincal.words.verdict_words import verdict_sentence
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from numpy.typing import ArrayLike
+
     from skincal.reporting.session_facts import SessionFacts
 
 
@@ -76,9 +78,14 @@ class Session:
 
         Parameters
         ----------
-        layout : layout file in place of the session's own
-        replayed : decode and judge the recorded bytes again, in place of the recorded pokes
-        correct : use the corrections of sensor and arm that landmark pokes support
+        folder
+            Of the session, as the window or `skincal record` wrote it.
+        layout
+            Layout file in place of the session's own.
+        replayed
+            Decode and judge the recorded bytes again, in place of the recorded pokes.
+        correct
+            Use the corrections of sensor and arm that landmark pokes support.
 
         Raises
         ------
@@ -129,7 +136,11 @@ class Session:
     def taxels(self, method: str | None = None) -> Taxels:
         """Return the estimates of `free`, `surface` or `modules`; `None` for the leading method.
 
-        Raises InputError: the scene lacks what the method needs.
+        Raises
+        ------
+        InputError
+
+            The scene lacks what the method needs.
         """
         chosen, snapshot = self._method(method), self.results.snapshot
         # The normals of the smooth part, as in files.
@@ -137,7 +148,7 @@ class Session:
         return taxels_of(estimates, self.results.session.scene, chosen, snapshot.part_size)
 
     def verdict(self, method: str | None = None) -> Judgement:
-        """Judge the estimates of a method; `None` for the leading one. Raises InputError: as for `taxels`."""
+        """Judge the estimates of a method; `None` for the leading one. Raises as `taxels`."""
         found = self.results.verdict(self._method(method))
         return Judgement(verdict_sentence(found), found.enough, found.is_finished, found.believed, found.doubted)
 
@@ -152,13 +163,19 @@ class Session:
 
         Parameters
         ----------
-        format : such as `"icub"`, `"urdf"`, `"json"`; `skincal export --help` lists all
-        method : whose positions are written; `None` for the leading one
-        options : that only some formats have, such as `skincal.ExportOptions(prefix="left_")`
+        path
+            File to write.
+        format
+            Such as `"icub"`, `"urdf"`, `"json"`; `skincal export --help` lists all.
+        method
+            Whose positions are written; `None` for the leading one.
+        options
+            That only some formats have, such as `skincal.ExportOptions(prefix="left_")`.
 
         Returns
         -------
-        Sentences on faults of the positions and on what the format leaves out.
+        tuple of str
+            Sentences on faults of the positions and on what the format leaves out.
 
         Raises
         ------
@@ -170,7 +187,7 @@ class Session:
         return write_calibration(self.results.calibration(), written, Path(path), self._method(method), chosen)
 
     def facts(self, method: str | None = None) -> SessionFacts:
-        """Gather everything that the report shows. Raises InputError: as for `taxels`."""
+        """Gather everything that the report shows; raises as `taxels`."""
         from skincal.reporting.session_facts import gather_facts
 
         return gather_facts(self.results, self.name, self._truth, self._method(method))
@@ -178,7 +195,11 @@ class Session:
     def report(self, path: str | Path, method: str | None = None) -> str:
         """Write the report, a page for the browser, and return the verdict; an older file is kept as `.bak`.
 
-        Raises InputError: the scene lacks what the method needs, or the file cannot be written.
+        Raises
+        ------
+        InputError
+
+            The scene lacks what the method needs, or the file cannot be written.
         """
         from skincal.reporting.page import write_report
 
@@ -195,20 +216,37 @@ class Session:
         return self.results.choose_method(None if asked is None else _member(Method, asked, "method"))
 
 
-def solve(scene: Scene, wrenches: Any, responses: Any, poses: Any = None, times: Any = None) -> Session:
+def solve(
+    scene: Scene,
+    wrenches: ArrayLike,
+    responses: ArrayLike,
+    poses: ArrayLike | None = None,
+    times: ArrayLike | None = None,
+) -> Session:
     """Estimate the taxels from arrays, a row a poke: the experiment of Del Prete et al. (2011) in one call.
+
+    A force f at the point c of the skin has the moment m = c x f, so that each poke gives the line of its force. A taxel is the
+    point nearest to the lines of its pokes (the paper's equation 5), on the mesh with the surface method, and of a module that
+    all its pokes share with the modules method. `docs/method.md` has the equations with their weights and covariances.
 
     Parameters
     ----------
-    wrenches : (n, 6) float, N and N m, sensor frame, about its origin: the mean of each poke without that at rest, with the
-        sign that the scene's sensor has
-    responses : (n, channels) float, raw units: change of each channel from its rest, as the skin reports it; NaN if unknown
-    poses : (n, 4, 4) float, metres: the sensor in the frame of the link; `None` if nothing moves between them
-    times : (n,) float, seconds; `None` if unknown: the work's duration is 0 then
+    scene
+        Part that was poked.
+    wrenches
+        (n, 6) float, N and N m, sensor frame, about its origin: the mean of each poke without that at rest, with the sign that
+        the scene's sensor has.
+    responses
+        (n, channels) float, raw units: change of each channel from its rest, as the skin reports it; NaN if unknown.
+    poses
+        (n, 4, 4) float, metres: the sensor in the frame of the link; `None` if nothing moves between them.
+    times
+        (n,) float, seconds; `None` if unknown: the work's duration is 0 then.
 
     Returns
     -------
-    A session without recording. Pokes that the scene's limits reject do not count; `rejections` has the reasons.
+    Session
+        Without recording. Pokes that the scene's limits reject do not count; `rejections` has the reasons.
 
     Raises
     ------
@@ -230,10 +268,18 @@ def simulate(
 
     Parameters
     ----------
-    seed : equal seeds give equal sessions
-    errors : of the rig: `none`, `noise` (a good rig), or `paper` (those of the paper's rig)
-    folder : for the recording; `None` to keep none
-    progress : called with the number of each poke that begins
+    scene
+        Part with a layout that is placed on it.
+    pokes
+        Number of pokes; some are rejected, as on a real rig.
+    seed
+        Equal seeds give equal sessions.
+    errors
+        Of the rig: `"none"`, `"noise"` (a good rig), or `"paper"` (those of the paper's rig).
+    folder
+        For the recording; `None` to keep none.
+    progress
+        Called with the number of each poke that begins.
 
     Raises
     ------
@@ -257,11 +303,23 @@ def simulate(
 def read_csv(
     scene: Scene, wrench: str | Path, skin: str | Path, joints: str | Path | None = None, pose: str | None = None
 ) -> Session:
-    """Read tables of readings over time, which may be the same file; see `skincal import csv`.
+    """Read tables of readings over time, as `skincal import csv` does. Streams may be in one file, or in a file each.
+
+    Columns are found by their names, which also state units: `fx [N]`, `mx_nmm`, `t_ms`. Without a unit, forces are newtons,
+    moments newton metres, times seconds. Wrenches are in the frame of the sensor.
 
     Parameters
     ----------
-    pose : name of the scene's arm pose, if joints were not recorded
+    scene
+        Part that was poked.
+    wrench
+        File with time and `fx fy fz mx my mz`.
+    skin
+        File with time and a column for each channel.
+    joints
+        File with time and a column for each joint; `None` if the arm did not move.
+    pose
+        Name of the scene's arm pose, if joints were not recorded.
 
     Raises
     ------
@@ -281,12 +339,25 @@ def read_bag(
     joints: str = "",
     pose: str | None = None,
 ) -> Session:
-    """Read a recording of ROS (rosbag2, MCAP, ROS 1); see `skincal import rosbag`.
+    """Read a recording of ROS (rosbag2, MCAP, ROS 1), as `skincal import rosbag` does.
+
+    Wrenches are N and N m, angles rad, as ROS defines them. A wrench is in the frame that its messages name, and about its
+    origin; it is converted to that of the sensor if the scene's URDF has both.
 
     Parameters
     ----------
-    wrench, skin, joints : topics; empty for the likely one
-    pose : name of the scene's arm pose, if joints were not recorded
+    scene
+        Part that was poked.
+    path
+        File or folder of the recording.
+    wrench
+        Topic of the force/torque sensor; empty for the likely one.
+    skin
+        Topic of the skin; empty for the likely one.
+    joints
+        Topic of the joint angles; empty for the likely one.
+    pose
+        Name of the scene's arm pose, if joints were not recorded.
 
     Raises
     ------

@@ -63,7 +63,11 @@ class Taxels:
     def load(cls, named: str | Path) -> Taxels:
         """Read positions: of a file, or of a recorded session's method, plan or truth, such as `"monday:plan"`.
 
-        Raises InputError: as for `skincal compare`.
+        Raises
+        ------
+        InputError
+
+            As for `skincal compare`.
         """
         return taxels_at(find_places(str(named)))
 
@@ -91,7 +95,11 @@ class Taxels:
     def compare(self, other: Taxels | str | Path) -> Comparison:
         """Compare with other positions of the same taxels: a table, or what `load` reads.
 
-        Raises InputError: the frames have different names, or `other` cannot be read.
+        Raises
+        ------
+        InputError
+
+            The frames have different names, or `other` cannot be read.
         """
         there = other if isinstance(other, Taxels) else Taxels.load(other)
         return compare_sets(self.places(), there.places())
@@ -109,7 +117,8 @@ class Taxels:
 
         Parameters
         ----------
-        part : of the scene (`Scene.part`), whose mesh is drawn, too
+        part
+            Of the scene (`Scene.part`), whose mesh is drawn, too.
         """
         from skincal.interface.drawing import draw_in_space
 
