@@ -24,6 +24,7 @@ from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
+from skincal.taxels.shared_errors import max_known_error
 from skincal.words.units import ChannelNames, cell, count, degrees, millimetres, minutes, newtons
 from skincal.words.verdict_words import needs_clause
 
@@ -94,7 +95,7 @@ def _reason(guidance: Guidance, target: Target, part_size: float) -> str:
         clause = needs_clause(missing[:1])
         return clause[:1].upper() + clause[1:]
     what = REDUCED_ERROR_WORDS[guidance.method]
-    if not np.isfinite(guidance.rms[row]) or target.rms_now > part_size:
+    if not np.isfinite(guidance.rms[row]) or target.rms_now > max_known_error(part_size):
         return f"{what.capitalize()} not known yet"
     before = cell(target.rms_now, "m")
     return f"This poke should reduce the {what} error from {before} to {millimetres(target.rms_after)}"

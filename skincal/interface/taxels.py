@@ -44,7 +44,7 @@ class Taxels:
     covariance: FloatArray
     """(n, 3, 3) float, m^2, of the position; NaN if unknown."""
     error: FloatArray
-    """(n,) float, metres: predicted error, square root of the covariance's trace; NaN if unknown or above the part's size."""
+    """(n,) float, metres: predicted error, square root of the covariance's trace; NaN above a tenth of the part, too."""
     state: Sequence[str]
     """n words: `touched`, `inferred`, `undetermined`, `untouched` or `disabled` (`skincal.taxels.result.State`); `known` in a
     file, plan or truth."""

@@ -39,6 +39,12 @@ MAX_DRIFT_PAIR_GAP = POKES_PER_DRIFT_BLOCK // 4
 DRIFT_VARIANCE_FACTOR_IF_CORRECTED = 2.0
 """True drift variance over that of the residuals under a correction. It absorbs the mean drift of each arm pose, which over the
 60 to 80 pokes of a pose has about half of the variance."""
+MAX_KNOWN_ERROR_SHARE_OF_PART = 0.1
+"""Share of the part's longest side up to which a predicted error is a size of anything. On the forearm it is 12 mm, more
+than two spacings; the paper's rig without a correction has 7 to 8 mm. The 95 % region of such a taxel is half as long as the
+part."""
+MIN_OF_MAX_KNOWN_ERROR_M = 0.010
+"""m: an error up to this is known on a part of any size that is not smaller itself."""
 UNRANKED_SHIFT_PER_DISTANCE = 0.7
 """How far pokes that press one of several taxels at the end of the range shift one of these, over the rms distance of the
 pokes. Over a disc it is 0, over half a disc, as at a straight rim, 0.60, over a quarter, as at a corner, 0.85."""
@@ -322,12 +328,17 @@ class PredictedError:
     """Estimated taxels whose error is not known yet (`known_error`), left out of the other numbers; NaN if these are all."""
 
 
-def known_error(estimate: Estimate, part_size: float) -> float | None:
-    """Return the predicted error of a taxel, metres; `None` without an estimate, or while it is larger than the part.
+def max_known_error(part_size: float) -> float:
+    """Return the largest predicted error that says where a taxel is, metres: a share of the part of `part_size`, metres."""
+    return min(max(MAX_KNOWN_ERROR_SHARE_OF_PART * part_size, MIN_OF_MAX_KNOWN_ERROR_M), part_size)
 
-    A position that is predicted to be off by more than the part's size is not known yet, and its error means nothing.
+
+def known_error(estimate: Estimate, part_size: float) -> float | None:
+    """Return the predicted error of a taxel, metres; `None` without an estimate, or while it is above `max_known_error`.
+
+    Such a position is not known yet: it may be that of many other taxels.
     """
-    return None if estimate.rms is None or estimate.rms > part_size else estimate.rms
+    return None if estimate.rms is None or estimate.rms > max_known_error(part_size) else estimate.rms
 
 
 def predicted_error(estimates: Sequence[Estimate], part_size: float) -> PredictedError | None:

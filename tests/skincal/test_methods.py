@@ -19,6 +19,7 @@ from skincal.methods import leading_method
 from skincal.model.scene import resource
 from skincal.reporting.page import report_page
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
+from skincal.taxels.shared_errors import max_known_error
 from skincal.words.taxel_words import taxel_error_words
 from skincal.words.verdict_words import figures
 from tests.approved import approved
@@ -87,16 +88,16 @@ def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_pat
     assert all(f">{1e3 * size:.2f}<" in page for size in (facts.methods[2].predicted.mean, facts.methods[2].predicted.worst))
 
 
-@pytest.mark.parametrize("size", [0.02, 0.003])
-def test_an_error_above_the_size_of_the_part_is_not_known_yet_wherever_it_is_said(tmp_path, capsys, monkeypatch, size):
+@pytest.mark.parametrize("size", [0.2, 0.003])
+def test_an_error_that_is_large_for_the_part_is_not_known_yet_wherever_it_is_said(tmp_path, capsys, monkeypatch, size):
     monkeypatch.setattr(Surface, "size", size)
     facts = skincal.Session.load(SAMPLE).facts("free")
     every = [each for each in facts.estimates if each.rms is not None]
-    errors = [each.rms for each in every if each.rms <= size]
+    errors = [each.rms for each in every if each.rms <= max_known_error(size)]
     counts = {"mean_mm": f"{1e3 * np.mean(errors):.1f}", "worst_mm": f"{1e3 * max(errors):.1f}"} if errors else {}
     unknown = len(every) - len(errors)
     said = approved("now.predicted_some", **counts, unknown=unknown) if errors else approved("now.predicted_unknown")
-    assert (unknown > 0, bool(errors)) == (True, size == 0.02)
+    assert (unknown > 0, bool(errors)) == (True, size == 0.2)
     assert error_words(facts.estimates, size) == said
     for words in (["solve", SAMPLE], ["export", SAMPLE, "--method", "free", "--format", "icub", "--out", tmp_path / "at.txt"]):
         assert main([str(word) for word in words]) == 0

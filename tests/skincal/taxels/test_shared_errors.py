@@ -15,6 +15,7 @@ from skincal.taxels.shared_errors import (
     POKES_PER_DRIFT_BLOCK,
     PredictedError,
     known_error,
+    max_known_error,
     predicted_error,
 )
 
@@ -237,13 +238,20 @@ def test_the_whole_and_the_rest_add_up_in_squares(rng):
     assert apart.whole == pytest.approx(np.sqrt(np.mean(np.sum(middle**2, axis=1))), rel=0.01)
 
 
-def test_an_error_above_the_size_of_the_part_is_not_known_yet():
-    sizes = (0.001, 0.117, 0.118, 0.416)
+@pytest.mark.parametrize(
+    ("part_size", "largest"), [(0.003, 0.003), (0.02, 0.01), (0.117, 0.0117), (0.4, 0.04), (np.inf, np.inf)]
+)
+def test_an_error_is_known_up_to_a_share_of_the_part(part_size, largest):
+    assert max_known_error(part_size) == pytest.approx(largest)
+
+
+def test_an_error_that_is_large_for_the_part_is_not_known_yet():
+    sizes = (0.001, 0.0116, 0.0118, 0.051)
     found = [estimate(i, np.diag([size, 0.0, 0.0]) ** 2) for i, size in enumerate(sizes)]
-    assert [known_error(each, 0.117) for each in found] == [0.001, 0.117, None, None]
+    assert [known_error(each, 0.117) for each in found] == [0.001, 0.0116, None, None]
     assert known_error(Estimate(9, Method.FREE, State.UNSEEN, 0), 0.117) is None
     some = predicted_error(found, 0.117)
-    assert (some.mean, some.worst, some.unknown) == (pytest.approx(0.059), 0.117, 2)
+    assert (some.mean, some.worst, some.unknown) == (pytest.approx(0.0063), 0.0116, 2)
     none = predicted_error(found[2:], 0.117)
     assert (np.isnan([none.mean, none.worst, none.whole, none.among]).all(), none.unknown) == (True, 2)
 
