@@ -162,16 +162,19 @@ class ContactDetector:
             self._samples, last_s - first_s, tared, self._strongest, answered, fallen, self._gaps, self._longest_gap_s
         )
 
-    def reset(self, host_s: float | None = None) -> list[Outcome]:
-        """Start again after a break at `host_s`, or at the last sample: a device vanished, or a recording is continued.
+    def reset(self, host_s: float | None = None, *, is_loss: bool = True) -> list[Outcome]:
+        """Start again after a break at `host_s`, or at the last sample: a device was lost, or a recording ended.
 
-        A poke in progress ends as "readings lost", pending pokes become final, and the tare is dropped. Numbers go on.
+        A poke in progress ends: as "readings lost" if the break `is_loss`, else it is judged by its readings. Pending pokes
+        become final, and the tare is dropped. Numbers go on.
         """
         outcomes: list[Outcome] = []
         if (press := self._press) is not None:
-            # Just over the limit at least: the break itself is the loss, however soon it is known.
             lost = 0.0 if host_s is None else host_s - self.last_s
-            press.note_gap(max(lost, MAX_SAMPLE_GAP_IN_SKIN_PERIODS * self._period_s * (1 + 1e-9)))
+            if is_loss:
+                # Just over the limit at least: the break itself is the loss, however soon it is known.
+                lost = max(lost, MAX_SAMPLE_GAP_IN_SKIN_PERIODS * self._period_s * (1 + 1e-9))
+            press.note_gap(lost)
             outcomes += self._end(press)
         outcomes += self._finalize_pending(None)
         self._drop_tare(self.last_s)

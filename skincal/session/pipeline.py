@@ -117,7 +117,8 @@ class Pipeline:
             for sample in samples:
                 outcomes += self._process_sample(sample)
             if self._interrupts_samples(item):
-                outcomes += self._detector.reset(item.host_ns * 1e-9)
+                ended = isinstance(item, LinkEvent) and item.state is LinkState.ENDED
+                outcomes += self._detector.reset(item.host_ns * 1e-9, is_loss=not ended)
         finally:
             self._commit(item, outcomes)  # also where the work fails: these bytes are worth keeping
         self._decoded_wrenches(item.host_ns)
@@ -299,7 +300,7 @@ class Pipeline:
 
     def end_session(self, host_ns: int) -> None:
         """End a poke in progress and finalize those that wait."""
-        self._commit(SessionClosed(host_ns), self._detector.reset())
+        self._commit(SessionClosed(host_ns), self._detector.reset(is_loss=False))
 
     def close(self) -> None:
         """Finish the journal; the session stays."""

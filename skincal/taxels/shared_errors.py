@@ -40,9 +40,8 @@ DRIFT_VARIANCE_FACTOR_IF_CORRECTED = 2.0
 """True drift variance over that of the residuals under a correction. It absorbs the mean drift of each arm pose, which over the
 60 to 80 pokes of a pose has about half of the variance."""
 MAX_KNOWN_ERROR_SHARE_OF_PART = 0.1
-"""Share of the part's longest side up to which a predicted error is a size of anything. On the forearm it is 12 mm, more
-than two spacings; the paper's rig without a correction has 7 to 8 mm. The 95 % region of such a taxel is half as long as the
-part."""
+"""Largest predicted error that is shown, as a share of the part's longest side: 12 mm on the forearm with its spacing of 5 mm.
+The paper's rig without a correction has 7 to 8 mm. The 95 % region of a larger error is longer than half the part."""
 MIN_OF_MAX_KNOWN_ERROR_M = 0.010
 """m: an error up to this is known on a part of any size that is not smaller itself."""
 UNRANKED_SHIFT_PER_DISTANCE = 0.7
@@ -336,7 +335,7 @@ def max_known_error(part_size: float) -> float:
 def known_error(estimate: Estimate, part_size: float) -> float | None:
     """Return the predicted error of a taxel, metres; `None` without an estimate, or while it is above `max_known_error`.
 
-    Such a position is not known yet: it may be that of many other taxels.
+    A larger one is no size of an error: the position is not known yet.
     """
     return None if estimate.rms is None or estimate.rms > max_known_error(part_size) else estimate.rms
 

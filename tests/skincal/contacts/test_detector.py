@@ -353,6 +353,18 @@ def test_a_reset_ends_the_poke_in_progress_and_settles_those_that_wait():
     assert only(script.quiet().press(FORCE, POINT, ANSWERS).quiet().run(detector)).poke == 3
 
 
+@pytest.mark.parametrize(("left_out", "expected"), [(3, None), (24, Reason.NOT_STILL)])
+def test_a_poke_in_progress_at_the_end_is_judged_by_its_readings(left_out, expected):
+    """Nothing was lost: held long enough it counts, else it was not held still."""
+    script = quiet_script().press(FORCE, POINT, ANSWERS)
+    del script.samples[-left_out:]
+    detector = ContactDetector(script.scene)
+    script.run(detector)
+    last = detector.reset(is_loss=False)[-1]
+    assert last.final
+    assert (None if isinstance(last, Contact) else last.reason) is expected
+
+
 def test_phases_follow_the_poke():
     detector = ContactDetector(small_scene())
     script = quiet_script().press(FORCE, POINT, ANSWERS).quiet()

@@ -82,6 +82,18 @@ def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():
     assert all(poke.final for poke in outcomes_of(pipeline))
 
 
+@pytest.mark.parametrize("end", ["closed", "ended"])
+def test_a_poke_that_is_held_at_the_end_of_a_session_counts(end):
+    items = as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).samples)[:-12]
+    pipeline = played(items)
+    if end == "closed":
+        pipeline.close()
+    else:
+        for link in pipeline.links:
+            pipeline.feed(LinkEvent(link.name, items[-1].host_ns, LinkState.ENDED))
+    assert [type(poke) for poke in outcomes_of(pipeline)] == [Contact]
+
+
 def repeating(items, since_ns, until_ns, *, zeros=False):
     """The same bytes, but in between the sensor repeats its last reading, or zeros, under new numbers and times."""
     held = next(item for item in items if isinstance(item, Chunk) and item.link == "wrench" and item.host_ns >= since_ns)
