@@ -243,8 +243,10 @@ def _average(of_poses: list[Estimate]) -> Estimate:
     values, axes = np.linalg.eigh(covariance)
     normals = np.sum([estimate.normal for estimate in good if estimate.normal is not None] or [np.zeros(3)], axis=0)
     length = float(np.linalg.norm(normals))
+    doubted = {poke: trust for estimate in seen for poke, trust in estimate.doubted.items()}
     return Estimate(
-        channel, method, placed_state(contacts), contacts, position=position, normal=normals / length if length > 0 else None,
+        channel, method, placed_state(contacts, doubted), contacts, position=position,
+        normal=normals / length if length > 0 else None,
         covariance=covariance, worst_direction=_unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
         rms=float(np.sqrt(np.trace(covariance))), moved=moved,
         reason=StateReason(Cause.MEAN_OF_POSES, len(good), blind=len(seen) - len(good)),

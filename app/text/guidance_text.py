@@ -25,7 +25,7 @@ from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import max_known_error
-from skincal.words.units import ChannelNames, cell, count, degrees, millimetres, minutes, newtons
+from skincal.words.units import ChannelNames, cell, count, degrees, duration, millimetres, newtons
 from skincal.words.verdict_words import needs_clause
 
 MAX_NAMED_FINISHED_TAXELS = 3  # Finished taxels named after one poke
@@ -56,7 +56,7 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
 
 def landmark_words(landmark: LandmarkTarget) -> str:
     """Count the landmark pokes of this arm pose."""
-    return f"Landmark {landmark.done + 1} of {landmark.wanted} in this arm pose"
+    return f"Landmark poke {landmark.done + 1} of {landmark.wanted} in this arm pose"
 
 
 def gain_words(gain: Gain | None) -> str:
@@ -111,7 +111,7 @@ def left_words(guidance: Guidance) -> str:
     """Estimate the rest: `"about 120 pokes (6 min) left"`; empty if nothing is left or it is unknown."""
     if not guidance.pokes_left or guidance.phase in (GuidePhase.COVER, GuidePhase.LANDMARKS, GuidePhase.CLOSING):
         return ""
-    time = "" if guidance.seconds_left is None else f" ({minutes(guidance.seconds_left)})"
+    time = "" if guidance.seconds_left is None else f" ({duration(guidance.seconds_left)})"
     return f"about {count(round_pokes(guidance.pokes_left), 'poke')}{time} left"
 
 

@@ -51,7 +51,7 @@ from skincal.guide.surroundings import Surroundings
 from skincal.guide.taxel_statistics import TaxelStatistics
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose_fit import CONTACT_TO_PAD_CENTRE_SD_FACTOR
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Estimate, Method, State, has_touch
 
 if TYPE_CHECKING:
     from skincal.guide.surface_search import SurfaceSearch
@@ -253,7 +253,9 @@ class Guide:
         know, changed = self._statistics, list[int]()
         covered = self._covered
         if self._surroundings is not None:
-            covered = self._surroundings.covered(np.array([estimate.contacts > 0 for estimate in estimates], dtype=bool))
+            covered = self._surroundings.covered(
+                np.array([has_touch(each.contacts, each.doubted) for each in estimates], dtype=bool)
+            )
         recovered, self._covered = (covered != self._covered).tolist(), covered
         numbers = self._own(), know.diversity, *self._lopsidedness(), know.last_shift, covered
         facts = zip(*map(np.ndarray.tolist, numbers), strict=True)

@@ -2,8 +2,9 @@
 
 A taxel is *surrounded* if it lies in the convex hull of the touched taxels within `SURROUNDING_MAX_SPACINGS` spacings, in the
 plane of the layout. Seen from the taxel, the directions to these neighbours leave no gap above half a turn. Its position is
-then between measured ones. So the corners of a patch must be touched, and its edges every few taxels. Modules with an anchor of
-their own are planes of their own.
+then between measured ones. The hull must have an area, since neighbours on one line leave the turn about it open. A layout that
+is a line itself has nothing else. So the corners of a patch must be touched, and its edges every few taxels. Modules with an
+anchor of their own are planes of their own.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ class Surroundings:
         self._others: IntArray = others[order]
         self._angles: FloatArray = angles[order]
         self._cells: IntArray = _number_cells(flat, planes, reach)
+        # (n,) taxels whose neighbours, touched or not, are all on one line.
+        self._is_on_line: BoolArray = ~self._has_area(np.ones(len(self._others), dtype=bool))
 
     def covered(self, touched: BoolArray) -> BoolArray:
         """Tell (n,) which taxels are touched, or surrounded by touched ones; `touched` is (n,)."""
@@ -65,6 +68,17 @@ class Surroundings:
         gaps[ends] = angles[starts] + 2.0 * np.pi - angles[ends]
         largest = np.maximum.reduceat(gaps, starts)
         found[taxels[starts]] |= largest <= np.pi + GAP_TOLERANCE_RAD
+        return touched | (found & (self._has_area(counted) | self._is_on_line))
+
+    def _has_area(self, counted: BoolArray) -> BoolArray:
+        """Tell (n,) whether the `counted` neighbours of a taxel are on more than one line through it."""
+        taxels, angles = self._taxels[counted], self._angles[counted]
+        found = np.zeros(self._count, dtype=bool)
+        if len(taxels):
+            starts = np.flatnonzero(np.diff(taxels, prepend=-1))
+            first = np.repeat(angles[starts], np.diff(np.append(starts, len(taxels))))
+            across = np.maximum.reduceat(np.abs(np.sin(angles - first)), starts)
+            found[taxels[starts]] = across > np.sin(GAP_TOLERANCE_RAD)
         return found
 
     def count_touches(self, open_: BoolArray) -> int:

@@ -155,12 +155,13 @@ def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead
                 sd=None if unknown else float(sds[pad]), reason=reason, doubted=doubted[module].get(channel, none),
             )  # fmt: skip
         else:
-            triangle = int(fitted.pads.triangles[pad])
+            triangle, of_poke = int(fitted.pads.triangles[pad]), doubted[module].get(channel, none)
+            state = placed_state(contacts, of_poke)
             yield Estimate(
-                channel, Method.MODULES, placed_state(contacts), contacts, position=fitted.pads.points[pad],
+                channel, Method.MODULES, state, contacts, position=fitted.pads.points[pad],
                 normal=fitted.pads.normals[pad], covariance=covariances[pad], worst_direction=axes[pad, :, 2],
                 sd=float(sds[pad]), rms=float(rms[pad]), triangle=None if triangle < 0 else triangle,
-                reason=None if contacts else StateReason(Cause.BY_MODULE), doubted=doubted[module].get(channel, none),
+                reason=None if state is State.TOUCHED else StateReason(Cause.BY_MODULE), doubted=of_poke,
             )  # fmt: skip
 
 

@@ -89,11 +89,12 @@ def _estimates(fit: SheetFit, counts: Mapping[int, int]) -> Iterator[Estimate]:
                 worst_direction=axes[pad, :, 2], sd=sds[pad], reason=reason, doubted=of_poke,
             )  # fmt: skip
         else:
+            state = placed_state(contacts, of_poke)
             yield Estimate(
-                channel, Method.MODULES, placed_state(contacts), contacts, position=fit.pads.points[pad],
+                channel, Method.MODULES, state, contacts, position=fit.pads.points[pad],
                 normal=fit.pads.normals[pad], covariance=covariances[pad], worst_direction=axes[pad, :, 2],
                 sd=sds[pad], rms=rms[pad], triangle=int(fit.pads.triangles[pad]),
-                reason=None if contacts else StateReason(Cause.BY_MODULE), doubted=of_poke,
+                reason=None if state is State.TOUCHED else StateReason(Cause.BY_MODULE), doubted=of_poke,
             )  # fmt: skip
 
 

@@ -34,7 +34,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.rig.tip_frame import TipAxes, TipFrame
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import offset_square, row_precision
-from skincal.taxels.result import POSITION_MAX_SD_M, Cause, Estimate, Method, State, placed_state
+from skincal.taxels.result import POSITION_MAX_SD_M, Cause, Estimate, Method, State
 
 CHI2_2DOF_QUANTILE_9999 = 18.4
 """Exceeded by one in 10,000 (chi-square, two degrees of freedom)."""
@@ -104,7 +104,7 @@ class TipFusion:
         values, axes = np.linalg.eigh(covariance)
         worst = axes[:, -1]
         return Estimate(
-            estimate.channel, Method.FREE, placed_state(estimate.contacts), estimate.contacts, position=position, normal=normal,
+            estimate.channel, Method.FREE, State.TOUCHED, estimate.contacts, position=position, normal=normal,
             covariance=covariance, worst_direction=worst * np.sign(worst[np.abs(worst).argmax()]),
             sd=float(np.sqrt(values[-1])), rms=float(np.sqrt(np.trace(covariance))), moved=estimate.moved,
             doubted=estimate.doubted,

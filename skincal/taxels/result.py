@@ -33,9 +33,9 @@ class State(Enum):
     """State of a taxel; the value is its word on the screen, in the report and in every file."""
 
     TOUCHED = "touched"
-    """It has a position and accepted contacts of its own."""
+    """It has a position and accepted contacts of its own that are no outliers."""
     INFERRED = "inferred"
-    """It has a position and no contact: its module, or its neighbours, place it."""
+    """It has a position and no contact, or outliers alone: its module, or its neighbours, place it."""
     BLIND = "undetermined"
     """Contacts do not determine its position: see `Estimate.reason`."""
     UNSEEN = "untouched"
@@ -48,9 +48,18 @@ STATES_WITH_POSITION = (State.TOUCHED, State.INFERRED)
 """States of taxels with a position."""
 
 
-def placed_state(contacts: int) -> State:
-    """State of a taxel with a position, by the number of its own accepted contacts."""
-    return State.TOUCHED if contacts else State.INFERRED
+MIN_TRUST_OF_A_TOUCH = 0.5
+"""Trust below which a contact is an outlier that does not touch its taxel; 99 of 100 good pokes have more."""
+
+
+def has_touch(contacts: int, doubted: Mapping[int, float]) -> bool:
+    """Whether one of a taxel's own accepted contacts is no outlier; `doubted` has the trust of those below 1 by their poke."""
+    return contacts > sum(trust < MIN_TRUST_OF_A_TOUCH for trust in doubted.values())
+
+
+def placed_state(contacts: int, doubted: Mapping[int, float]) -> State:
+    """State of a taxel with a position, by its own accepted contacts; see `has_touch`."""
+    return State.TOUCHED if has_touch(contacts, doubted) else State.INFERRED
 
 
 class Cause(Enum):

@@ -38,7 +38,6 @@ from skincal.taxels.result import (
     Rival,
     State,
     StateReason,
-    placed_state,
 )
 
 if TYPE_CHECKING:
@@ -165,7 +164,7 @@ def estimate_free(solution: Solution) -> list[Estimate]:
             estimate = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted)
         else:
             estimate = Estimate(
-                channel, Method.FREE, placed_state(contacts), contacts, position=points[i], normal=normal,
+                channel, Method.FREE, State.TOUCHED, contacts, position=points[i], normal=normal,
                 covariance=covariances[i], worst_direction=worst[i], sd=sd, rms=rms, doubted=doubted,
             )  # fmt: skip
         estimates.append(estimate)
@@ -206,7 +205,7 @@ def estimate_surface(solution: Solution, surface: Surface | None) -> list[Estima
             )  # fmt: skip
         else:
             estimate = Estimate(
-                channel, Method.SURFACE, placed_state(contacts), contacts, position=points[i], normal=normals[i],
+                channel, Method.SURFACE, State.TOUCHED, contacts, position=points[i], normal=normals[i],
                 covariance=covariances[i], worst_direction=worst[i], sd=sd, rms=rms, triangle=triangle,
                 rival=rivals.get(i), doubted=doubted,
             )  # fmt: skip

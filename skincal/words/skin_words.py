@@ -100,7 +100,8 @@ def _clipped(at: SkinCondition) -> str:
         else " Only one taxel at a time is there, so positions stay as good."
     )
     return (
-        f"pressed taxels reach {at.range_end:g}, the end of its range, in {at.clipped} of {plural(at.pokes, 'poke')}."
+        f"pressed taxels reach {at.range_end:g}, the end of its range, in {at.clipped} of {plural(at.pokes, 'poke')} that "
+        "were held still."
         f"{together} Press softer, or lower the gain of the board."
     )
 

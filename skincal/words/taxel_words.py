@@ -43,7 +43,7 @@ STATE_SENTENCES = {
     Cause.MODULE_BEHIND: "The pokes press its module from behind. Check the sign of the force and the normals of the mesh.",
     Cause.MODULE_ONE_POKE: "One poke on its module does not show how the module is turned. Press another of its taxels.",
     Cause.MODULE_LOOSE: "The {count} pokes on its module {tell}. Press taxels farther apart, leaning other ways.",
-    Cause.BY_MODULE: "Inferred: no accepted poke touched it, its module places it.",
+    Cause.BY_MODULE: "Inferred: no accepted poke touched it, or outliers alone; its module places it.",
     Cause.SHARED_ERRORS: (
         "With sensor and arm errors included, its position {depth} (limit {sd_max}). Press again, leaning other ways, and "
         "press more landmarks."

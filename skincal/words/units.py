@@ -105,9 +105,9 @@ def rate(per_second: float) -> str:
     return f"{number(per_second, 0 if per_second >= 20 else 1)} Hz"
 
 
-def minutes(seconds: float) -> str:
-    """Format a duration in whole minutes, at least `"1 min"`."""
-    return f"{max(1, round(seconds / 60.0))} min"
+def duration(seconds: float) -> str:
+    """Format a duration: `"14 s"`, from 90 s in whole minutes."""
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{round(seconds / 60.0)} min"
 
 
 def age(seconds: float) -> str:

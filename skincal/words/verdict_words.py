@@ -14,7 +14,7 @@ from skincal.taxels.result import Method
 from skincal.words.poke_words import poke_count_words
 from skincal.words.rig_words import closing_sentence, earlier_closings
 from skincal.words.taxel_words import counted_states_words, error_words, predicted_words
-from skincal.words.units import minutes
+from skincal.words.units import duration
 
 NEED_WORDS: Mapping[Need, str] = {
     Need.POKES: "own pokes",
@@ -152,7 +152,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Test pokes", check_words(verdict)),
         ("Landmarks", agreement_words(verdict.landmarks)),
         ("Final check", closing_words(verdict.closings)),
-        ("Work", f"{minutes(verdict.seconds)}, {poke_count_words(verdict.counts)}"),
+        ("Work", f"{duration(verdict.seconds)}, {poke_count_words(verdict.counts)}"),
     )
 
 

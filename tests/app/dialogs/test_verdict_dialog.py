@@ -159,7 +159,7 @@ def test_the_figures_are_those_of_the_verdict():
         ("Test pokes", approved("verdict.check", good=13, held_out=14)),
         ("Landmarks", approved("verdict.landmarks_held_out", pokes=21, ratio="0.9")),
         ("Final check", approved("closing.none")),
-        ("Work", approved("verdict.work", pokes=252, minutes=9)),
+        ("Work", approved("verdict.work", pokes=252, time="9 min")),
     )
     assert approved("verdict.check_against") in check_words(verdict(checked=Check(14, 7)))
     hardly = check_words(verdict(checked=Check(11, 8)))
@@ -380,7 +380,7 @@ def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
     bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
     dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
     assert dialog.sentence.text().startswith(approved("verdict.not_enough_begin", done=0, count=84))
-    assert {name: value.text() for name, value in dialog.figures}["Work"] == approved("verdict.work", pokes=3, minutes=1)
+    assert {name: value.text() for name, value in dialog.figures}["Work"] == approved("verdict.work", pokes=3, time="4 s")
     assert dialog.left.model().rowCount() == 84
     on_map = pixels(session_view.workspace.map)
     dialog.left.setFocus()

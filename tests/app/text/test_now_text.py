@@ -41,7 +41,7 @@ from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
 from skincal.session.undo import History, LastOperation, OperationKind
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.poke_words import rejection_words
-from skincal.words.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
+from skincal.words.units import DASH, ChannelNames, age, count, duration, number, point_mm, quantity, rate
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import decided, estimate
 from tests.app.window_support import NAMES, PLAN, SCENE, arm_scene, frame, link, reading, session, slip, touch
@@ -77,6 +77,7 @@ def test_a_number_is_never_nan_infinite_or_minus_zero(value, decimals):
 def test_small_words():
     assert [rate(0.0), rate(1000.2), rate(9.95)] == [DASH, "1000 Hz", "9.9 Hz"]
     assert [age(0.1), age(1.34), age(125)] == ["now", "1.3 s ago", "2 min ago"]
+    assert [duration(14.2), duration(89.6), duration(91), duration(552)] == ["14 s", "90 s", "2 min", "9 min"]
     assert [count(1, "poke"), count(2, "poke")] == ["1 poke", "2 pokes"]
     assert point_mm(np.array([0.001, -0.02, 0.0])) == "1.0  \N{MINUS SIGN}20.0  0.0"
     assert [NAMES.short(3), NAMES.short(15), NAMES.long(15)] == [

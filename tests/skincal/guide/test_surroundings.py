@@ -19,10 +19,7 @@ def grid(text: str):
 def in_hull(place, points) -> bool:
     """Tell by the facets of scipy's hull whether a place lies in it, or on its border."""
     if len(points) < 3 or np.linalg.matrix_rank(points[1:] - points[0], tol=1e-9) < 2:
-        # On a line: between two of them.
-        off = points - place
-        turned = off @ np.array([[0.0, 1.0], [-1.0, 0.0]])
-        return bool(((np.abs(off @ turned.T) < 1e-12) & (off @ off.T <= 0)).any())
+        return False
     return bool((ConvexHull(points).equations @ [*place, 1.0] <= 1e-9).all())
 
 
@@ -40,12 +37,23 @@ def test_a_taxel_is_covered_if_the_hull_of_touched_neighbours_holds_it(seed):
     assert np.sum(found) > 0
 
 
+def test_touched_taxels_on_one_line_do_not_surround_those_between_them():
+    """The turn about the line stays open; a layout that is a line has nothing else."""
+    layout = grid("5x5@5mm")
+    row, and_one_more = np.isin(np.arange(25), [10, 12, 14]), np.isin(np.arange(25), [10, 12, 14, 2])
+    around = Surroundings(layout, layout.channels)
+    assert not around.covered(row)[[11, 13]].any()
+    assert around.covered(and_one_more)[[11, 13]].all()
+    strip = grid("1x5@5mm")
+    assert Surroundings(strip, strip.channels).covered(np.isin(np.arange(5), [0, 2, 4])).all()
+
+
 def test_corners_must_be_touched_and_edges_every_few_taxels():
     layout = grid("6x6@5mm")
     corners = np.isin(np.arange(36), [0, 5, 30, 35])
     around = Surroundings(layout, layout.channels)
     # From 0 to 5 are five spacings.
-    covered = around.covered(corners)
+    covered = around.covered(corners | (np.arange(36) == 14))
     assert covered[[2, 3, 12, 32]].all()
     assert not covered[[1, 4]].any(), "one corner is beyond three spacings"
     without = around.covered(~corners)

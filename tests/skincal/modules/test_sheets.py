@@ -300,6 +300,18 @@ def test_a_poke_far_off_is_doubted_and_hardly_moves_the_sheet():
     assert np.linalg.norm(found[20].position - without[20].position) < 0.0005
 
 
+def test_a_taxel_whose_only_contact_is_an_outlier_is_not_touched():
+    rng = np.random.default_rng(5)
+    places = on_plane(deformed(layout().places))
+    wrong = places.copy()
+    wrong[20, 0] += 0.02
+    clean = [each for each in press(places, np.tile(np.arange(48), 2), rng) if 20 not in each.channels]
+    found = estimate([*clean, *press(wrong, [20], rng, first=97)])[20]
+    assert (found.contacts, found.state, found.reason.cause) == (1, State.INFERRED, Cause.BY_MODULE)
+    (good,) = press(places, [20], rng, first=97)
+    assert estimate([*clean, good])[20].state is State.TOUCHED
+
+
 def test_pokes_that_push_from_behind_give_no_position():
     contacts = [
         replace(each, force=-each.force, moment=-each.moment)

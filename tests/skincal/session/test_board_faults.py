@@ -220,7 +220,9 @@ def test_the_expected_error_covers_answers_that_end_at_the_range_together(tmp_pa
     snapshot = import_board(tmp_path, frames, values, more="[contacts]\ntaxels_max = 16\n")
     together = [each for each in snapshot.contacts if each.clipped is not None and len(each.clipped) > 1]
     assert len(together) > 0.9 * len(snapshot.contacts) > 100
-    assert f"pressed taxels reach {top:g}, the end of its range" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"pressed taxels reach {top:g}, the end of its range" in said
+    assert "pokes that were held still" in said, "the header counts all pokes"
     off, expected = errors(snapshot, board).T
     true, predicted = np.sqrt(np.mean(off**2)), np.sqrt(np.mean(expected**2))
     assert true < 0.7 * pitch
