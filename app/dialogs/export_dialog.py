@@ -64,6 +64,8 @@ class ExportDialog(TaskDialog):
         self.into.textChanged.connect(self._clear_outcome)
         self.inertia.toggled.connect(self._clear_outcome)
         self.start.clicked.connect(self._write)
+        self.setMinimumHeight(max(map(self._height_of_format, range(self.format.count()))))
+        self.format.setCurrentIndex(0)
         self._format_chosen()
 
     def show_written(self, sentences: tuple[str, ...]) -> None:
@@ -78,6 +80,12 @@ class ExportDialog(TaskDialog):
     def _clear_outcome(self) -> None:
         self.outcome.setText("")
         self.remarks.hide()
+
+    def _height_of_format(self, index: int) -> int:
+        """Show a format, and return the height that its rows need: the largest keeps the buttons in their place."""
+        self.format.setCurrentIndex(index)
+        self._format_chosen()
+        return self.column.totalHeightForWidth(self.minimumWidth())
 
     def _chosen(self) -> ExportFormat:
         return self.format.currentData()

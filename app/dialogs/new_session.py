@@ -64,7 +64,10 @@ HINT_OF_STREAM = {
     Stream.JOINTS: "only if the arm sends its joints",
     Stream.TIP: "only if a robot or a tracker sends its position",
 }
-NO_DEVICE = "Without devices the session records simulated ones."
+NO_DEVICE = (
+    "Without an address, Start records a simulated hand into the folder below. Try it with a simulated hand does the same, and "
+    "asks about the folder when the session closes."
+)
 RECORDING_PAUSED_HERE = (
     "The recording is paused while this dialog is open, and continues with these addresses. F6 exchanges force/torque sensor "
     "and skin."
@@ -73,8 +76,8 @@ RECORDING_PAUSED = (
     "The recording of the open session is paused while this dialog is open. Cancel continues it in a new segment."
 )
 TRY_HELP = (
-    "Starts a session of this scene at once, without devices: a simulated hand follows the guide. Its folder is asked about "
-    "when it closes."
+    "Starts a session of this scene at once, also if addresses are named: a simulated hand follows the guide. Its folder is "
+    "asked about when it closes. Start does the same without an address, but in the folder of this dialog."
 )
 NEEDS_CONFIRMATION = "named by the session file: press Enter to connect"
 POSE_ASKED_LATER = "choose later, before the first poke"

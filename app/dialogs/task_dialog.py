@@ -12,6 +12,7 @@ from app.text.outcomes import METHOD_NAMES
 from skincal.taxels.result import Method
 
 DIALOG_MIN_WIDTH_PX = 560
+REMARKS_MIN_HEIGHT_PX = 80
 
 
 class TaskDialog(Dialog):
@@ -29,7 +30,13 @@ class TaskDialog(Dialog):
         self.remarks = QListWidget()
         self.remarks.setWordWrap(True)
         self.start = self.buttons.addButton(start, QDialogButtonBox.ButtonRole.ActionRole)
-        self.fill(self.form, self.outcome, (self.remarks, 1))
+        self.column = self.fill(self.form, self.outcome, (self.remarks, 1))
+        # The list keeps its room, so that the buttons stay in their place.
+        policy = self.remarks.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)
+        self.remarks.setSizePolicy(policy)
+        self.remarks.setMinimumHeight(REMARKS_MIN_HEIGHT_PX)
+        self.outcome.setMinimumHeight(2 * self.outcome.fontMetrics().height())
         self.remarks.hide()
 
     def begin_task(self, words: str) -> None:

@@ -46,8 +46,8 @@ def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
 
 
 def with_unit(draft: PartDraft, unit: str) -> PartDraft:
-    """Read the mesh in another unit; points that were clicked on it are dropped."""
-    return without_places(replace(draft, unit=unit))
+    """Read the mesh in another unit; points that were clicked on it are dropped, and a sensor that was placed by them."""
+    return without_places(replace(draft, unit=unit, sensor_pose=draft.sensor_pose if draft.urdf else None))
 
 
 def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:

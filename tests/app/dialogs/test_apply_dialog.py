@@ -146,6 +146,28 @@ def test_a_dialog_whose_task_ends_without_an_answer_can_be_closed(qtbot, tmp_pat
     assert not dialog.isVisible()
 
 
+def test_the_buttons_of_the_export_stay_in_their_place(qtbot, tmp_path):
+    dialog = ExportDialog((Method.FREE, Method.MODULES), Method.FREE, tmp_path / "part")
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
+    qtbot.addWidget(dialog)
+    with qtbot.waitExposed(dialog):
+        dialog.show()
+    places = set()
+
+    def note_place():
+        qtbot.wait(20)
+        places.add((dialog.height(), dialog.start.mapTo(dialog, dialog.start.rect().topLeft()).toTuple()))
+
+    for index in range(dialog.format.count()):
+        dialog.format.setCurrentIndex(index)
+        note_place()
+    dialog.start.click()
+    note_place()
+    dialog.show_written(("Three taxels are not finished.", "The frame is that of the link."))
+    note_place()
+    assert len(places) == 1
+
+
 def test_the_window_ends_each_task_of_a_dialog(bench, monkeypatch):
     """Also where the controller calls neither `done` nor `failed`."""
     bench.open(OpenRequest(session=resource("sessions/sample")))

@@ -323,6 +323,9 @@ def test_points_follow_a_change_of_frame_and_are_dropped_with_the_part(cylinder)
     for other in (with_link(start, seen.robot, "cap"), with_unit(start, "cm"), with_part_file(start, cylinder)):
         assert (other.anchor, other.landmarks) == (None, ())
         assert "anchor" not in other.layout_text
+    of_mesh = replace(with_part_file(PartDraft(), cylinder), sensor_pose=((1.0, 0.0, 0.0, 0.0),))
+    assert with_unit(of_mesh, "cm").sensor_pose is None, "it was placed on the mesh of another size"
+    assert with_unit(replace(start, sensor_pose=((1.0, 0.0, 0.0, 0.0),)), "cm").sensor_pose is not None
     fixed = previewer.preview(replace(start, fixed=(("wrist", 20.0),)), {})
     assert fixed.joints == ()
     assert fixed.sensor_pose == pytest.approx(previewer.preview(start, {"wrist": np.radians(20.0)}).sensor_pose)
