@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skincal.chi_square import CHI2_2DOF_MEDIAN
 from skincal.geometry import FloatArray, IntArray
 
-CHI2_2DOF_MEDIAN = 1.3863
 POKES_PER_WINDOW = 12
 """Pokes of one window, half a minute of work: 24 numbers, six for a rigid motion."""
 MIN_POKE_WINDOWS_TO_LEARN_NOISE = 8

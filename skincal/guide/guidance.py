@@ -14,9 +14,9 @@ from enum import Enum
 
 import numpy as np
 
+from skincal.chi_square import CHI2_2DOF_MEDIAN
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.contact_scatter import CHI2_2DOF_MEDIAN
 from skincal.guide.progress import Need, Why
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.rig.closing import ClosingPlace

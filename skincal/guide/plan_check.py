@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skincal.chi_square import CHI2_1DOF_MEDIAN
 from skincal.geometry import FloatArray, IntArray, crossed
 from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModuleModel
 from skincal.modules.pose_fit import Fitted, Touches
@@ -35,7 +36,6 @@ PAD_SDS_M = (0.0, 0.0003, 0.0004, 0.0005, 0.0006, 0.0008, 0.001, 0.0013, 0.0016,
 """Tried distances of pads from their plan, sd in each direction; the first one is "on their plan"."""
 NOISE_FACTORS = (0.8, 0.9, 1.0, 1.1, 1.2)
 """Tried noise s, over that of the median miss."""
-CHI2_1DOF_MEDIAN = 0.4549
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import surface_in_solver
 from skincal.mesh.surface import Surface, cached_per_surface, neighbours
-from skincal.solver.machine import INTEGER, WORD, Machine
+from skincal.solver.machine import Machine
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,18 +43,20 @@ class Geodesics:
 
         `ways` are (n, 2) float, metres: the distances along the start's x, and along normal x x.
         """
-        with self.machine.call() as call:
-            points, x = call.put_inout(start.points), call.put_inout(start.x)
-            triangles = call.put_inout(start.triangles, INTEGER)
-            call.run("walk", [self.ground, len(ways), call.put(ways), points, x, triangles])
-            return MeshPoints(call.get(triangles).astype(np.int64), call.get(points), call.get(x))
+        end = self.machine.run(
+            "walk",
+            ground=self.ground,
+            walks=len(ways),
+            ways=ways,
+            points=start.points,
+            x=start.x,
+            triangles=start.triangles,
+        )
+        return MeshPoints(end["triangles"].astype(np.int64), end["points"], end["x"])
 
 
 @cached_per_surface
 def geodesics_of(surface: Surface) -> Geodesics:
     """Prepare a surface for walking."""
     machine, place = surface_in_solver(surface)
-    over = neighbours(surface.triangles) // 3
-    return Geodesics(
-        machine, machine.put_permanent(np.array([place, machine.put_permanent(over.astype(np.int32))], dtype=WORD))
-    )
+    return Geodesics(machine, machine.store("Ground", surface=place, over=neighbours(surface.triangles) // 3))

@@ -11,7 +11,6 @@ are written into the solver's memory once, and freed with the surface.
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,17 +18,10 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import Surface, cached_per_surface
-from skincal.solver.machine import INTEGER, Machine
+from skincal.solver.machine import Machine
+from skincal.solver.tables import NODE_CHILDREN, SEARCH_TREE_MAX_DEPTH, SINGLE_PRECISION_MARGIN_SHARE
 
-PUSHED_FACE_MIN_COSINE = 1e-12
-"""A triangle faces a push if push . normal is below minus this (both unit); the solver's own value."""
-SEARCH_TREE_MAX_DEPTH = 16
-"""Largest depth of a tree: with eight children a node it is enough for any mesh."""
-_HALVINGS_PER_TREE_LEVEL = 3
-WIDTH = 1 << _HALVINGS_PER_TREE_LEVEL
-"""Children of a node: fewer take more steps, more take more numbers."""
-NODE_RADIUS_MARGIN_SHARE = 1e-6
-"""Share by which radii are enlarged: ten times the rounding of single precision."""
+_HALVINGS_PER_TREE_LEVEL = NODE_CHILDREN.bit_length() - 1
 _NORMAL_CONE_MARGIN_SIN = 1e-6
 """Sine of the angle by which a cone of normals is enlarged: ten times the rounding of its numbers."""
 _EMPTY_RADIUS_M = -1e15
@@ -70,16 +62,26 @@ def nearest_in_metric(
     """
     count = len(roots)
     machine, place = surface_in_solver(surface)
-    with machine.call() as call:
-        given = 0 if pushes is None else call.put(pushes)
-        nowhere = np.full(count, -1)
-        points, values, tried = call.reserve((count, 3)), call.reserve((count,)), call.reserve((count,), INTEGER)
-        found = call.put_inout(nowhere, INTEGER)
-        asked = [place, count, int(every), call.put(roots), call.put(offsets), given]
-        # The fields of `Search` in `skincal/solver/source/solver.c`, without a likely start and a second minimum.
-        call.run("nearest", [*asked, call.put(nowhere, INTEGER), 0, 0, 0, points, values, found, tried])
-        numbers = [call.get(each).astype(np.int64) for each in (found, tried)]
-        return NearestPoints(call.get(points), numbers[0], call.get(values), numbers[1])
+    nowhere = np.full(count, -1)
+    found = machine.run(
+        "nearest",
+        surface=place,
+        metrics=count,
+        all=every,
+        roots=roots,
+        offsets=offsets,
+        pushes=pushes,
+        starting=nowhere,
+        best=None,
+        radii=None,
+        limits=None,
+        points=(count, 3),
+        values=(count,),
+        triangles=nowhere,
+        tried=(count,),
+    )
+    triangles, tried = found["triangles"].astype(np.int64), found["tried"].astype(np.int64)
+    return NearestPoints(found["points"], triangles, found["values"], tried)
 
 
 def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -107,55 +109,33 @@ def nearest_pushed_points(surface: Surface, points: FloatArray, pushes: FloatArr
     return near, triangles
 
 
-class SurfaceTable(ctypes.Structure):
-    """`Surface` of `skincal/solver/source/search.h`."""
-
-    _fields_ = (
-        ("triangle_count", ctypes.c_uint32),
-        ("level_count", ctypes.c_uint32),
-        ("levels", ctypes.c_uint32 * SEARCH_TREE_MAX_DEPTH),
-        ("node_counts", ctypes.c_uint32 * SEARCH_TREE_MAX_DEPTH),
-        ("order", ctypes.c_uint32),
-        ("places", ctypes.c_uint32),
-        ("corners", ctypes.c_uint32),
-        ("vertices", ctypes.c_uint32),
-        ("triangles", ctypes.c_uint32),
-        ("normals", ctypes.c_uint32),
-        ("slim", ctypes.c_uint32),
-        ("fan_starts", ctypes.c_uint32),
-        ("fans", ctypes.c_uint32),
-        ("walked", ctypes.c_uint32),
-        ("lowest", ctypes.c_uint32),
-        ("lowest_stamp", ctypes.c_uint32),
-        ("stamp", ctypes.c_int32),
-        ("origin", ctypes.c_double * 3),
-        ("extent", ctypes.c_double),
-    )
-
-
 @cached_per_surface
 def surface_in_solver(surface: Surface) -> tuple[Machine, int]:
     """Write `surface` with its search tree into a machine; return it with the place of the table in it."""
     machine, tree, (starts, fans) = Machine(), build_tree(surface), find_fans(surface)
-    table = SurfaceTable(
-        triangle_count=len(surface.triangles),
+    triangles, vertices = len(surface.triangles), len(surface.vertices)
+    return machine, machine.store(
+        "Surface",
+        triangle_count=triangles,
         level_count=len(tree.levels),
+        levels=list(tree.levels),
+        node_counts=np.pad([level.size // 8 for level in tree.levels], (0, SEARCH_TREE_MAX_DEPTH - len(tree.levels))),
+        order=tree.order,
+        places=tree.places,
+        corners=tree.corners,
+        vertices=surface.vertices,
+        triangles=surface.triangles,
+        normals=surface.normals,
+        slim=surface.is_sliver,
+        fan_starts=starts,
+        fans=fans,
+        walked=np.zeros(triangles),
+        lowest=np.zeros(vertices),
+        lowest_stamp=np.zeros(vertices),
         stamp=0,
+        origin=tree.origin,
         extent=tree.extent,
-        origin=tuple(tree.origin),
     )
-    for i, level in enumerate(tree.levels):
-        table.levels[i], table.node_counts[i] = machine.put_permanent(level), level.size // 8
-    whole = {"order": tree.order, "places": tree.places, "triangles": surface.triangles, "fan_starts": starts, "fans": fans}
-    for name, numbers in whole.items():
-        setattr(table, name, machine.put_permanent(numbers.astype(np.int32)))
-    for name, lengths in (("corners", tree.corners), ("vertices", surface.vertices), ("normals", surface.normals)):
-        setattr(table, name, machine.put_permanent(lengths))
-    table.slim = machine.put_permanent(surface.is_sliver.astype(np.uint8))
-    table.walked = machine.put_permanent(np.zeros(len(surface.triangles), dtype=np.int32))
-    table.lowest = machine.put_permanent(np.zeros(len(surface.vertices)))
-    table.lowest_stamp = machine.put_permanent(np.zeros(len(surface.vertices), dtype=np.int32))
-    return machine, machine.put_permanent(np.frombuffer(bytes(table), dtype=np.uint8))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,8 +165,8 @@ def build_tree(surface: Surface) -> SearchTree:
     order = _halved((columns[:, 0] + columns[:, 1] + columns[:, 2]) / 3)
     columns, facing = columns.take(order, axis=2), surface.normals.T.take(order, axis=1)
     levels, size = [_packed(_leaves(columns, facing))], 1
-    while size * WIDTH < len(order):
-        size *= WIDTH
+    while size * NODE_CHILDREN < len(order):
+        size *= NODE_CHILDREN
         levels.append(_packed(_joined(columns, facing, size)))
     places = np.empty_like(order)
     places[order] = np.arange(len(order))
@@ -245,17 +225,17 @@ def _joined(columns: FloatArray, normals: FloatArray, size: int) -> _Nodes:
 def _packed(nodes: _Nodes) -> Level:
     """Round to single precision, outward, and fill up the last group with empty nodes."""
     count = len(nodes.radii)
-    groups = -(-count // WIDTH)
-    filled = np.minimum(np.arange(groups * WIDTH), count - 1)
-    table = np.empty((8, groups * WIDTH))
+    groups = -(-count // NODE_CHILDREN)
+    filled = np.minimum(np.arange(groups * NODE_CHILDREN), count - 1)
+    table = np.empty((8, groups * NODE_CHILDREN))
     table[:3], table[4:7] = nodes.centres.take(filled, axis=1), nodes.middles.take(filled, axis=1)
     table[3], table[7] = (
-        nodes.radii.take(filled) * (1 + NODE_RADIUS_MARGIN_SHARE),
+        nodes.radii.take(filled) * (1 + SINGLE_PRECISION_MARGIN_SHARE),
         nodes.sines.take(filled) + _NORMAL_CONE_MARGIN_SIN,
     )
     table[3, count:] = _EMPTY_RADIUS_M
     single = table.astype(np.float32)
-    return np.ascontiguousarray(single.reshape(8, groups, WIDTH).transpose(1, 0, 2)).reshape(groups, 8 * WIDTH)
+    return np.ascontiguousarray(single.reshape(8, groups, NODE_CHILDREN).transpose(1, 0, 2)).reshape(groups, 8 * NODE_CHILDREN)
 
 
 def _halved(centres: FloatArray) -> IntArray:
@@ -264,7 +244,7 @@ def _halved(centres: FloatArray) -> IntArray:
     order, starts = np.arange(count), np.zeros(1, dtype=np.int64)
     while True:
         sizes = np.diff(starts, append=count)
-        if sizes.max() <= WIDTH:
+        if sizes.max() <= NODE_CHILDREN:
             return order
         ranked = centres.take(order, axis=1)
         low, high = np.minimum.reduceat(ranked, starts, axis=1), np.maximum.reduceat(ranked, starts, axis=1)
@@ -276,7 +256,7 @@ def _halved(centres: FloatArray) -> IntArray:
         key = segment + (ranked[side[segment], np.arange(count)] - low[segment]) / span[segment]
         # Stable: which of equals comes first must not depend on the processor.
         order = order[key.argsort(kind="stable")]
-        cut = np.where(sizes > WIDTH, starts + _first_half(sizes), count)
+        cut = np.where(sizes > NODE_CHILDREN, starts + _first_half(sizes), count)
         starts = np.union1d(starts, cut[cut < count])
 
 

@@ -38,7 +38,8 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import KnownDistance, NoiseSettings
 from skincal.modules.estimate import FittedModule
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesInSpace, join_poses
-from skincal.modules.pose_fit import FULL_TRUST_SDS, MIN_SINGULAR_VALUE_RATIO
+from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO
+from skincal.solver.tables import FULL_TRUST_SDS
 from skincal.taxels.result import Estimate
 from skincal.taxels.shared_errors import add_covariances
 

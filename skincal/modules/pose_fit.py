@@ -39,7 +39,7 @@ Pokes, starts and thresholds are found here; rows, trust and search are in `skin
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -54,8 +54,9 @@ from skincal.modules.pose import (
     Pads,
     join_poses,
 )
-from skincal.solver.machine import INTEGER, Call, Machine, shared
+from skincal.solver.machine import Machine, Value, shared
 from skincal.taxels.contact_table import Evidence
+from skincal.taxels.noise import noise_values
 from skincal.taxels.result import Estimate
 
 CONTACT_TO_PAD_CENTRE_SD_FACTOR = 1.6
@@ -181,36 +182,47 @@ class ModuleRows:
 def whitened_rows(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleRows:
     """Compute the rows of pokes whose modules have their pads at `pads`."""
     count, unknowns = len(touches.of), pads.gradients.shape[2]
-    with shared().call() as call:
-        asked = _write_touches(call, touches, noise, unknowns)
-        laid = [call.put(pads.points), call.put(pads.gradients), call.put(pads.normals)]
-        shapes = ((count, 2, unknowns), (count, 2), (count, 2, 2), (count, 3), (count, unknowns, unknowns))
-        places = [call.reserve(shape) for shape in shapes]
-        call.run("module_rows", [*asked, *laid, *places])
-        return ModuleRows(*map(call.get, places))
+    shapes = ((count, 2, unknowns), (count, 2), (count, 2, 2), (count, 3), (count, unknowns, unknowns))
+    names = [field.name for field in fields(ModuleRows)]
+    found = shared().run(
+        "module_rows",
+        touches=_touches_in_solver(touches, noise, unknowns, pads.points, pads.gradients, pads.normals),
+        **dict(zip(names, shapes, strict=True)),
+    )
+    return ModuleRows(**{name: found[name] for name in names})
 
 
-def _write_touches(call: Call, touches: Touches, noise: NoiseSettings, unknowns: int) -> list[int]:
-    """Write the first part of `Touches` in `skincal/solver/source/modules.h`, up to the pads."""
+def _touches_in_solver(
+    touches: Touches, noise: NoiseSettings, unknowns: int, pads: Value, changes: Value, outward: Value
+) -> dict[str, Value]:
+    """Describe pokes as `Touches` of `skincal/solver/tables.py`; the last three are the pads, or room for them."""
     evidence, at = touches.evidence, touches.rows
-    rules = (
-        MODULE_TURN_TO_LENGTH_RADIUS_M, FULL_TRUST_SDS, ZERO_TRUST_SDS, MIN_MODULE_POKES_FOR_TRUST, MIN_POKES_PER_ARM_POSE,
-        MIN_SUM_OF_POKE_TRUSTS, FULL_WEIGHT_MAX_MISS_SDS, ROBUST_SEARCH_STEPS, SMALL_SAMPLE_SPREAD_CORRECTION, CHI2_2DOF_MEDIAN,
-        CHI2_1DOF_MEDIAN, POSE_SEARCH_MAX_STEP_M, ROUNDING_MAX_STEP_M, POSE_SEARCH_CONVERGED_STEP_M,
-        MIN_CURVATURE_OVER_GAUSS_NEWTON, HALVED_STEP_MIN_REVERSAL_SHARE, POSE_SEARCH_MAX_STEPS, MIN_SINGULAR_VALUE_RATIO,
-    )  # fmt: skip
-    return [
-        len(at),
-        unknowns,
-        call.put(np.append(touches.starts, len(touches.answers)), INTEGER),
-        call.put(touches.answers, INTEGER),
-        call.put(touches.shares),
-        call.put(evidence.columns.take(at, axis=1)),
-        call.put(evidence.poses[at], INTEGER),
-        call.put(touches.offsets),
-        call.put(np.array([noise.force, noise.moment, noise.pose_turn, noise.pose_shift])),
-        call.put(np.array(rules)),
-    ]
+    return {
+        "pokes": len(at),
+        "unknowns": unknowns,
+        "starts": np.append(touches.starts, len(touches.answers)),
+        "answers": touches.answers,
+        "shares": touches.shares,
+        "columns": evidence.columns.take(at, axis=1),
+        "poses": evidence.poses[at],
+        "offsets": touches.offsets,
+        "noise": noise_values(noise),
+        "rules": {
+            "turn_to_length_radius": MODULE_TURN_TO_LENGTH_RADIUS_M,
+            "min_pokes_per_arm_pose": MIN_POKES_PER_ARM_POSE,
+            "robust_search_steps": ROBUST_SEARCH_STEPS,
+            "max_step": POSE_SEARCH_MAX_STEP_M,
+            "rounding_max_step": ROUNDING_MAX_STEP_M,
+            "converged_step": POSE_SEARCH_CONVERGED_STEP_M,
+            "min_curvature": MIN_CURVATURE_OVER_GAUSS_NEWTON,
+            "min_reversal_share": HALVED_STEP_MIN_REVERSAL_SHARE,
+            "max_steps": POSE_SEARCH_MAX_STEPS,
+            "min_singular_value_ratio": MIN_SINGULAR_VALUE_RATIO,
+        },
+        "pads": pads,
+        "changes": changes,
+        "outward": outward,
+    }
 
 
 MIN_TAXEL_ESTIMATE_ERROR_M = 0.002
@@ -291,21 +303,10 @@ def _move_to_ground(ground: ModuleGround, origin: FloatArray, x: FloatArray, nor
     return ModulePoses(point, (x / length)[None], facing, triangle)
 
 
-FULL_TRUST_SDS, ZERO_TRUST_SDS = 2.8, 3.8
-"""Miss below which a poke counts fully, and above which not at all, as in `trust.h`."""
-MIN_MODULE_POKES_FOR_TRUST = 4
-"""With fewer pokes of a module all count fully."""
 MIN_POKES_PER_ARM_POSE = 8
 """From this number of pokes on, those of one arm pose are compared with each other."""
-MIN_SUM_OF_POKE_TRUSTS = 2.0
-"""Below it all pokes count fully: nothing says which one is right."""
-FULL_WEIGHT_MAX_MISS_SDS = 2.0
-"""Misses up to which all pokes have the same weight while the pose is sought; beyond, it falls with the square."""
 ROBUST_SEARCH_STEPS = 4
 """Steps of that search before trust is given."""
-SMALL_SAMPLE_SPREAD_CORRECTION = 6.0
-"""A spread from few misses is raised by this over its 2 n - 3 degrees of freedom."""
-CHI2_2DOF_MEDIAN, CHI2_1DOF_MEDIAN = 1.3863, 0.4549
 POSE_SEARCH_MAX_STEP_M = 0.015
 """Half a module, in each direction: farther off, the rows say little about the minimum."""
 ROUNDING_MAX_STEP_M = 1e-7
@@ -324,9 +325,8 @@ MIN_SINGULAR_VALUE_RATIO = 1e-9
 
 
 def trust_from_squares(squares: FloatArray) -> FloatArray:
-    """Compute the trust of pokes, 0 to 1, from their squared misses in standard deviations: as in `trust.h`, smoothly."""
-    rest = np.clip((ZERO_TRUST_SDS - np.sqrt(squares)) / (ZERO_TRUST_SDS - FULL_TRUST_SDS), 0.0, 1.0)
-    return np.where(squares > FULL_TRUST_SDS**2, rest * rest * (3.0 - 2.0 * rest), 1.0)
+    """Compute the trust (n,) of pokes, 0 to 1, from their squared misses (n,) in standard deviations (`trust.h`)."""
+    return shared().run("trusts", pokes=len(squares), squares=squares, trust=squares.shape)["trust"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -389,30 +389,37 @@ def fit_modules(
     own = [model.pads[module] for module in modules]
     sizes, count, unknowns = [len(pads) for pads in own], len(own), model.ground.unknowns
     machine, ground = _machine(model.ground)
-    with machine.call() as call:
-        asked = _write_touches(call, touches, noise, unknowns)
-        pads = [call.reserve(shape) for shape in ((sum(sizes), 3), (sum(sizes), 3, unknowns), (sum(sizes), 3))]
-        spans = np.searchsorted(touches.of, np.arange(count + 1))
-        cut = [call.put(spans, INTEGER), call.put(np.cumsum([0, *sizes]), INTEGER), call.put(np.concatenate(own)), ground]
-        trust = call.put_inout(np.ones(len(touches.of)))
-        poses = [call.put_inout(vectors) for vectors in (start.points, start.x, start.normals)]
-        poses.append(call.put_inout(start.triangles, INTEGER))
-        under, of_unknowns = call.reserve((sum(sizes),), INTEGER), (count, unknowns, unknowns)
-        held = [call.reserve(shape) for shape in (of_unknowns, of_unknowns, (count,), (count,))]
-        call.run("place_modules", [*asked, *pads, count, int(doubting), *cut, trust, *poses, under, *held])
-        points, gradients, normals = map(call.get, pads)
-        at, x, outward, triangles = map(call.get, poses)
-        covariances, blind, misses, moving = map(call.get, held)
-        return Fitted(
-            poses=ModulePoses(at, x, outward, triangles.astype(np.int64)),
-            pads=Pads(points, gradients, normals, call.get(under).astype(np.int64)),
-            of=np.repeat(np.arange(count), sizes),
-            covariances=covariances,
-            blind=blind,
-            misses=misses,
-            trust=call.get(trust),
-            moving=moving,
-        )
+    of_pads, of_unknowns = (sum(sizes), 3), (count, unknowns, unknowns)
+    found = machine.run(
+        "place_modules",
+        touches=_touches_in_solver(touches, noise, unknowns, of_pads, (sum(sizes), 3, unknowns), of_pads),
+        modules=count,
+        doubting=doubting,
+        spans=np.searchsorted(touches.of, np.arange(count + 1)),
+        boards=np.cumsum([0, *sizes]),
+        flat=np.concatenate(own),
+        ground=ground,
+        trust=np.ones(len(touches.of)),
+        points=start.points,
+        x=start.x,
+        normals=start.normals,
+        triangles=start.triangles,
+        under=(sum(sizes),),
+        covariances=of_unknowns,
+        blind=of_unknowns,
+        misses=(count,),
+        moving=(count,),
+    )
+    return Fitted(
+        poses=ModulePoses(found["points"], found["x"], found["normals"], found["triangles"].astype(np.int64)),
+        pads=Pads(found["pads"], found["changes"], found["outward"], found["under"].astype(np.int64)),
+        of=np.repeat(np.arange(count), sizes),
+        covariances=found["covariances"],
+        blind=found["blind"],
+        misses=found["misses"],
+        trust=found["trust"],
+        moving=found["moving"],
+    )
 
 
 def _machine(ground: ModuleGround) -> tuple[Machine, int]:

@@ -32,18 +32,13 @@ from itertools import product
 
 import numpy as np
 
+from skincal.chi_square import CHI2_1DOF_MEDIAN, CHI2_2DOF_MEDIAN
 from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface, Pads
 from skincal.modules.pose_fit import (
-    CHI2_1DOF_MEDIAN,
-    CHI2_2DOF_MEDIAN,
-    FULL_WEIGHT_MAX_MISS_SDS,
-    MIN_MODULE_POKES_FOR_TRUST,
     MIN_POKES_PER_ARM_POSE,
-    MIN_SUM_OF_POKE_TRUSTS,
     POSE_SEARCH_MAX_STEP_M,
-    SMALL_SAMPLE_SPREAD_CORRECTION,
     ModuleRows,
     Touches,
     fit_modules_from_pokes,
@@ -51,6 +46,12 @@ from skincal.modules.pose_fit import (
     whitened_rows,
 )
 from skincal.modules.sheet_basis import SheetBasis, make_basis
+from skincal.solver.tables import (
+    FULL_WEIGHT_MAX_MISS_SDS,
+    MIN_POKES_FOR_TRUST,
+    MIN_SUM_OF_POKE_TRUSTS,
+    SMALL_SAMPLE_SPREAD_CORRECTION,
+)
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate
 
@@ -202,7 +203,7 @@ class _Search:
 
     def find_fit(self, doubting: bool) -> SheetFit:
         weights = np.ones(self._count)
-        if doubting and self._count >= MIN_MODULE_POKES_FOR_TRUST:
+        if doubting and self._count >= MIN_POKES_FOR_TRUST:
             for _ in range(ROBUST_SHEET_SEARCH_STEPS):
                 squares = self._squares(weights) + self._pitches()
                 weights = FULL_WEIGHT_MAX_MISS_SDS**2 / np.maximum(squares, FULL_WEIGHT_MAX_MISS_SDS**2)

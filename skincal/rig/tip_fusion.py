@@ -32,14 +32,13 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
 from skincal.rig.tip_frame import TipAxes, TipFrame
+from skincal.solver.tables import NEIGHBOURS_SHARE_ONE_OFFSET_FROM
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import POSITION_MAX_SD_M, Cause, Estimate, Method, State
 
 CHI2_2DOF_QUANTILE_9999 = 18.4
 """Exceeded by one in 10,000 (chi-square, two degrees of freedom)."""
-NEIGHBOURS_SHARE_ONE_OFFSET_FROM = 0.4
-"""Mean of sqrt(ln 1/k) from which all neighbours' offsets are one (`EVEN` of `uncertainty.h`)."""
 UNKNOWN_DEPTH_CAUSES = (Cause.ONE_AXIS, Cause.ALIKE_AXES)
 
 

@@ -1,11 +1,10 @@
 """An instance of the compiled solver. Arrays are copied into its memory, a function runs, results are copied out.
 
-    with shared().call() as call:
-        matrix, answer = call.put(array), call.reserve((3,))
-        call.run("function", [matrix, answer])
-        result = call.get(answer)
+    found = shared().run("trusts", pokes=len(squares), squares=squares, trust=squares.shape)
+    found["trust"]
 
-Addresses are 32-bit offsets into the memory. Threads take turns on one instance.
+A question has a value for each field of its table (`tables.py`), by name. Addresses are 32-bit offsets into the memory.
+Threads take turns on one instance.
 """
 
 from __future__ import annotations
@@ -14,21 +13,29 @@ import contextlib
 import ctypes
 import math
 import threading
-from collections.abc import Generator, Sequence
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import wasmtime
 from numpy.typing import NDArray
 
+from skincal.solver.tables import SHARED_TABLES, TABLE_OF_FUNCTION, Field, Table, layout_number
+
 PROGRAM = Path(__file__).with_name("solver.wasm")
-FLOAT, INTEGER, WORD = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.uint32)
-"""The kinds of numbers that the solver reads."""
+Value: TypeAlias = "NDArray[Any] | tuple[int, ...] | Mapping[str, Any] | list[NDArray[Any]] | float | None"
+"""What a field gets.
+
+A pointer: an array, which is copied in with its numbers converted; a shape, for which room is made; a table by its fields; an
+address, of arrays that were stored before; `None`, the null pointer. Other fields: a number, an array of numbers, or a table by
+its fields. An array of pointers: a list of arrays.
+"""
 _PAGE_BYTES = 1 << 16
 """The memory grows by whole pages."""
 _MEMORY_ALIGNMENT_BYTES = 16
+_ADDRESS_TYPE, _BYTE_TYPE = np.dtype(np.uint32), np.dtype(np.uint8)
 
 
 @cache
@@ -44,7 +51,7 @@ def _module() -> tuple[wasmtime.Engine, wasmtime.Module]:
 class Machine:
     """An instance of the solver with its own memory.
 
-    Arrays stored with `put_permanent` persist across calls. `initial` is a copy of another instance's stored arrays.
+    Tables stored with `store` persist across calls. `initial` is a copy of another instance's stored arrays.
     """
 
     def __init__(self, initial: NDArray[np.uint8] | None = None) -> None:
@@ -60,20 +67,50 @@ class Machine:
         self._bytes: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
         self._refresh_view()
         self._lock = threading.Lock()
+        if self.value("layout") != layout_number():
+            raise RuntimeError(f"{PROGRAM} was built from other tables: run `python -m tools.solver`")
         if initial is not None:
-            self.put_permanent(initial)
+            self._permanent_until = _next_address(self._permanent_until, initial.size)
+            self.write(self._permanent_from, initial, initial.dtype)
 
     def value(self, name: str) -> int:
         """Call a function of the solver that takes no arguments and returns a whole number."""
         return int(self._exports[name](self._store))
 
-    def put_permanent(self, array: NDArray[Any]) -> int:
-        """Copy an array into the memory for the life of the instance. Return its address."""
+    def store(self, table: str, **values: Value) -> int:
+        """Store a table, and the arrays that it points to, for the life of the instance. Return its address.
+
+        Raises TypeError if a field of the table (`tables.py`) has no value, or a value no field.
+        """
         with self._lock:
-            address = self._permanent_until
-            self._permanent_until = _next_address(address, array.nbytes)
-            self.write(address, array, array.dtype)
+            writer = _Writer(self, self._permanent_until)
+            record = writer.record(SHARED_TABLES[table], values)
+            address = writer.put(record, record.dtype)
+            self._permanent_until = writer.free
             return address
+
+    def run(self, name: str, **values: Value) -> dict[str, NDArray[Any]]:
+        """Run a function of the solver. Return the arrays that it may write, by the names of their fields.
+
+        Raises TypeError if a field of its question (`tables.TABLE_OF_FUNCTION`) has no value, or a value no field.
+        """
+        with self._lock:
+            writer = _Writer(self, self._permanent_until)
+            question = writer.record(SHARED_TABLES[TABLE_OF_FUNCTION[name]], values)
+            self.write(self._arguments_at, np.array(writer.free), _ADDRESS_TYPE)
+            self.write(self._arguments_at + _ADDRESS_TYPE.itemsize, question, question.dtype)
+            # A look-up by name takes longer than a short solve.
+            function = self._functions.get(name)
+            if function is None:
+                function = self._functions[name] = self._exports[name]
+            try:
+                function(self._store)
+            finally:
+                self._refresh_view()
+            return {
+                field: self.read(address, math.prod(shape) * kind.itemsize).view(kind).reshape(shape)
+                for field, (address, shape, kind) in writer.results.items()
+            }
 
     def clone_for_thread(self) -> Machine:
         """Return the instance for a second thread, with this one's permanent arrays at the same addresses."""
@@ -83,14 +120,11 @@ class Machine:
                 self._clone, self._clone_until = Machine(self.read(self._permanent_from, size)), self._permanent_until
             return self._clone
 
-    @contextlib.contextmanager
-    def call(self) -> Generator[Call]:
-        """Reserve the memory behind the permanent arrays for one call."""
-        with self._lock:
-            yield Call(self, self._permanent_until)
-
     def write(self, address: int, array: NDArray[Any], kind: np.dtype[Any]) -> None:
         """Copy an array to an address, its numbers converted to `kind`. The memory grows if necessary."""
+        if kind.names is not None:
+            # numpy copies field by field, which takes longer than a short solve.
+            array, kind = np.frombuffer(array.tobytes(), dtype=np.uint8), _BYTE_TYPE
         end = address + array.size * kind.itemsize
         if end > len(self._bytes):
             self._memory.grow(self._store, (end - len(self._bytes) + _PAGE_BYTES - 1) // _PAGE_BYTES)
@@ -101,18 +135,6 @@ class Machine:
         """Copy `size` bytes out of the memory."""
         return self._bytes[address : address + size].copy()
 
-    def run(self, name: str, words: Sequence[int], free: int) -> None:
-        """Run a function of the solver with arguments `words`. It may use the memory from address `free` on."""
-        self.write(self._arguments_at, np.array([free, *words]), WORD)
-        # A look-up by name takes longer than a short solve.
-        function = self._functions.get(name)
-        if function is None:
-            function = self._functions[name] = self._exports[name]
-        try:
-            function(self._store)
-        finally:
-            self._refresh_view()
-
     def _refresh_view(self) -> None:
         """Renew the numpy view after the memory has grown, which may have moved it."""
         size = self._memory.data_len(self._store)
@@ -121,42 +143,50 @@ class Machine:
             self._bytes = np.frombuffer(memoryview((ctypes.c_uint8 * size).from_address(address)), dtype=np.uint8)
 
 
-class Call:
-    """One call of the solver and the memory that its arrays use."""
+class _Writer:
+    """Tables and arrays that are written one after another into the memory of a machine, from address `free` on."""
 
     def __init__(self, machine: Machine, free: int) -> None:
         self._machine = machine
-        self._free = free
-        self._results: dict[int, tuple[tuple[int, ...], np.dtype[Any]]] = {}
+        self.free = free
+        self.results: dict[str, tuple[int, tuple[int, ...], np.dtype[Any]]] = {}
+        """Address, shape and kind of the arrays that the solver may write, by the names of their fields."""
 
-    def put(self, array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> int:
+    def put(self, array: NDArray[Any], kind: np.dtype[Any]) -> int:
         """Copy an array in, its numbers converted to `kind`. Return its address."""
-        address = self._free
+        address = self._reserve(array.size * kind.itemsize)
         self._machine.write(address, array, kind)
-        self._free = _next_address(address, array.size * kind.itemsize)
         return address
 
-    def reserve(self, shape: tuple[int, ...], kind: np.dtype[Any] = FLOAT) -> int:
-        """Reserve an address for a result. The solver makes the memory large enough."""
-        address = self._free
-        self._results[address] = (shape, kind)
-        self._free = _next_address(address, math.prod(shape) * kind.itemsize)
+    def _reserve(self, size: int) -> int:
+        address = self.free
+        self.free = _next_address(address, size)
         return address
 
-    def put_inout(self, array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> int:
-        """Copy in an array that the solver changes, to be read with `get`. Return its address."""
-        address = self.put(array, kind)
-        self._results[address] = (array.shape, kind)
+    def record(self, table: Table, values: Mapping[str, Value]) -> NDArray[Any]:
+        """Fill in a table, and write the arrays that it points to."""
+        if values.keys() != table.fields.keys():
+            wrong = ", ".join(sorted(values.keys() ^ table.fields.keys()))
+            raise TypeError(f"{table.name} of the solver: fields missing or unknown: {wrong}")
+        return np.array(tuple(self._value(field, values[name]) for name, field in table.fields.items()), dtype=table.dtype)
+
+    def _value(self, field: Field, value: Value) -> object:
+        if isinstance(value, list):
+            places = [self.put(array, field.kind) for array in value]
+            return places + [0] * (field.shape[0] - len(places))
+        if isinstance(value, Mapping):
+            value = self.record(SHARED_TABLES[field.base], value)
+        if not field.is_pointer:
+            return value
+        if value is None or isinstance(value, (int, float)):
+            return value or 0
+        if isinstance(value, tuple):
+            shape, address = value, self._reserve(math.prod(value) * field.kind.itemsize)
+        else:
+            shape, address = value.shape, self.put(value, field.kind)
+        if field.is_written:
+            self.results[field.name] = address, shape, field.kind
         return address
-
-    def run(self, name: str, words: Sequence[int]) -> None:
-        """Run the solver's function `name` with numbers and addresses as its arguments."""
-        self._machine.run(name, words, self._free)
-
-    def get(self, address: int) -> NDArray[Any]:
-        """Copy out the result at an address."""
-        shape, kind = self._results[address]
-        return self._machine.read(address, math.prod(shape) * kind.itemsize).view(kind).reshape(shape)
 
 
 def _next_address(address: int, size: int) -> int:

@@ -21,11 +21,12 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
-from skincal.mesh.search import PUSHED_FACE_MIN_COSINE, nearest_in_metric
+from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, ModulePoses, Pads
 from skincal.modules.pose_fit import Touches, assign_pokes
+from skincal.solver.tables import PUSHED_FACE_MIN_COSINE
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.solve import solve
 

@@ -28,9 +28,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.search import PUSHED_FACE_MIN_COSINE
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose_fit import CONTACT_TO_PAD_CENTRE_SD_FACTOR, EXTRA_SD_IF_TWO_MODULES_ANSWER_M
+from skincal.solver.tables import PUSHED_FACE_MIN_COSINE
 from skincal.studies.stability_cases import Case, ModuleCase, RawMesh, Readings, perturbed
 from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M
 

@@ -331,13 +331,14 @@ def _find_unranked(contacts: Sequence[Contact], sizes: IntArray) -> NDArray[np.b
 def _carry_to_link(contacts: Sequence[Contact]) -> FloatArray:
     """Compute (17, n) the columns of contacts, link frame (eq. 6)."""
     count = len(contacts)
-    with shared().call() as call:
-        forces = call.put(np.array([contact.force for contact in contacts]))
-        moments = call.put(np.array([contact.moment for contact in contacts]))
-        poses = call.put(np.concatenate([contact.link_from_sensor for contact in contacts]))
-        place = call.reserve((_CONTACT_TABLE_COLUMNS, count))
-        call.run("carry", [count, forces, moments, poses, place])
-        columns = call.get(place)
+    columns = shared().run(
+        "carry",
+        contacts=count,
+        forces=np.array([contact.force for contact in contacts]),
+        moments=np.array([contact.moment for contact in contacts]),
+        poses=np.concatenate([contact.link_from_sensor for contact in contacts]),
+        columns=(_CONTACT_TABLE_COLUMNS, count),
+    )["columns"]
     # A zero force has no direction.
     good = np.isfinite(columns).all(axis=0)
     if not good.all():

@@ -1,4 +1,8 @@
-"""Noise of a poke's two rows by the scene: distance of its axis from the taxel that answered (`contacts.h`)."""
+"""Noise of a poke's two rows by the scene: distance of its axis from the taxel that answered.
+
+The solver has the same covariance for the rows that it solves (`contacts.h`); here it is for many places at once, between
+solves. `tests/skincal/solver/test_shared_tables.py` compares the two.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,12 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
+from skincal.solver.tables import SHARED_TABLES
+
+
+def noise_values(noise: NoiseSettings) -> dict[str, float]:
+    """Return the values of `Noise` of `skincal/solver/tables.py`."""
+    return {name: getattr(noise, name) for name in SHARED_TABLES["Noise"].fields}
 
 
 def offset_square(weights: FloatArray, noise: NoiseSettings) -> FloatArray:

@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
-from skincal.solver.machine import INTEGER, Call, shared
+from skincal.solver.machine import shared
 from skincal.taxels.contact_table import Evidence
+from skincal.taxels.noise import noise_values
 from skincal.taxels.result import (
     FORCE_AXIS_MAX_MISS_M,
     POSITION_MAX_SD_M,
@@ -47,27 +48,6 @@ RIVAL_ESTIMATE_MAX_ODDS = 20.0
 """A rival is less than 20 times less likely than the estimate: the usual 95 %."""
 RIVAL_ESTIMATE_MIN_DISTANCE_M = 0.010
 """A second minimum nearer than this is the same place: facets and bends make many, and taxels are 5 mm apart."""
-_KNOWN = np.dtype([("covariance", "f8", (3, 3)), ("worst_direction", "f8", 3), ("sd", "f8"), ("rms", "f8"), ("miss", "f8")])
-ANSWER = np.dtype(
-    [
-        ("root", "f8", (3, 3)), ("offset", "f8", 3), ("solution", "f8", 3), ("blind", "f8", 3), ("rank", "f8"),
-        ("push", "f8", 3), ("outward", "f8", 3), ("opposed", "f8"), ("free", _KNOWN),
-        ("point", "f8", 3), ("value", "f8"), ("triangle", "f8"), ("on_surface", _KNOWN),
-        ("rival", "f8", 3), ("rival_triangle", "f8"), ("odds", "f8"),
-    ]
-)  # fmt: skip
-"""`Answer` of `skincal/solver/source/solver.c`, lengths in metres.
-
-root, offset : the rows' squares are |root p - offset|^2 and a constant
-solution : least-squares point; of smallest norm if `rank`, the number of determined directions of p, is below three
-blind : unit direction that the rows do not determine if the rank is 2, else zeros
-push : weighted mean of the push directions, shorter than 1 the more they differ; `outward` is against it, unit; `opposed` is 1
-    if the pushes cancel, so that no side is outward
-free, on_surface : covariance (m^2) of `solution` and of `point`, its worst direction, sd along that (infinite if a direction is
-    not determined), root of its trace, and weighted rms distance of the axes
-point, value, triangle : best point of the surface; NaN and -1 if no triangle faces the pushes
-rival, rival_triangle, odds : second minimum, and how many times less likely it is; infinite without one
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +59,7 @@ class Solution:
     doubted: list[Mapping[int, float]]
     """For each taxel the pokes whose trust is below 1: number to trust."""
     answer: NDArray[Any]
-    """(t,) `ANSWER`."""
+    """(t,) `ANSWER` of `skincal/solver/tables.py`."""
     has_free: bool
     has_surface: bool
 
@@ -102,7 +82,7 @@ def solve(
     doubting : whether contacts far off the others count less; else all have the trust of `evidence`
     second : whether this thread runs next to another one that solves
     """
-    count, answers, has_free = len(evidence.channels), len(evidence.weights), Method.FREE in methods
+    count, has_free = len(evidence.channels), Method.FREE in methods
     machine, place = shared(), 0
     if surface is not None and Method.SURFACE in methods:
         # Imported only now: a scene without a mesh loads nothing of it.
@@ -110,27 +90,25 @@ def solve(
 
         machine, place = surface_in_solver(surface)
     machine = machine.clone_for_thread() if second else machine
-    with machine.call() as call:
-        task = _write_task(call, evidence, noise)
-        trust = call.put_inout(evidence.trust)
-        starting = call.put(np.full(count, -1) if last is None else last, INTEGER)
-        answer = call.reserve((count,), ANSWER)
-        call.run("solve", [count, answers, *task, trust, int(not doubting), int(has_free), place, starting, answer])
-        found, evidence = call.get(answer), evidence.trusted(call.get(trust))
-    return Solution(evidence, evidence.doubted(), found, has_free, bool(place))
-
-
-def _write_task(call: Call, evidence: Evidence, noise: NoiseSettings) -> list[int]:
-    """Write the begin of `Task` in `skincal/solver/source/solver.c`, after the counts."""
-    sizes = (noise.force, noise.moment, noise.contact, noise.reach, noise.radius, noise.pose_turn, noise.pose_shift)
-    return [
-        call.put(evidence.starts, INTEGER),
-        call.put(evidence.columns),
-        call.put(evidence.weights),
-        call.put(evidence.poses, INTEGER),
-        call.put(np.array(sizes)),
-        call.put(np.array([RIVAL_ESTIMATE_MAX_ODDS, RIVAL_ESTIMATE_MIN_DISTANCE_M])),
-    ]
+    found = machine.run(
+        "solve",
+        taxels=count,
+        answers=len(evidence.weights),
+        starts=evidence.starts,
+        columns=evidence.columns,
+        weights=evidence.weights,
+        poses=evidence.poses,
+        noise=noise_values(noise),
+        rivals={"max_odds": RIVAL_ESTIMATE_MAX_ODDS, "min_distance": RIVAL_ESTIMATE_MIN_DISTANCE_M},
+        trust=evidence.trust,
+        trusting=not doubting,
+        free=has_free,
+        surface=place,
+        starting=np.full(count, -1) if last is None else last,
+        said=(count,),
+    )
+    evidence = evidence.trusted(found["trust"])
+    return Solution(evidence, evidence.doubted(), found["said"], has_free, bool(place))
 
 
 def _rows(

@@ -3,7 +3,8 @@
 import numpy as np
 
 from skincal.methods import estimate_taxels
-from skincal.solver.machine import INTEGER, shared
+from skincal.solver import tables
+from skincal.solver.machine import shared
 from skincal.taxels.contact_table import ContactTable
 
 
@@ -19,12 +20,23 @@ def gather(contacts, channels):
 
 def least_squares(a, b):
     """Solve rows a (n, 3), b (n,) by the solver's QR: triangular factor, its right side, and the solution."""
-    with shared().call() as call:
-        asked = [1, len(b), call.put(np.array([0, len(b)]), INTEGER), call.put(np.concatenate([a.T, b[None]]))]
-        root, (offset, solution, blind), rank = (
-            call.reserve((3, 3)),
-            [call.reserve((3,)) for _ in range(3)],
-            call.reserve((1,), INTEGER),
-        )
-        call.run("factor", [*asked, root, offset, solution, blind, rank])
-        return (call.get(root), call.get(offset)), call.get(solution)
+    found = shared().run(
+        "factor",
+        systems=1,
+        rows=len(b),
+        starts=np.array([0, len(b)]),
+        columns=np.concatenate([a.T, b[None]]),
+        roots=(3, 3),
+        offsets=(3,),
+        solutions=(3,),
+        blind=(3,),
+        ranks=(1,),
+    )
+    return (found["roots"], found["offsets"]), found["solutions"]
+
+
+def trust_by_definition(squares):
+    """The trust of squared misses by the smooth step of `trust.h`, in numpy: the oracle of the solver's."""
+    full, zero = tables.FULL_TRUST_SDS, tables.ZERO_TRUST_SDS
+    rest = np.clip((zero - np.sqrt(squares)) / (zero - full), 0.0, 1.0)
+    return np.where(squares > full**2, rest * rest * (3.0 - 2.0 * rest), 1.0)

@@ -11,6 +11,7 @@
 #define CONTACTS_H
 
 #include "base.h"
+#include "tables.h"
 
 /* Columns, each of which runs over the contacts, the heaviest first. */
 typedef struct {
@@ -28,9 +29,6 @@ typedef struct {
     double *weakness;         /* sqrt(ln(1/k)) */
     double *square;           /* s^2: how far the contact is beside the taxel, in each direction in the skin's plane, metres^2 */
 } Contacts;
-
-/* Standard deviations, N, N m and metres; `NoiseSettings` of `skincal/model/scene.py`. */
-typedef struct { double force, moment, contact, reach, radius, pose_turn, pose_shift; } Noise;
 
 INLINE Vec column(const double *const c[3], int i) { return vec(c[0][i], c[1][i], c[2][i]); }
 

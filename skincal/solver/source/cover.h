@@ -27,7 +27,7 @@ typedef struct { double first, farthest; } Met;
 /* From p, counted from the tree's origin, along a unit vector to a triangle, if it is met from inside; else infinite. */
 static double way_to(const Surface *s, Vec p, Vec along, int node)
 {
-    if (!(dot(vec_at(s->normals + 3 * s->order[node]), along) > GRAZING)) return INFINITE;
+    if (!(dot(vec_at(s->normals + 3 * s->order[node]), along) > PUSHED_FACE_MIN_COSINE)) return INFINITE;
     Vec c[3];
     for (int j = 0; j < 3; j++) c[j] = minus(vec_at(s->corners + 9 * node + 3 * j), p);
     double shares[3], sum = 0, way = 0;
@@ -50,7 +50,7 @@ static Met walls_from(const Surface *s, Metric *m, Vec p, Vec along)
     Ahead ahead = {0};
     Candidate candidate;
     double slack = SLACK * s->extent;
-    int highest = (int)s->level_count - 1, level = highest, row = 0, rows = (int)(s->node_counts[highest] / WIDTH);
+    int highest = (int)s->level_count - 1, level = highest, row = 0, rows = (int)(s->node_counts[highest] / NODE_CHILDREN);
     p = minus(p, vec_at(s->origin));
     while (row < rows || ahead.count) {
         int at = row;
@@ -68,12 +68,12 @@ static Met walls_from(const Surface *s, Metric *m, Vec p, Vec along)
             at = step.node;
         }
         const float *eight = s->levels[level] + 64 * at;
-        for (int k = 0; k < WIDTH; k++) {
-            double radius = eight[3 * WIDTH + k] + slack;
-            Vec off = minus(vec(eight[k], eight[WIDTH + k], eight[2 * WIDTH + k]), p);
+        for (int k = 0; k < NODE_CHILDREN; k++) {
+            double radius = eight[3 * NODE_CHILDREN + k] + slack;
+            Vec off = minus(vec(eight[k], eight[NODE_CHILDREN + k], eight[2 * NODE_CHILDREN + k]), p);
             double way = dot(off, along);
             if (radius < 0 || way + radius < SAME_WALL || dot(off, off) - way * way > radius * radius) continue;
-            ahead.all[ahead.count++] = (Step){level, at * WIDTH + k, 0};
+            ahead.all[ahead.count++] = (Step){level, at * NODE_CHILDREN + k, 0};
         }
     }
     return met;

@@ -7,55 +7,17 @@
 #define MODULES_H
 
 #include "factor.h"
+#include "trust.h"
 #include "walk.h"
 
 enum { UNKNOWNS = 6, WIDE = UNKNOWNS + 1 };
-
-/* Thresholds of the search and of trust; `skincal/modules/pose_fit.py` names them in this order, with their reasons. */
-typedef struct {
-    double lever, full, none, fewest, of_pose, left, alike, seeking, small, usual_miss, usual_pitch, step_max, settled, done,
-        holds, back, steps_max, no_rank;
-} Rules;
-
-/* Standard deviations, N, N m, rad and metres. */
-typedef struct { double force, moment, pose_turn, pose_shift; } RigNoise;
 
 typedef struct { Vec point, x, normal; int triangle; } Pose;
 
 /* Where a pad or a middle lies, and how that changes with each unknown. */
 typedef struct { Vec point, normal, change[UNKNOWNS]; int triangle; } Pad;
 
-/* m pokes with a answers on modules with n pads and d unknowns each. */
-typedef struct {
-    Word pokes, unknowns;
-    const int *starts;      /* (m + 1): poke i has the answers starts[i] to starts[i + 1] */
-    const int *answers;     /* (a) pads */
-    const double *shares;   /* (a) of the middle */
-    const double *columns;  /* (17, m) as `Evidence.columns` */
-    const int *poses;       /* (m) equal where the arm's pose is */
-    const double *offsets;  /* (m) metres^2 */
-    const RigNoise *noise;
-    const Rules *rules;
-    double *pads, *changes, *outward; /* (n, 3), (n, 3, d), (n, 3): where pads lie */
-} Touches;
-
-/* b modules to be placed. */
-typedef struct {
-    Touches touches;
-    Word modules, doubting;
-    const int *spans;       /* (b + 1): module i has the pokes spans[i] to spans[i + 1] */
-    const int *boards;      /* (b + 1): and these pads */
-    const double *flat;     /* (n, 2) metres */
-    const Ground *ground;   /* null: modules lie anywhere */
-    double *trust;          /* (m) given, or found where `doubting` */
-    double *points, *x, *normals; /* (b, 3) of the poses: the start, then the answer */
-    int *triangles;         /* (b) */
-    int *under;             /* (n) triangles of the pads */
-    double *covariances, *blind; /* (b, d, d): the directions that are not determined as rows, the others zero */
-    double *misses, *moving;  /* (b) */
-} Boards;
-
-/* The whitened rows of a poke, and what they were made of (`RowSpread` in `pose_fit.py`). */
+/* The whitened rows of a poke, and what they were made of (`pose_fit.py`). */
 typedef struct {
     double slopes[2][UNKNOWNS], misses[2], pitch, whiten[3]; /* L^-1: first column's two, then the last */
     double distance, beside, share, swing[2], skin[2], push[2];
@@ -74,7 +36,7 @@ INLINE Vec column_at(const Touches *q, int first, int i)
 static Pad pad_at(const Boards *q, const Pose *at, double along, double beside)
 {
     Pad pad = {.triangle = -1, .normal = at->normal};
-    double lever = q->touches.rules->lever;
+    double lever = q->touches.rules->turn_to_length_radius;
     if (q->ground) {
         Footing end = walked(q->ground, (Footing){at->triangle, at->point, at->x}, along, beside);
         pad.triangle = end.triangle;
@@ -132,7 +94,7 @@ INLINE Vec turned(Vec by, double sine, double versine, Vec v)
 
 static Pose moved(const Boards *q, const Pose *from, const double move[UNKNOWNS])
 {
-    double sine, versine, lever = q->touches.rules->lever;
+    double sine, versine, lever = q->touches.rules->turn_to_length_radius;
     if (q->ground) {
         Footing end = walked(q->ground, (Footing){from->triangle, from->point, from->x}, move[0], move[1]);
         Vec normal = vec_at(q->ground->surface->normals + 3 * end.triangle), y = cross(normal, end.x);
@@ -217,7 +179,7 @@ static void add_bends(const Touches *q, const Row *r, const double left[2], doub
     Vec pull = plus(times(w[0], r->pair[0]), times(w[1], r->pair[1])), axes[3];
     for (int k = 0; k < turns; k++) {
         Vec axis = turns == 1 ? r->middle.normal : vec(k == 0, k == 1, k == 2);
-        axes[k] = times(1.0 / q->rules->lever, axis);
+        axes[k] = times(1.0 / q->rules->turn_to_length_radius, axis);
     }
     for (int j = 0; j < d; j++) {
         Vec change = times(r->share, r->middle.change[j]);
@@ -394,7 +356,7 @@ static Hold hold_of(
         most = larger(most, firm[k]);
     }
     for (int k = 0; k < d; k++) {
-        if (!(firm[k] > q->rules->no_rank * most)) continue;
+        if (!(firm[k] > q->rules->min_singular_value_ratio * most)) continue;
         held.firm[held.count] = firm[k];
         held.off[held.count] = root[k][d];
         for (int j = 0; j < d; j++) held.axes[held.count][j] = root[k][j] / firm[k];
@@ -427,13 +389,6 @@ static double median_of(const double *values, int count)
     return (low + high) / 2.0;
 }
 
-INLINE double trust_at(const Rules *rules, double squared)
-{
-    double rest = (rules->none - root_of(squared)) / (rules->none - rules->full);
-    rest = smaller(larger(rest, 0.0), 1.0);
-    return squared > square(rules->full) ? rest * rest * (3.0 - 2.0 * rest) : 1.0;
-}
-
 static double sum_of(const double *values, int count)
 {
     Sum total = {0, 0};
@@ -444,31 +399,30 @@ static double sum_of(const double *values, int count)
 /* Fills in the trust of some of a module's pokes, by steps from its pose in which far pokes pull little. */
 static void trust_some(const Touches *q, const Row *rows, const int *some, int count, double *trust)
 {
-    const Rules *rules = q->rules;
     for (int i = 0; i < count; i++) trust[some[i]] = 1.0;
-    if (count < rules->fewest) return;
+    if (count < MIN_POKES_FOR_TRUST) return;
     unsigned char *mark = top;
     double *pitches = ROOM(double, count), *squares = ROOM(double, count), *weights = ROOM(double, count);
     double (*left)[2] = (double (*)[2])room(sizeof(double[2]) * (unsigned long)count), move[UNKNOWNS];
-    double raised = 1.0 + rules->small / (2 * count - 3);
+    double raised = 1.0 + SMALL_SAMPLE_SPREAD_CORRECTION / (2 * count - 3);
     for (int i = 0; i < count; i++) {
         pitches[i] = rows[some[i]].pitch;
         for (int k = 0; k < 2; k++) left[i][k] = rows[some[i]].misses[k];
     }
-    double usual = larger(1.0, raised * median_of(pitches, count) / rules->usual_pitch);
+    double usual = larger(1.0, raised * median_of(pitches, count) / CHI2_1DOF_MEDIAN);
     for (int i = 0; i < count; i++) pitches[i] /= usual;
-    for (int step = 0; step < rules->seeking; step++) {
+    for (int step = 0; step < q->rules->robust_search_steps; step++) {
         for (int i = 0; i < count; i++)
-            weights[i] = 1.0 / larger(square(left[i][0]) + square(left[i][1]) + pitches[i], square(rules->alike));
+            weights[i] = 1.0 / larger(square(left[i][0]) + square(left[i][1]) + pitches[i], square(FULL_WEIGHT_MAX_MISS_SDS));
         Hold held = hold_of(q, rows, some, count, (const double (*)[2])left, weights);
-        move_of(q, &held, held.off, rules->step_max, move);
+        move_of(q, &held, held.off, q->rules->max_step, move);
         for (int i = 0; i < count; i++)
             for (int k = 0; k < 2; k++) left[i][k] -= inner(rows[some[i]].slopes[k], move, (int)q->unknowns);
     }
     for (int i = 0; i < count; i++) squares[i] = square(left[i][0]) + square(left[i][1]);
-    usual = larger(1.0, raised * median_of(squares, count) / rules->usual_miss);
-    for (int i = 0; i < count; i++) weights[i] = trust_at(rules, squares[i] / usual + pitches[i]);
-    if (!(sum_of(weights, count) < rules->left)) for (int i = 0; i < count; i++) trust[some[i]] = weights[i];
+    usual = larger(1.0, raised * median_of(squares, count) / CHI2_2DOF_MEDIAN);
+    for (int i = 0; i < count; i++) weights[i] = trust_at(squares[i] / usual + pitches[i]);
+    if (!(sum_of(weights, count) < MIN_SUM_OF_POKE_TRUSTS)) for (int i = 0; i < count; i++) trust[some[i]] = weights[i];
     top = mark;
 }
 
@@ -486,13 +440,13 @@ static void trust_module(const Boards *q, int module, const Row *rows, double *t
     sort_by(poses, count, order);
     for (int first = 0, end; first < count; first = end) {
         for (end = first; end < count && q->touches.poses[begin + order[end]] == q->touches.poses[begin + order[first]];) end++;
-        if (end - first < q->touches.rules->of_pose) continue;
+        if (end - first < q->touches.rules->min_pokes_per_arm_pose) continue;
         trust_some(&q->touches, rows, order + first, end - first, trust);
         for (int i = first; i < end; i++) alone[order[i]] = 0;
     }
     for (int i = 0; i < count; i++) if (alone[i]) others[rest++] = i;
     trust_some(&q->touches, rows, others, rest, trust);
-    if (sum_of(trust, count) < q->touches.rules->left) for (int i = 0; i < count; i++) trust[i] = 1.0;
+    if (sum_of(trust, count) < MIN_SUM_OF_POKE_TRUSTS) for (int i = 0; i < count; i++) trust[i] = 1.0;
     top = mark;
 }
 
@@ -557,7 +511,7 @@ static void newton(
         for (int k = 0; k < held->count; k++)
             curvature[i][k] = (i == k) - inner(bent, held->axes[k], d) / (held->firm[i] * held->firm[k]);
     }
-    move_of(q, held, solved(curvature, held->count, q->rules->holds, off) ? off : held->off, q->rules->step_max, step);
+    move_of(q, held, solved(curvature, held->count, q->rules->min_curvature, off) ? off : held->off, q->rules->max_step, step);
 }
 
 /* Adds to the covariance what errors of the arm's poses do, each one for all pokes in it: a pose turned by w about the sensor
@@ -649,22 +603,22 @@ static void place(const Boards *q, int module)
     int d = (int)q->touches.unknowns, count = q->spans[module + 1] - q->spans[module], settled = 0;
     Pose at = {vec_at(q->points + 3 * module), vec_at(q->x + 3 * module), vec_at(q->normals + 3 * module), q->triangles[module]};
     Row *rows = ROOM(Row, count);
-    double *trust = q->trust + q->spans[module], step[UNKNOWNS], before[UNKNOWNS] = {0}, last = rules->step_max;
+    double *trust = q->trust + q->spans[module], step[UNKNOWNS], before[UNKNOWNS] = {0}, last = rules->max_step;
     lay(q, module, &at);
     rows_of_module(q, module, rows);
     if (q->doubting) trust_module(q, module, rows, trust);
     int *order = by_size(rows, count, d);
     Hold held = module_hold(q, rows, order, count, trust);
-    for (int steps = 0; !settled && steps < rules->steps_max; steps++) {
+    for (int steps = 0; !settled && steps < rules->max_steps; steps++) {
         newton(&q->touches, rows, order, count, trust, &held, step);
-        int back = inner(step, before, d) < -rules->back * inner(before, before, d);
+        int back = inner(step, before, d) < -rules->min_reversal_share * inner(before, before, d);
         double size = 0.0;
         for (int j = 0; j < d; j++) {
             step[j] *= back ? 0.5 : 1.0;
             before[j] = step[j];
             size = larger(size, size_of(step[j]));
         }
-        settled = size <= rules->settled && (size * size <= rules->done * last || 2.0 * size >= last);
+        settled = size <= rules->rounding_max_step && (size * size <= rules->converged_step * last || 2.0 * size >= last);
         at = moved(q, &at, step);
         last = size;
         if (settled) {

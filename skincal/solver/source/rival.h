@@ -84,10 +84,10 @@ static Best second_to(Surface *s, Metric *m, Vec best, double radius, double lim
     unsigned char *mark = top;
     double squared = limit * m->scale * m->scale, far = smaller(root_of(squared), FARTHEST / 2);
     Vec middle = minus(best, vec_at(s->origin));
-    double hollow = radius * (1 - ROUND) - SLACK * s->extent;
+    double hollow = radius * (1 - SINGLE_PRECISION_MARGIN_SHARE) - SLACK * s->extent;
     Hole hole = {{(float)middle.x, (float)middle.y, (float)middle.z}, (float)hollow};
     Beside beside = {best, radius};
-    Candidates found = candidates_of(s, m, (float)(far * (1 + ROUND)), 1, &hole);
+    Candidates found = candidates_of(s, m, (float)(far * (1 + SINGLE_PRECISION_MARGIN_SHARE)), 1, &hole);
     int kept = 0;
     for (int i = 0; i < found.count; i++)
         if (found.all[i].at.squared <= squared && outside(&beside, candidate_point(s, &found.all[i])))

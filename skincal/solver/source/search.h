@@ -22,9 +22,6 @@
 /* Points whose distances in the metric, scaled so that the root's largest number is near 1, differ by less are equally
  * near: rounding. */
 static const double TIE = 1e-12;
-/* A triangle faces a push when push . normal is below minus this (both unit): what is tangent to the last digit is out,
- * however the rounding falls. */
-static const double GRAZING = 1e-12;
 /* A metric whose lightest row is below this share of its heaviest is stiff: its optimum is found once more, in small
  * numbers (`polish`), and so it is on a sliver. Elsewhere the rounding is at most 20 times that of a length, and a
  * length's is 1e-17 m. */
@@ -33,9 +30,8 @@ static const double STIFF = 0.05;
 static const double SAME_POINT = 4 * 0x1p-52;
 /* Metres. Equally near points whose depth along the push differs by less are one place. */
 static const double SAME_DEPTH = 1e-9;
-/* Share by which the tree widens radii; rounding of a distance in single precision, as a share of what went into it, with
- * room to spare. */
-static const double ROUND = 1e-6, SLACK = 2e-6;
+/* Rounding of a distance in single precision, as a share of what went into it, with room to spare. */
+static const double SLACK = 2e-6;
 /* Largest stretches are 0.5 or more but for a root of zero. */
 static const double LEAST_STRETCH = 1e-2;
 /* Sum of the squared stretches over the largest of them: a metric below this has a second stretch below half the first. */
@@ -45,29 +41,6 @@ static const double FLAT = 1.25;
 static const double FAR = 1e15;
 /* Metres, farther than any distance where bounds are taken. */
 static const float FARTHEST = 1e18f;
-
-#define WIDTH 8
-#define LEVELS 16
-
-/* The tree and the mesh, as `skincal/mesh/search.py` writes them. */
-typedef struct {
-    Word triangle_count, level_count;
-    const float *levels[LEVELS]; /* eight nodes a row of 64: centres' x (8), y, z, radii, normals' middles x, y, z, sines */
-    Word node_counts[LEVELS];    /* filled up to whole rows */
-    const int *order;            /* (nt) the triangle that is node i of level 0 */
-    const int *places;           /* (nt) the node that each triangle is */
-    const double *corners;       /* (nt, 9) of the node i: its corners, metres, from the tree's origin */
-    const double *vertices;      /* (nv, 3) metres */
-    const int *triangles;        /* (nt, 3) */
-    const double *normals;       /* (nt, 3) unit */
-    const unsigned char *slim;   /* (nt) slivers */
-    const int *fan_starts, *fans; /* the triangles around each vertex */
-    int *walked;                 /* (nt), as the next two and the stamp for `rival.h`: which walk saw the node last */
-    double *lowest;              /* (nv) */
-    int *lowest_stamp;           /* (nv) */
-    int stamp;
-    double origin[3], extent;
-} Surface;
 
 /* |root (p - origin) - offset|^2 with its push, of numbers near 1. */
 typedef struct {
@@ -109,7 +82,7 @@ static double stretch_of(const Matrix *root)
     }
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) sum += square(m[i][j]);
-    return larger(root_of(root_of(root_of(root_of(sum)))) * (1 + ROUND), LEAST_STRETCH);
+    return larger(root_of(root_of(root_of(root_of(sum)))) * (1 + SINGLE_PRECISION_MARGIN_SHARE), LEAST_STRETCH);
 }
 
 static void set_bounds(Metric *m, double extent)
@@ -173,7 +146,7 @@ static int solve_node(const Surface *s, Metric *m, int node, Candidate *found)
     Vec image[3];
     found->node = node;
     found->facing = facing_of(s, m, node);
-    if (!m->any && !(found->facing < -GRAZING)) return 0;
+    if (!m->any && !(found->facing < -PUSHED_FACE_MIN_COSINE)) return 0;
     m->tried++;
     for (int j = 0; j < 3; j++) image[j] = minus(apply(&m->root, vec_at(s->corners + 9 * node + 3 * j)), m->offset);
     found->at = closest_to_origin(image);
@@ -196,18 +169,18 @@ typedef struct { float middle[3], radius; } Hole;
 typedef struct { int level, node; float lower; } Step;
 
 /* The lower bounds of eight nodes, infinite for those left out; lowers `limit` by what surely bounds the optimum. */
-static void bound_eight(const Metric *m, const float *row, const Hole *hole, float *limit, float lower[WIDTH])
+static void bound_eight(const Metric *m, const float *row, const Hole *hole, float *limit, float lower[NODE_CHILDREN])
 {
-    float distance[WIDTH], y[3][WIDTH], toward[WIDTH], best = *limit;
-    for (int k = 0; k < WIDTH; k++) {
-        float x0 = row[k], x1 = row[WIDTH + k], x2 = row[2 * WIDTH + k];
+    float distance[NODE_CHILDREN], y[3][NODE_CHILDREN], toward[NODE_CHILDREN], best = *limit;
+    for (int k = 0; k < NODE_CHILDREN; k++) {
+        float x0 = row[k], x1 = row[NODE_CHILDREN + k], x2 = row[2 * NODE_CHILDREN + k];
         for (int i = 0; i < 3; i++) y[i][k] = m->rows[i][0] * x0 + m->rows[i][1] * x1 + m->rows[i][2] * x2 - m->offsets[i];
         distance[k] = __builtin_sqrtf(y[0][k] * y[0][k] + y[1][k] * y[1][k] + y[2][k] * y[2][k]);
-        lower[k] = distance[k] - m->stretch * row[3 * WIDTH + k];
-        toward[k] = row[4 * WIDTH + k] * m->pushes[0] + row[5 * WIDTH + k] * m->pushes[1] + row[6 * WIDTH + k] * m->pushes[2];
+        lower[k] = distance[k] - m->stretch * row[3 * NODE_CHILDREN + k];
+        toward[k] = row[4 * NODE_CHILDREN + k] * m->pushes[0] + row[5 * NODE_CHILDREN + k] * m->pushes[1] + row[6 * NODE_CHILDREN + k] * m->pushes[2];
     }
-    for (int k = 0; k < WIDTH; k++) {
-        float sine = row[7 * WIDTH + k], radius = row[3 * WIDTH + k];
+    for (int k = 0; k < NODE_CHILDREN; k++) {
+        float sine = row[7 * NODE_CHILDREN + k], radius = row[3 * NODE_CHILDREN + k];
         if (m->any || toward[k] < -sine) best = distance[k] < best ? distance[k] : best;
         if (!m->any && toward[k] > sine) lower[k] = __builtin_inff();
         if (radius < 0) lower[k] = __builtin_inff();
@@ -221,7 +194,7 @@ static void bound_eight(const Metric *m, const float *row, const Hole *hole, flo
             if (aside > lower[k]) lower[k] = aside;
         }
         if (hole->radius > 0) {
-            float off[3] = {row[k] - hole->middle[0], row[WIDTH + k] - hole->middle[1], row[2 * WIDTH + k] - hole->middle[2]};
+            float off[3] = {row[k] - hole->middle[0], row[NODE_CHILDREN + k] - hole->middle[1], row[2 * NODE_CHILDREN + k] - hole->middle[2]};
             if (!(__builtin_sqrtf(off[0] * off[0] + off[1] * off[1] + off[2] * off[2]) + radius > hole->radius))
                 lower[k] = __builtin_inff();
         }
@@ -230,7 +203,7 @@ static void bound_eight(const Metric *m, const float *row, const Hole *hole, flo
 }
 
 /* Up to which lower bound a node is kept. */
-INLINE float within(const Metric *m, float limit) { return limit * (float)(1 + ROUND) + m->slack; }
+INLINE float within(const Metric *m, float limit) { return limit * (float)(1 + SINGLE_PRECISION_MARGIN_SHARE) + m->slack; }
 
 static void keep(Candidates *found, const Candidate *candidate)
 {
@@ -240,17 +213,17 @@ static void keep(Candidates *found, const Candidate *candidate)
 }
 
 /* The steps of a walk: at most eight a level at once. */
-typedef struct { int count; Step all[WIDTH * (LEVELS + 1)]; } Ahead;
+typedef struct { int count; Step all[NODE_CHILDREN * (SEARCH_TREE_MAX_DEPTH + 1)]; } Ahead;
 
 /* Puts a row's nodes on the walk, the nearest on top. */
-static void put_ahead(Ahead *ahead, int level, int row, const float lower[WIDTH], float bound)
+static void put_ahead(Ahead *ahead, int level, int row, const float lower[NODE_CHILDREN], float bound)
 {
     int first = ahead->count;
-    for (int k = 0; k < WIDTH; k++) {
+    for (int k = 0; k < NODE_CHILDREN; k++) {
         if (!(lower[k] <= bound && lower[k] < FARTHEST)) continue;
         int at = ahead->count++;
         for (; at > first && ahead->all[at - 1].lower < lower[k]; at--) ahead->all[at] = ahead->all[at - 1];
-        ahead->all[at] = (Step){level, row * WIDTH + k, lower[k]};
+        ahead->all[at] = (Step){level, row * NODE_CHILDREN + k, lower[k]};
     }
 }
 
@@ -266,9 +239,9 @@ static Candidates candidates_of(const Surface *s, Metric *m, float limit, int fi
         return found;
     }
     Ahead ahead = {0};
-    float lower[WIDTH], ignored;
+    float lower[NODE_CHILDREN], ignored;
     int highest = (int)s->level_count - 1;
-    for (int row = 0; row < (int)(s->node_counts[highest] / WIDTH); row++) {
+    for (int row = 0; row < (int)(s->node_counts[highest] / NODE_CHILDREN); row++) {
         ignored = limit;
         bound_eight(m, s->levels[highest] + 64 * row, hole, fixed ? &ignored : &limit, lower);
         put_ahead(&ahead, highest, row, lower, within(m, limit));
@@ -281,7 +254,7 @@ static Candidates candidates_of(const Surface *s, Metric *m, float limit, int fi
             bound_eight(m, s->levels[step.level - 1] + 64 * step.node, hole, fixed ? &ignored : &limit, lower);
             put_ahead(&ahead, step.level - 1, step.node, lower, within(m, limit));
         } else if (solve_node(s, m, step.node, &candidate)) {
-            if (!fixed && candidate.distance < limit) limit = (float)(candidate.distance * (1 + ROUND));
+            if (!fixed && candidate.distance < limit) limit = (float)(candidate.distance * (1 + SINGLE_PRECISION_MARGIN_SHARE));
             keep(&found, &candidate);
         }
     }
@@ -385,7 +358,7 @@ static Best nearest_to(const Surface *s, Metric *m, int start)
     Candidate first;
     float limit = FARTHEST;
     if (start >= 0 && start < (int)s->triangle_count && solve_node(s, m, s->places[start], &first))
-        if (first.distance < limit) limit = (float)(first.distance * (1 + ROUND));
+        if (first.distance < limit) limit = (float)(first.distance * (1 + SINGLE_PRECISION_MARGIN_SHARE));
     Best best = best_of(s, m, candidates_of(s, m, limit, 0, &NO_HOLE));
     top = mark;
     return best;

@@ -5,7 +5,6 @@
  */
 #include "modules.h"
 #include "rival.h"
-#include "trust.h"
 #include "uncertainty.h"
 
 #define EXPORT __attribute__((visibility("default")))
@@ -16,43 +15,11 @@ extern unsigned char __heap_base;
  * pokes. */
 static const double OPPOSED = 0.05;
 
-/* When a second minimum is reported: below which odds, and how far from the best one at least, metres. */
-typedef struct { double odds, apart; } Rivals;
-
-/* How well a position is known, and at what distance the axes pass it. */
-typedef struct { double covariance[9], weakest[3], sd, rms, miss; } Known;
-
-/* What is said of a taxel: all numbers are 64-bit floats, so that Python reads them as one table. */
-typedef struct {
-    double root[9], offset[3], solution[3], blind[3], rank; /* `factor.h` */
-    double push[3], outward[3], opposed; /* the mean push, the unit vector against it, and whether pushes cancel */
-    Known free;
-    double point[3], value, triangle; /* on the surface; triangle -1 where none faces the pokes, and then no more is said */
-    Known held;
-    double rival[3], rival_triangle, odds; /* odds infinite where there is no rival */
-} Answer;
-
-/* What `solve` is asked; t taxels with n answers. */
-typedef struct {
-    Word taxels, answers;
-    const int *starts;      /* (t + 1): taxel i has the answers starts[i] to starts[i + 1], at least one */
-    const double *columns;  /* (17, n) as `Evidence.columns` */
-    const double *weights;  /* (n) */
-    const int *poses;       /* (n) */
-    const Noise *noise;
-    const Rivals *rivals;
-    double *trust;          /* (n) found, or given where `trusting` */
-    Word trusting, free;    /* whether trust is given; whether the free method is asked for */
-    Surface *surface;       /* null: no surface method */
-    const int *starting;    /* (t) triangles where the optima are likely, -1 for none */
-    Answer *said;           /* (t) */
-} Task;
-
 static void put_known(Known *to, const Contacts *c, const Freedom *free, Vec p, const Noise *noise)
 {
     Uncertainty u = propagate(c, free, p, noise);
-    for (int k = 0; k < 9; k++) to->covariance[k] = u.covariance[k];
-    put(to->weakest, u.weakest);
+    for (int k = 0; k < 9; k++) to->covariance[k / 3][k % 3] = u.covariance[k];
+    put(to->worst_direction, u.weakest);
     to->sd = u.sd;
     to->rms = root_of(u.covariance[0] + u.covariance[4] + u.covariance[8]);
     to->miss = miss_of(c, p);
@@ -134,16 +101,16 @@ static void say_rival(
     const Task *t, Answer *said, const Contacts *c, const Factor *f, Metric *m, Best best, Cover under, const Freedom *space,
     const Freedom *plane)
 {
-    double slack = slack_of(c, best.point, t->noise, t->rivals->odds);
+    double slack = slack_of(c, best.point, t->noise, t->rivals->max_odds);
     /* Within this radius the sum of squares has not risen by the slack yet in the plane's flattest direction. */
-    double radius = larger(t->rivals->apart, root_of(slack) * (plane->determined ? stretch_of_inverse(plane) : INFINITE));
+    double radius = larger(t->rivals->min_distance, root_of(slack) * (plane->determined ? stretch_of_inverse(plane) : INFINITE));
     /* All that fits as well lies within this of the point where the axes meet, wherever the surface is. */
     double around = root_of(best.value + slack) * stretch_of_inverse(space) + length(minus(best.point, f->solution));
     if (around < radius || !finite(radius)) return;
     Best second = second_to(t->surface, m, best.point, radius, best.value + slack, under);
     if (second.triangle < 0) return;
     double odds = odds_of(c, best.point, second.point, second.value - best.value, t->noise);
-    if (odds < t->rivals->odds) put_rival(said, second, odds);
+    if (odds < t->rivals->max_odds) put_rival(said, second, odds);
 }
 
 /* The place that a push reaches from outside (`cover.h`) in place of `best`, and how it lies under other walls. Where one
@@ -154,13 +121,13 @@ static int choose_wall(const Task *t, Answer *said, const Contacts *c, Metric *m
     *under = cover_of(t->surface, m, best->point, best->triangle, &walls);
     if (*under == CLOSED) {
         /* The wall that the push meets holds a minimum that is no worse than the place where it is met. */
-        Best open = second_to(t->surface, m, best->point, 0, square(walls / m->scale) * (1 + ROUND), COVERED);
+        Best open = second_to(t->surface, m, best->point, 0, square(walls / m->scale) * (1 + SINGLE_PRECISION_MARGIN_SHARE), COVERED);
         if (open.triangle < 0) return 0;
         *best = open;
         *under = cover_of(t->surface, m, best->point, best->triangle, 0);
     }
     if (*under != COVERED) return 0;
-    double slack = slack_of(c, best->point, t->noise, COVERED_ODDS * t->rivals->odds);
+    double slack = slack_of(c, best->point, t->noise, COVERED_ODDS * t->rivals->max_odds);
     Best outer = second_to(t->surface, m, best->point, 0, best->value + slack, OPEN), rival = outer;
     if (outer.triangle < 0) return 0;
     double odds = odds_of(c, best->point, outer.point, outer.value - best->value, t->noise) / COVERED_ODDS;
@@ -170,7 +137,7 @@ static int choose_wall(const Task *t, Answer *said, const Contacts *c, Metric *m
         *under = OPEN;
         odds = 1.0 / odds;
     }
-    if (odds < t->rivals->odds) put_rival(said, rival, odds);
+    if (odds < t->rivals->max_odds) put_rival(said, rival, odds);
     return 1;
 }
 
@@ -184,10 +151,10 @@ static void say_on_surface(const Task *t, int i, const Contacts *c, const Factor
     put(said->point, best.point);
     said->triangle = best.triangle;
     said->value = best.value;
-    said->held.miss = said->held.sd = INFINITE;
+    said->on_surface.miss = said->on_surface.sd = INFINITE;
     if (best.triangle < 0) return;
     Freedom plane = in_plane(f, vec_at(t->surface->normals + 3 * best.triangle));
-    put_known(&said->held, c, &plane, best.point, t->noise);
+    put_known(&said->on_surface, c, &plane, best.point, t->noise);
     if (!compared) say_rival(t, said, c, f, &m, best, under, space, &plane);
 }
 
@@ -201,7 +168,7 @@ static void solve_taxel(const Task *t, int i)
     Factor f = factor_of(&c);
     Freedom space = in_space(&f);
     Vec push = mean_push(&c);
-    for (int k = 0; k < 3; k++) put(said->root + 3 * k, f.root.row[k]);
+    for (int k = 0; k < 3; k++) put(said->root[k], f.root.row[k]);
     put(said->offset, f.offset);
     put(said->solution, f.solution);
     put(said->blind, f.blind);
@@ -215,7 +182,8 @@ static void solve_taxel(const Task *t, int i)
 }
 
 /* Without arguments a call costs a fifth: the host checks and converts each of them. */
-static struct { unsigned char *begin; Word table[47]; } asked;
+static struct { unsigned char *begin; Questions on; } asked;
+_Static_assert(__builtin_offsetof(__typeof__(asked), on) == 4, "`skincal/solver/machine.py` writes the question there");
 
 static void begin(void)
 {
@@ -224,15 +192,14 @@ static void begin(void)
 }
 
 /* So that Python can see that it means the same tables. */
-EXPORT unsigned long answer_size(void) { return sizeof(Answer); }
-EXPORT unsigned long surface_size(void) { return sizeof(Surface); }
+EXPORT int layout(void) { return LAYOUT_NUMBER; }
 
 EXPORT void *asked_at(void) { return &asked; }
 EXPORT void *heap(void) { return &__heap_base; }
 
 EXPORT void solve(void)
 {
-    const Task *t = (const Task *)asked.table;
+    const Task *t = &asked.on.solve;
     begin();
     for (Word i = 0; i < t->taxels; i++) {
         unsigned char *mark = top;
@@ -241,18 +208,10 @@ EXPORT void solve(void)
     }
 }
 
-/* n contacts, to be carried into the link frame. */
-typedef struct {
-    Word contacts;
-    const double *forces, *moments; /* (n, 3), sensor frame, N and N m */
-    const double *poses;            /* (n, 4, 4), link_from_sensor */
-    double *columns;                /* (17, n) as `Evidence.columns` */
-} Carry;
-
 /* Eq. (6): with p_w = Q p_s + t it is f_w = Q f_s and m_w = Q m_s + t x f_w. */
 EXPORT void carry(void)
 {
-    const Carry *q = (const Carry *)asked.table;
+    const Carry *q = &asked.on.carry;
     begin();
     for (Word i = 0; i < q->contacts; i++) {
         const double *pose = q->poses + 16 * i;
@@ -271,18 +230,9 @@ EXPORT void carry(void)
     }
 }
 
-/* Least squares of t systems with m rows in all. */
-typedef struct {
-    Word systems, rows;
-    const int *starts;      /* (t + 1) */
-    const double *columns;  /* (4, m): A by columns, b */
-    double *roots, *offsets, *solutions, *blind; /* (t, 9), (t, 3), (t, 3), (t, 3) */
-    int *ranks;             /* (t) */
-} Systems;
-
 EXPORT void factor(void)
 {
-    const Systems *s = (const Systems *)asked.table;
+    const Systems *s = &asked.on.factor;
     for (Word i = 0; i < s->systems; i++) {
         begin();
         int first = s->starts[i];
@@ -297,19 +247,6 @@ EXPORT void factor(void)
         s->ranks[i] = f.rank;
     }
 }
-
-/* The best points of a surface, or the second minima, for t metrics. */
-typedef struct {
-    Surface *surface;
-    Word metrics, all;
-    const double *roots, *offsets; /* (t, 9), (t, 3) */
-    const double *pushes;          /* (t, 3); null: every triangle counts */
-    const int *starting;           /* (t) */
-    const double *best, *radii, *limits; /* second minima: (t, 3), (t), (t) */
-    double *points, *values;       /* (t, 3), (t) */
-    int *triangles;                /* (t); second minima: given where there is a best one, else -1 */
-    int *tried;                    /* (t) how many triangles were solved */
-} Search;
 
 static Metric metric_at(const Search *q, Word i)
 {
@@ -329,7 +266,7 @@ static void put_best(const Search *q, Word i, Best best)
 
 EXPORT void nearest(void)
 {
-    const Search *q = (const Search *)asked.table;
+    const Search *q = &asked.on.nearest;
     begin();
     for (Word i = 0; i < q->metrics; i++) {
         Metric m = metric_at(q, i);
@@ -340,7 +277,7 @@ EXPORT void nearest(void)
 
 EXPORT void second(void)
 {
-    const Search *q = (const Search *)asked.table;
+    const Search *q = &asked.on.second;
     Best none = {vec(__builtin_nan(""), __builtin_nan(""), __builtin_nan("")), -1, INFINITE};
     begin();
     for (Word i = 0; i < q->metrics; i++) {
@@ -351,18 +288,9 @@ EXPORT void second(void)
     }
 }
 
-/* n walks over a surface. */
-typedef struct {
-    const Ground *ground;
-    Word walks;
-    const double *ways;    /* (n, 2) metres, along x and along normal x x */
-    double *points, *x;    /* (n, 3) where they begin, then where they end */
-    int *triangles;        /* (n) */
-} Walks;
-
 EXPORT void walk(void)
 {
-    const Walks *q = (const Walks *)asked.table;
+    const Walks *q = &asked.on.walk;
     begin();
     for (Word i = 0; i < q->walks; i++) {
         Footing start = {q->triangles[i], vec_at(q->points + 3 * i), vec_at(q->x + 3 * i)};
@@ -375,7 +303,7 @@ EXPORT void walk(void)
 
 EXPORT void place_modules(void)
 {
-    const Boards *q = (const Boards *)asked.table;
+    const Boards *q = &asked.on.place_modules;
     begin();
     for (Word i = 0; i < q->modules; i++) {
         unsigned char *mark = top;
@@ -384,17 +312,9 @@ EXPORT void place_modules(void)
     }
 }
 
-/* The whitened rows of pokes on modules whose pads lie where they are said to. */
-typedef struct {
-    Touches touches;
-    double *slopes, *misses, *whiten; /* (m, 2, d), (m, 2), (m, 2, 2) */
-    double *normals;                  /* (m, 3) of the skin at the middles */
-    double *bends;                    /* (m, d, d), see `add_bends`; null: not asked for */
-} ModuleRows;
-
 EXPORT void module_rows(void)
 {
-    const ModuleRows *q = (const ModuleRows *)asked.table;
+    const ModuleRows *q = &asked.on.module_rows;
     Word d = q->touches.unknowns;
     begin();
     for (Word i = 0; i < q->touches.pokes; i++) {
@@ -409,10 +329,16 @@ EXPORT void module_rows(void)
         q->whiten[4 * i + 2] = r.whiten[1];
         q->whiten[4 * i + 3] = r.whiten[2];
         put(q->normals + 3 * i, r.middle.normal);
-        if (!q->bends) continue;
         double bends[UNKNOWNS][UNKNOWNS] = {{0}};
         add_bends(&q->touches, &r, r.misses, 1.0, bends);
         for (Word j = 0; j < d; j++)
             for (Word k = 0; k < d; k++) q->bends[(i * d + j) * d + k] = bends[j][k];
     }
+}
+
+EXPORT void trusts(void)
+{
+    const Trusts *q = &asked.on.trusts;
+    begin();
+    for (Word i = 0; i < q->pokes; i++) q->trust[i] = trust_at(q->squares[i]);
 }

@@ -9,6 +9,7 @@
 #define TRIANGLE_H
 
 #include "base.h"
+#include "tables.h"
 
 /* A squared length below this is zero, as is whatever is divided by it. */
 static const double NO_LENGTH = 1e-300;

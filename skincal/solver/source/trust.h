@@ -11,7 +11,7 @@
  * over those of noise alone, and at least 1. (A geometric mean needs no sorting, and a few far misses hardly move it; nor do
  * very small ones, which are raised to a share of the usual one first.)
  *
- * Up to FULL a contact counts fully, so that without outliers the estimate is that of (5); from NONE on not at all; in
+ * Up to FULL_TRUST_SDS a contact counts fully, so that without outliers the estimate is that of (5); from ZERO_TRUST_SDS on not at all; in
  * between by a smooth step. The point from which r counts is found by least squares, then by STEPS steps with weights
  * 1/z^2. With few contacts, or where hardly one would be left, none can be shown to be wrong.
  *
@@ -22,18 +22,6 @@
 
 #include "contacts.h"
 
-/* Standard deviations, in three directions: noise alone is beyond FULL in 5 %, that of the simulated rig in 2 %, and
- * beyond NONE in 2 of 1000. */
-static const double FULL = 2.8, NONE = 3.8;
-/* Contacts below which all count fully: two of three can agree by chance. */
-static const int FEWEST = 4;
-/* Sum of the trust below which all count fully: where hardly one is left, nobody can say which is right. */
-static const double LEFT = 2.0;
-/* A spread found from few misses may be too small: it is raised as limits of Student's t are, by this over its 2 n - 3
- * degrees of freedom. */
-static const double SMALL = 6.0;
-/* Standard deviations up to which all contacts pull alike while the point is sought. */
-static const double ALIKE = 2.0;
 /* Steps of that search; a second one takes 2 % off the worst taxel's error. */
 static const int STEPS = 1;
 /* Share of the weights that holds a step back where nearly parallel axes do not determine one: those of 0.6 degrees
@@ -43,6 +31,13 @@ static const double DAMPING = 1e-4;
 static const double RAISED = 0.1;
 /* Means of ln max(x, RAISED) for x of chi-square, of two degrees of freedom and of one: by numerical integration. */
 static const double USUAL_MISS = 0.1653, USUAL_PITCH = -0.7685;
+
+/* How far a poke counts, by the square of its miss in standard deviations. */
+INLINE double trust_at(double squared)
+{
+    double rest = smaller(larger((ZERO_TRUST_SDS - root_of(squared)) / (ZERO_TRUST_SDS - FULL_TRUST_SDS), 0.0), 1.0);
+    return squared > square(FULL_TRUST_SDS) ? rest * rest * (3.0 - 2.0 * rest) : 1.0;
+}
 
 /* A symmetric system of weighted least squares, summed up. */
 typedef struct { double xx, xy, xz, yy, yz, zz; Vec pull; } Pulls;
@@ -96,7 +91,7 @@ static void make_relative(double *squares, int count, double usual)
     /* Raised first to a share of what the noise makes, then to one of what is found. */
     double wide = larger(geometric_mean(squares, count, RAISED) * power_of_e(-usual), 1.0);
     int freedom = 2 * count - 3 > 1 ? 2 * count - 3 : 1;
-    wide = geometric_mean(squares, count, RAISED * wide) * power_of_e(-usual) * (1.0 + SMALL / freedom);
+    wide = geometric_mean(squares, count, RAISED * wide) * power_of_e(-usual) * (1.0 + SMALL_SAMPLE_SPREAD_CORRECTION / freedom);
     if (wide < 1.0) wide = 1.0;
     for (int i = 0; i < count; i++) squares[i] /= wide;
 }
@@ -154,7 +149,7 @@ static Vec step_from(const Contacts *c, const Whitened *w, const double *shares,
     Pulls sum = {0};
     for (int i = 0; i < c->count; i++) {
         double residuals[2], squared = miss_square(c, w, i, p, residuals) + w->pitch[i];
-        double share = shares[i] / larger(squared, ALIKE * ALIKE);
+        double share = shares[i] / larger(squared, FULL_WEIGHT_MAX_MISS_SDS * FULL_WEIGHT_MAX_MISS_SDS);
         pull(&sum, share, w->first[i], residuals[0]);
         pull(&sum, share, w->second[i], residuals[1]);
     }
@@ -165,7 +160,7 @@ static Vec step_from(const Contacts *c, const Whitened *w, const double *shares,
 static void find_trust(Contacts *c, const Noise *noise)
 {
     for (int i = 0; i < c->count; i++) c->trust[i] = 1.0;
-    if (c->count < FEWEST) return;
+    if (c->count < MIN_POKES_FOR_TRUST) return;
     unsigned char *mark = top;
     double *shares = ROOM(double, c->count), *squares = ROOM(double, c->count), *trust = ROOM(double, c->count);
     double sum = 0;
@@ -179,11 +174,10 @@ static void find_trust(Contacts *c, const Noise *noise)
     make_relative(squares, c->count, USUAL_MISS);
     for (int i = 0; i < c->count; i++) {
         double squared = squares[i] + w.pitch[i];
-        double rest = smaller(larger((NONE - root_of(squared)) / (NONE - FULL), 0.0), 1.0);
-        trust[i] = squared > FULL * FULL ? rest * rest * (3.0 - 2.0 * rest) : 1.0;
+        trust[i] = trust_at(squared);
         left += trust[i];
     }
-    if (!(left < LEFT)) for (int i = 0; i < c->count; i++) c->trust[i] = trust[i];
+    if (!(left < MIN_SUM_OF_POKE_TRUSTS)) for (int i = 0; i < c->count; i++) c->trust[i] = trust[i];
     top = mark;
 }
 

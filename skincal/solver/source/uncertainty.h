@@ -14,7 +14,7 @@
  * Neighbours' offsets do not average out: pokes on one neighbour share theirs. Where the taxel has pokes of its own, the
  * neighbours lie round it and nearly cancel; the more of its evidence is theirs, the fewer they are and the more
  * one-sided. So of the reach's part a share lambda^2 is taken as one offset common to all, with
- * lambda = min(1, mean of sqrt(ln(1/k)) / EVEN).
+ * lambda = min(1, mean of sqrt(ln(1/k)) / NEIGHBOURS_SHARE_ONE_OFFSET_FROM).
  *
  * Bend. Beside a taxel on a convex part the normal leans outward by c/radius, and the pokes lean with it: the axes converge
  * below the skin. So offsets and directions are correlated, E[c] = -s^2/(2 radius) u_t/v, with u_t the direction's part
@@ -34,11 +34,6 @@
 #define UNCERTAINTY_H
 
 #include "factor.h"
-
-/* Mean of sqrt(ln(1/k)) from which on all neighbours' offsets are one. Measured on the simulated forearm: 0.19 where every
- * taxel is poked as often, with 0.2 mm left in common; 0.39 and 0.47 at taxels never poked while two or one in three are,
- * with 1.1 and 1.6 mm: the common part grows as the square of the mean. */
-static const double EVEN = 0.4;
 
 /* The d directions in which a position is free, 3 or 2, and how the rows hold it there. */
 typedef struct {
@@ -134,7 +129,7 @@ static double common_share(const Contacts *c)
         sum += share * c->weakness[i];
         shares += share;
     }
-    return smaller(sum / shares / EVEN, 1.0);
+    return smaller(sum / shares / NEIGHBOURS_SHARE_ONE_OFFSET_FROM, 1.0);
 }
 
 /* Adds what sensor and offsets do. */

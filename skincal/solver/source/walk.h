@@ -16,12 +16,6 @@ static const double PULLED = 1e-9;
 /* A walk that crosses more edges goes round in circles at a vertex; it is left where it is. */
 static const int CROSSINGS_MAX = 20000;
 
-/* What is walked on; no surface: nothing is. */
-typedef struct {
-    const Surface *surface;
-    const int *over; /* (nt, 3) the triangle behind each side, below zero at the rim */
-} Ground;
-
 /* A place in the plane of a triangle, with a direction along it, unit. */
 typedef struct { int triangle; Vec point, x; } Footing;
 

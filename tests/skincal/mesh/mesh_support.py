@@ -6,7 +6,6 @@ import numpy as np
 
 from skincal.mesh.search import NearestPoints, nearest_in_metric, surface_in_solver
 from skincal.mesh.surface import Surface, make_surface
-from skincal.solver.machine import INTEGER
 
 
 def grid(points) -> Surface:
@@ -154,27 +153,27 @@ def nearest_to(surface, metric, target, push=None) -> Nearest | None:
 def nearest_from(surface, roots, offsets, pushes, start) -> NearestPoints:
     """`nearest_in_metric`, whose search begins at triangles where each optimum is likely."""
     count = len(roots)
-    with surface_in_solver(surface)[0].call() as call:
-        starts = call.put(np.full(count, -1) if start is None else start, INTEGER)
-        return _searched(call, surface, "nearest", (roots, offsets, pushes), [starts, 0, 0, 0], np.full(count, -1))
+    starts = np.full(count, -1) if start is None else start
+    unasked = {"best": None, "radii": None, "limits": None}
+    return _searched(
+        surface, "nearest", np.full(count, -1), roots=roots, offsets=offsets, pushes=pushes, starting=starts, **unasked
+    )
 
 
 def second_to_rows(surface, roots, offsets, pushes, best, radius, limit, every=False) -> NearestPoints:
     """The least separate minimum beside the best, where there is one: `skincal/solver/source/rival.h`."""
-    with surface_in_solver(surface)[0].call() as call:
-        beside = [0, call.put(best.points), call.put(radius), call.put(limit)]
-        return _searched(call, surface, "second", (roots, offsets, pushes), beside, best.triangles, every=every)
+    beside = {"starting": None, "best": best.points, "radii": radius, "limits": limit}
+    return _searched(surface, "second", best.triangles, every=every, roots=roots, offsets=offsets, pushes=pushes, **beside)
 
 
-def _searched(call, surface, name, asked, beside, triangles, *, every=False) -> NearestPoints:
-    """Run an entry of the solver with the words of its `Search` (`solver.c`)."""
-    count, place = len(triangles), surface_in_solver(surface)[1]
-    roots, offsets, pushes = (0 if each is None else call.put(each) for each in asked)
-    points, values, tried = call.reserve((count, 3)), call.reserve((count,)), call.reserve((count,), INTEGER)
-    found = call.put_inout(triangles, INTEGER)
-    call.run(name, [place, count, int(every), roots, offsets, pushes, *beside, points, values, found, tried])
-    numbers = [call.get(each).astype(np.int64) for each in (found, tried)]
-    return NearestPoints(call.get(points), numbers[0], call.get(values), numbers[1])
+def _searched(surface, name, triangles, *, every=False, **asked) -> NearestPoints:
+    """Run a function of the solver whose question is a `Search`."""
+    machine, place = surface_in_solver(surface)
+    count = len(triangles)
+    room = {"points": (count, 3), "values": (count,), "triangles": triangles, "tried": (count,)}
+    found = machine.run(name, surface=place, metrics=count, all=every, **asked, **room)
+    numbers = [found[each].astype(np.int64) for each in ("triangles", "tried")]
+    return NearestPoints(found["points"], numbers[0], found["values"], numbers[1])
 
 
 TINY = 1e-300

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from skincal.chi_square import CHI2_1DOF_MEDIAN, CHI2_2DOF_MEDIAN
 from skincal.contacts.outcome import Contact
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
@@ -18,8 +19,10 @@ from skincal.session.session import Session
 from skincal.simulation.contacts import simulate_contacts, unguided
 from skincal.simulation.operator import Habits
 from skincal.simulation.rig_errors import RigErrors
+from skincal.solver import tables
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import STATES_WITH_POSITION, Cause, Method, State
+from tests.skincal.estimate_support import trust_by_definition
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 NOISE = NoiseSettings()
@@ -376,15 +379,15 @@ def test_without_a_surface_a_pose_that_does_not_settle_is_blind_and_more_pokes_m
 def trust_by_hand(slopes, misses, pitches):
     """The trust of pokes judged together, by numpy's `lstsq` on the rows as they stand."""
     count, left = len(misses), misses
-    raised = 1.0 + pose_fit.SMALL_SAMPLE_SPREAD_CORRECTION / (2 * count - 3)
-    pitches = pitches / max(1.0, raised * np.median(pitches) / pose_fit.CHI2_1DOF_MEDIAN)
+    raised = 1.0 + tables.SMALL_SAMPLE_SPREAD_CORRECTION / (2 * count - 3)
+    pitches = pitches / max(1.0, raised * np.median(pitches) / CHI2_1DOF_MEDIAN)
     for _ in range(pose_fit.ROBUST_SEARCH_STEPS):
-        roots = np.sqrt(1.0 / np.maximum(np.sum(left**2, axis=1) + pitches, pose_fit.FULL_WEIGHT_MAX_MISS_SDS**2))[:, None]
+        roots = np.sqrt(1.0 / np.maximum(np.sum(left**2, axis=1) + pitches, tables.FULL_WEIGHT_MAX_MISS_SDS**2))[:, None]
         move = np.linalg.lstsq((roots[:, :, None] * slopes).reshape(2 * count, -1), (roots * left).ravel())[0]
         left = left - slopes @ move
     squares = np.sum(left**2, axis=1)
-    squares = squares / max(1.0, raised * np.median(squares) / pose_fit.CHI2_2DOF_MEDIAN) + pitches
-    return pose_fit.trust_from_squares(squares)
+    squares = squares / max(1.0, raised * np.median(squares) / CHI2_2DOF_MEDIAN) + pitches
+    return trust_by_definition(squares)
 
 
 def test_pokes_are_trusted_as_least_squares_in_plain_numpy_says(rng):

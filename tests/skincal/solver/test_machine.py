@@ -1,8 +1,6 @@
 """The compiled solver: built from its source, its replacements of the C library, its memory and threads."""
 
-import ctypes
 import math
-import re
 import subprocess
 import sys
 import threading
@@ -12,8 +10,7 @@ import pytest
 import wasmtime
 
 from skincal import methods
-from skincal.mesh import search
-from skincal.mesh.search import PUSHED_FACE_MIN_COSINE, nearest_in_metric
+from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
@@ -21,7 +18,7 @@ from skincal.simulation.contacts import simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
 from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
-from skincal.taxels import solve
+from skincal.solver.tables import SHARED_TABLES
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.mesh.mesh_support import KINDS, random_metrics, same, soup, together, tube
@@ -120,30 +117,6 @@ def test_the_solver_has_no_undefined_behaviour(tmp_path, monkeypatch):
     assert found == shipped
 
 
-def number(name):
-    text = (solver.C_SOURCE.parent / "search.h").read_text(encoding="utf-8")
-    return float(re.search(rf"\b{name}(?: =)? ([0-9.e-]+)", text)[1])
-
-
-@pytest.mark.parametrize(
-    ("name", "here"),
-    [
-        ("GRAZING", PUSHED_FACE_MIN_COSINE),
-        ("ROUND", search.NODE_RADIUS_MARGIN_SHARE),
-        ("WIDTH", search.WIDTH),
-        ("LEVELS", search.SEARCH_TREE_MAX_DEPTH),
-    ],
-)
-def test_constants_in_c_and_python_are_equal(name, here):
-    assert number(name) == here
-
-
-def test_tables_have_the_same_size_in_c_and_python():
-    machine = Machine()
-    assert machine.value("answer_size") == solve.ANSWER.itemsize
-    assert machine.value("surface_size") == ctypes.sizeof(search.SurfaceTable)
-
-
 def test_the_logarithm_is_right_to_two_roundings(probe):
     rng = np.random.default_rng(1)
     values = [*np.exp(rng.uniform(-700, 700, 2000)), *(1 + rng.uniform(-1e-3, 1e-3, 500)), *rng.uniform(0.5, 2, 500)]
@@ -204,28 +177,30 @@ def test_threads_take_turns():
     assert all(same(alone, other) for other in found)
 
 
-def test_permanent_arrays_stay_while_the_memory_grows_and_are_in_the_clone():
+def test_stored_tables_stay_while_the_memory_grows_and_are_in_the_clone():
     machine, rng, stored = Machine(), np.random.default_rng(6), {}
     for size in (0, 1, 1000, 300_000, 0, 5):
-        array = rng.normal(size=size)
-        address = machine.put_permanent(array)
+        over = rng.integers(0, 1 << 30, size)
+        address = machine.store("Ground", surface=None, over=over)
         assert address not in stored
-        stored[address] = array
-    with machine.call() as call:
-        assert call.put(rng.normal(size=500_000)) > max(stored)
+        stored[address] = over
+    squares = rng.uniform(0, 20, 500_000)
+    assert len(machine.run("trusts", pokes=len(squares), squares=squares, trust=squares.shape)["trust"]) == len(squares)
     clone = machine.clone_for_thread()
     assert clone is machine.clone_for_thread() is not machine
-    stored[machine.put_permanent(np.arange(7.0))] = np.arange(7.0)
-    for address, array in stored.items():
+    stored[machine.store("Ground", surface=None, over=np.arange(7))] = np.arange(7)
+    for address, over in stored.items():
         for each in (machine, machine.clone_for_thread()):
-            np.testing.assert_array_equal(each.read(address, array.nbytes).view(float), array)
+            surface, place = each.read(address, SHARED_TABLES["Ground"].dtype.itemsize).view(np.uint32)
+            assert surface == 0
+            np.testing.assert_array_equal(each.read(int(place), 4 * len(over)).view(np.int32), over)
 
 
 def test_a_cache_folder_that_cannot_be_made_does_not_stop_the_solver(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     solver_machine._module.cache_clear()
-    assert Machine().value("answer_size") == solve.ANSWER.itemsize
+    assert Machine().value("heap") > 0
     solver_machine._module.cache_clear()
 
 
