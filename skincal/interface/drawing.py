@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 
 from skincal.model.errors import InputError
 from skincal.palette import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, YELLOW
-from skincal.plotting import STYLE, Figure
+from skincal.plotting import STYLE
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray, IntArray
@@ -22,18 +26,24 @@ BALL_RADIUS_TO_SIZE = 0.012
 """Radius of a taxel's ball over the size of all taxels."""
 
 
-def draw_three_sides(places: FloatArray, covariances: FloatArray, modules: IntArray, title: str) -> Figure:
-    """Draw taxels (n, 3), metres, along the link's axes, millimetres, with a bar of one predicted error each way."""
-    import matplotlib as mpl
-    from matplotlib import figure as mpl_figure
+class NotebookFigure(Figure):
+    """A figure of matplotlib that a notebook shows, also if pyplot was not imported."""
 
+    def _repr_png_(self) -> bytes:
+        encoded = BytesIO()
+        figure: Any = self
+        figure.savefig(encoded, format="png")
+        return encoded.getvalue()
+
+
+def draw_three_sides(places: FloatArray, covariances: FloatArray, modules: IntArray, title: str) -> NotebookFigure:
+    """Draw taxels (n, 3), metres, along the link's axes, millimetres, with a bar of one predicted error each way."""
     matplotlib: Any = mpl
-    figures: Any = mpl_figure
     places = places * 1e3
     sds = np.sqrt(np.einsum("nii->ni", covariances)) * 1e3
     colours = _colours(modules)
     with matplotlib.rc_context(dict(STYLE)):
-        figure: Figure = figures.Figure(figsize=(11.0, 3.9), layout="constrained")
+        figure: Any = NotebookFigure(figsize=(11.0, 3.9), layout="constrained")
         for axes, (across, up) in zip(figure.subplots(1, len(SIDE_AXES)), SIDE_AXES, strict=True):
             i, j = "xyz".index(across), "xyz".index(up)
             bars = {"xerr": sds[:, i], "yerr": sds[:, j]} if np.isfinite(sds).all() and len(places) else {}
@@ -45,14 +55,19 @@ def draw_three_sides(places: FloatArray, covariances: FloatArray, modules: IntAr
     return figure
 
 
-def draw_in_space(places: FloatArray, normals: FloatArray, modules: IntArray, surface: Surface | None) -> Any:
-    """Draw taxels as balls with their normals, all (n, 3) metres, and a mesh; return pyvista's plotter."""
+def draw_in_space(
+    places: FloatArray, normals: FloatArray, modules: IntArray, surface: Surface | None, picture: Path | None
+) -> Any:
+    """Draw taxels as balls with their normals, all (n, 3) metres, and a mesh; return pyvista's plotter.
+
+    With the file of a `picture` it is drawn without a window, and closed.
+    """
     try:
         import pyvista
     except ImportError:
         raise InputError("plot_3d needs the package pyvista; install it: pip install pyvista.") from None
     view: Any = pyvista
-    plotter = view.Plotter()
+    plotter = view.Plotter(off_screen=picture is not None)
     if surface is not None:
         faces = np.insert(surface.triangles, 0, 3, axis=1)
         plotter.add_mesh(view.PolyData(surface.vertices, faces.ravel()), color="#C8C8C8", opacity=0.6)
@@ -65,6 +80,9 @@ def draw_in_space(places: FloatArray, normals: FloatArray, modules: IntArray, su
     if aimed.any():
         plotter.add_arrows(places[aimed], normals[aimed], mag=4 * radius, color="black")
     plotter.add_axes()
+    if picture is not None:
+        plotter.screenshot(str(picture))
+        plotter.close()
     return plotter
 
 

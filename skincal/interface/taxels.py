@@ -112,18 +112,26 @@ class Taxels:
         title = f"{self.source}, frame {self.link}: {known.sum()} of {len(self)} taxels known"
         return draw_three_sides(self.position[known], self.covariance[known], self.module[known], title)
 
-    def plot_3d(self, part: Part | None = None) -> Any:
-        """Draw the taxels with pyvista; return the plotter: `show()` in a notebook, `screenshot(path)` for a file.
+    def plot_3d(self, part: Part | None = None, picture: str | Path | None = None) -> Any:
+        """Draw the taxels in space with pyvista; return its plotter, whose `show()` opens a window or shows a notebook's view.
 
         Parameters
         ----------
         part
             Of the scene (`Scene.part`), whose mesh is drawn, too.
+        picture
+            File to write in place of a view, such as `"taxels.png"`.
+
+        Raises
+        ------
+        InputError
+            The package pyvista is not installed.
         """
         from skincal.interface.drawing import draw_in_space
 
         known, surface = self.is_known, None if part is None else part.surface
-        return draw_in_space(self.position[known], self.normal[known], self.module[known], surface)
+        place = None if picture is None else Path(picture)
+        return draw_in_space(self.position[known], self.normal[known], self.module[known], surface, place)
 
     def _repr_html_(self) -> str:
         return self.html()

@@ -4,11 +4,13 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.collections import PathCollection
+from PIL import Image
 
 import skincal
 from skincal.cli import main
@@ -153,6 +155,20 @@ def test_figures_show_every_known_taxel(sample):
     taxels = sample.taxels("surface")
     dots = [each for axes in taxels.plot().axes for each in axes.collections if isinstance(each, PathCollection)]
     assert [len(each.get_offsets()) for each in dots] == [int(taxels.is_known.sum())] * 3
+
+
+def test_a_notebook_shows_the_figure_without_pyplot(sample):
+    figure = sample.taxels("surface").plot()
+    with Image.open(BytesIO(figure._repr_png_())) as shown:
+        assert shown.size[0] > 2 * shown.size[1]
+
+
+def test_a_picture_in_space_needs_no_window(sample, tmp_path):
+    taxels = sample.taxels("surface")
+    taxels.plot_3d(sample.scene.part, tmp_path / "taxels.png")
+    with Image.open(tmp_path / "taxels.png") as drawn:
+        colours = {tuple(pixel) for pixel in np.asarray(drawn.convert("RGB")).reshape(-1, 3).tolist()}
+    assert len(colours) > 50, "the part and the balls of its modules"
 
 
 def test_a_scene_is_made_from_a_mesh_and_refused_with_a_sentence(plate, tmp_path):

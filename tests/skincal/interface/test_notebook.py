@@ -1,11 +1,14 @@
 """The example notebook runs from top to bottom in an empty folder, and has no stored output that could become old."""
 
 import json
+from functools import partial
 from xml.etree import ElementTree
 
 import numpy as np
 
 from skincal.model.scene import resource
+from skincal.simulation import virtual_session
+from tests.skincal.sim_support import SLOW_DEVICES
 
 NOTEBOOK = resource("examples/own_arrays.ipynb")
 
@@ -15,6 +18,7 @@ def test_the_notebook_leads_from_arrays_to_a_plot_and_a_urdf(tmp_path, monkeypat
     cells = [cell for cell in document["cells"] if cell["cell_type"] == "code"]
     assert [(cell["outputs"], cell["execution_count"]) for cell in cells] == [([], None)] * len(cells)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(virtual_session, "simulate_session", partial(virtual_session.simulate_session, settings=SLOW_DEVICES))
     names = {}
     for cell in cells:
         exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
