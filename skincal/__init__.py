@@ -8,12 +8,25 @@
     >>> taxels.compare(session.truth)
     >>> session.export("r_forearm.txt", format="icub")
 
-`Scene` is the part with its mesh and layout. A `Session` holds pokes and estimates: `Session.load` opens a recording, `solve`
-uses your own arrays, `read_csv` and `read_bag` read recordings of other programs, `simulate` makes one. `Taxels` is a
-table of positions with uncertainty. All raise `InputError`, whose text says what was expected, for wrong input.
+Begin with a part and its pokes:
 
-Lengths are metres, forces newtons, moments newton metres, angles radians; positions are in the frame of the link. The tutorial
-is `docs/python.md`, the method `docs/method.md`. This package draws no window.
+    Scene            a part: mesh, layout, sensor. `Scene.load`, `Scene.from_mesh`, `Scene.from_urdf`
+    Session          pokes and their estimates. `Session.load` opens a recording
+    solve            a session from your own arrays: wrenches, responses of the skin, poses
+    read_bag         a session from a recording of ROS; `read_csv`, from tables
+    simulate         a session on a simulated rig, whose taxels are known (`Session.truth`)
+
+and go on with the results:
+
+    Session.taxels   `Taxels`: a table of positions, normals and covariances; `to_pandas`, `plot`, `plot_3d`
+    Session.verdict  `Judgement`: whether the positions may be used, in a sentence
+    Session.export   a calibration file: iCub, URDF, SDF, MJCF, JSON and others (`ExportOptions`, `Inertia`)
+    Session.report   a page with pictures and tables
+    Taxels.compare   `Comparison`: distances to other positions. `Taxels.load` reads them from a file
+
+Wrong input raises `InputError`, whose text says what was expected. Lengths are metres, forces newtons, moments newton metres,
+angles radians. Positions are in the frame of the link, wrenches in that of the sensor. The tutorial is `docs/python.md`, the
+method `docs/method.md` (Del Prete et al., IROS 2011). This package draws no window.
 
 Linear algebra runs in one thread, in this process and those it starts, unless the environment says otherwise or numpy was
 imported before: the matrices are small, and beside a busy process threads that wait for one another take ten times as long.
