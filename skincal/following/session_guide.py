@@ -529,7 +529,7 @@ def costs_of(
 def plan_of(part: Part) -> PlannedPlaces:
     """Collect the planned taxel positions of the part's layout; none without a laid layout."""
     layout, laid = part.scene.skin.layout, part.laid
-    plan = None if layout is None or laid is None else plan_from_layout(layout, laid)
+    plan = None if layout is None or laid is None else plan_from_layout(layout, laid, part.surface)
     if plan is None:
         plan = plan_without_positions(part.channels, None if layout is None else layout.module_of[part.channels])
         plan = plan if layout is None else replace(plan, spacing=layout.spacing)

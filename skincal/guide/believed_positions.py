@@ -15,6 +15,8 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.guide.progress import GuideSettings
 from skincal.guide.taxel_statistics import solve_each
 from skincal.mesh.lay import PlacedLayout
+from skincal.mesh.search import nearest_pushed_points
+from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Layout, SkinKind
 from skincal.taxels.result import Estimate
@@ -52,17 +54,26 @@ class PlannedPlaces:
     """m, usual distance of neighbours."""
     on_surface: bool = True
     """Whether a mesh gives the depth of the taxels; without one, modules need tilted pushes for it."""
+    carrier: Surface | None = None
+    """Mesh that carries soft sheets; `None` for boards, or without a mesh."""
 
 
-def plan_from_layout(layout: Layout, laid: PlacedLayout) -> PlannedPlaces | None:
-    """Make the plan of the taxels that a placed layout gives a position; `None` if there are none."""
+def plan_from_layout(layout: Layout, laid: PlacedLayout, surface: Surface | None = None) -> PlannedPlaces | None:
+    """Make the plan of the taxels that a layout `laid` on a surface gives a position; `None` if there are none."""
     channels = layout.channels
     channels = channels[np.isfinite(laid.places[channels]).all(axis=1)]
     if not len(channels):
         return None
     flat = layout.places[channels] if layout.kind is SkinKind.SHEET else None
+    carrier = None if flat is None else surface
     return PlannedPlaces(
-        channels, laid.places[channels], laid.normals[channels], layout.module_of[channels], flat, layout.spacing
+        channels,
+        laid.places[channels],
+        laid.normals[channels],
+        layout.module_of[channels],
+        flat,
+        layout.spacing,
+        carrier=carrier,
     )
 
 
@@ -112,7 +123,15 @@ def believed_positions(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: 
         return _add_own_offset(plan.places.copy(), measured, precision, np.zeros(3))
     moved = whole + own
     skin = _skin_share(SKIN_OFFSET_FROM_PLAN_SD_M, rig) * whole + _skin_share(MODULE_OFFSET_FROM_SKIN_SD_M, rig_of_module) * own
-    return _add_own_offset(plan.places + skin[module], measured, precision, (moved - skin)[module])
+    places = _add_own_offset(plan.places + skin[module], measured, precision, (moved - skin)[module])
+    return places if plan.carrier is None else _on_carrier(plan.carrier, places, plan.normals)
+
+
+def _on_carrier(carrier: Surface, places: FloatArray, normals: FloatArray) -> FloatArray:
+    """Move positions (n, 3) to the mesh: a sheet that slid around a bend turned, and its offset is that of its middle."""
+    known, found = np.isfinite(places).all(axis=1) & np.isfinite(normals).all(axis=1), places.copy()
+    found[known] = nearest_pushed_points(carrier, places[known], -normals[known])[0]
+    return found
 
 
 def _skin_share(skin: float, rig: float) -> float:

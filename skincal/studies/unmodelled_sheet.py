@@ -145,7 +145,7 @@ def run_sheet(seed: int, compare: Compare) -> dict[str, Any]:
     scene, layout = sheet.scene, sheet.scene.skin.layout
     assert layout is not None
     laid = place_layout(layout, scene.skin.anchor, sheet.surface)
-    plan = None if laid is None else plan_from_layout(layout, laid)
+    plan = None if laid is None else plan_from_layout(layout, laid, sheet.surface)
     assert plan is not None
     session = Session(scene, sheet.surface, {Method.FREE, Method.SURFACE, Method.MODULES})
     around, settings = Surroundings(layout, plan.channels), GuideSettings()

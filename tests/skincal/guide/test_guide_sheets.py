@@ -7,20 +7,21 @@ import numpy as np
 import pytest
 
 from skincal.following.session_guide import costs_of
-from skincal.guide.believed_positions import plan_from_layout
+from skincal.guide.believed_positions import believed_positions, plan_from_layout
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import TARGET_MAX_CELL_SHARE, Guide
 from skincal.guide.progress import GuideSettings, count_sheet_pokes_left
 from skincal.guide.surroundings import Surroundings
 from skincal.guide.verdict import check
 from skincal.mesh.lay import place_layout
+from skincal.mesh.search import nearest_points
 from skincal.model.skin import SkinKind
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction_fit import RigRequest, TaxelGroups, _rigid_groups
 from skincal.session.session import Session
 from skincal.session.solving import methods_of
 from skincal.studies.unmodelled_sheet import SimulatedSheet
-from skincal.taxels.result import Method
+from skincal.taxels.result import Estimate, Method, State
 
 SETTINGS = GuideSettings()
 METHODS = {Method.SURFACE, Method.MODULES}
@@ -33,7 +34,7 @@ def sheet(seed=3):
 
 def plan_of(of):
     layout = of.scene.skin.layout
-    plan = plan_from_layout(layout, place_layout(layout, of.scene.skin.anchor, of.surface))
+    plan = plan_from_layout(layout, place_layout(layout, of.scene.skin.anchor, of.surface), of.surface)
     assert plan is not None
     return plan
 
@@ -72,6 +73,24 @@ def test_a_sheet_of_48_taxels_is_not_finished_after_four_pokes_and_its_number_of
     assert left[0] == said
     assert min(left) >= 1
     assert every[ends[0]][0].pokes_left == 0
+
+
+def test_a_sheet_that_slid_around_a_bend_is_believed_on_the_mesh():
+    """The offset of its middle, for all taxels alike, would lead those beyond the bend below or above the mesh."""
+    of = sheet()
+    plan = plan_of(of)
+    along = np.array([0.0, 1.0, 0.0]) if np.ptp(plan.places[:, 0]) < np.ptp(plan.places[:, 1]) else np.array([1.0, 0.0, 0.0])
+    known = [
+        Estimate(channel, Method.SURFACE, State.TOUCHED, 1, position=place + 0.01 * along, covariance=1e-6 * np.eye(3))
+        for channel, place in zip(plan.channels.tolist(), plan.places, strict=True)
+    ]
+    shifted = believed_positions(replace(plan, carrier=None), known)
+    off = [
+        np.linalg.norm(each - nearest_points(of.surface, each)[0], axis=1).max()
+        for each in (shifted, believed_positions(plan, known))
+    ]
+    assert off[0] > 0.0005
+    assert off[1] < 1e-9
 
 
 def test_targets_lie_all_over_the_cells_of_the_taxels():
