@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import skincal
 from skincal.cli import main
 from skincal.files.importers.bag_reader import Bag
 from skincal.files.importers.preview import RecordingFiles, guess_streams, preview_recording
@@ -92,7 +93,8 @@ def import_sample(arguments, out, capsys):
 def test_a_bag_gives_the_estimates_of_the_same_streams_in_tables(tmp_path, capsys):
     result, expected = import_sample(["csv", *write_sample_tables(tmp_path)], tmp_path / "tables", capsys)
     assert sum(position is not None for position in expected.values()) > 200
-    other, found = import_sample(["rosbag", str(write_sample(tmp_path / "bag", "mcap"))], tmp_path / "from-bag", capsys)
+    bag = write_sample(tmp_path / "bag", "mcap")
+    other, found = import_sample(["rosbag", str(bag)], tmp_path / "from-bag", capsys)
     for name in ("pokes", "accepted", "frames_without_wrench"):
         assert other[name] == result[name]
     assert found.keys() == expected.keys()
@@ -100,6 +102,12 @@ def test_a_bag_gives_the_estimates_of_the_same_streams_in_tables(tmp_path, capsy
         assert (position is None) == (found[key] is None)
         if position is not None:
             np.testing.assert_allclose(found[key], position, atol=1e-9)
+    session = skincal.read_bag(skincal.Scene.load("icub-forearm"), bag)
+    same = session.taxels("surface").compare(f"{tmp_path / 'from-bag'}:surface")
+    assert (len(same.channel) > 60, same.worst) == (True, 0.0)
+    assert any("/skin" in sentence for sentence in session.findings)
+    with pytest.raises(InputError, match="has no topic /nowhere"):
+        skincal.read_bag(session.scene, bag, skin="/nowhere")
 
 
 # ------------------------------------------------------------------ small bags
