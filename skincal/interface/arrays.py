@@ -40,16 +40,14 @@ def pipeline_of_arrays(
     names = _pose_names(sensors)
     pipeline = Pipeline(scene, (), part.surface, laid=part.laid)
     for row in range(count):
-        pipeline.session.add(
-            _outcome(scene, row + 1, forces[row] * scene.wrench_sign, answers[row], sensors[row], names[row], float(ends[row]))
-        )
+        end_s = float(ends[row])
+        still = StillMean(end_s, end_s, end_s, forces[row] * scene.wrench_sign, sensors[row], names[row], 0.0, 0.0)
+        pipeline.session.add(_outcome(scene, row + 1, still, answers[row]))
     return pipeline
 
 
-def _outcome(
-    scene: Scene, number: int, wrench: FloatArray, answers: FloatArray, sensor: FloatArray, name: str, end_s: float
-) -> Outcome:
-    """Judge one poke; its values are tared, so that the tare is zero."""
+def _outcome(scene: Scene, number: int, still: StillMean, answers: FloatArray) -> Outcome:
+    """Judge one poke from its mean wrench and the change of each channel, (channels,); the tare is zero."""
     limit = answer_limit(scene.contacts, np.zeros(scene.skin.channels))
     candidates = np.arange(scene.skin.channels) if scene.skin.layout is None else scene.skin.layout.channels
     response = scene.skin.polarity * answers
@@ -59,15 +57,15 @@ def _outcome(
     best = int(np.nanargmax(largest)) if np.isfinite(largest).any() else -1
     press = FinishedPress(
         number=number,
-        start_s=end_s,
-        end_s=end_s,
+        start_s=still.start_s,
+        end_s=still.end_s,
         period_s=0.0,
-        peak=float(np.linalg.norm(wrench[:3])),
+        peak=float(np.linalg.norm(still.wrench[:3])),
         saturated=0,
         gap_s=0.0,
         moved=0.0,
-        before=Tare(end_s, end_s, end_s, np.zeros(6)),
-        still=StillMean(end_s, end_s, end_s, wrench, sensor, name, 0.0, 0.0),
+        before=Tare(still.time_s, still.start_s, still.end_s, np.zeros(6)),
+        still=still,
         channels=channels,
         responses=response[channels],
         largest=float("nan") if len(channels) or best < 0 else float(largest[best]),
@@ -100,19 +98,18 @@ def _sensor_poses(scene: Scene, poses: ArrayLike | None, count: int) -> FloatArr
 
 def _pose_names(sensors: FloatArray) -> list[str]:
     """Name each pose; nearly equal ones share a name, as those of a streamed arm do."""
-    used: list[FloatArray] = []
+    used = np.empty((0, 4, 4))
     names: list[str] = []
     for sensor in sensors:
-        number = next((at for at, other in enumerate(used) if _is_same(other, sensor)), len(used))
+        # The trace of R'S, for each rotation R that was used.
+        cosines = (np.sum(used[:, :3, :3] * sensor[:3, :3], axis=(1, 2)) - 1.0) / 2.0
+        shifts = np.linalg.norm(used[:, :3, 3] - sensor[:3, 3], axis=1)
+        same = np.flatnonzero((cosines >= SAME_POSE_COSINE) & (shifts <= SAME_POSE_SHIFT_M))
+        number = int(same[0]) if len(same) else len(used)
         if number == len(used):
-            used.append(sensor)
+            used = np.concatenate([used, sensor[None]])
         names.append(f"pose {number + 1}")
     return names if len(used) > 1 else [""] * len(names)
-
-
-def _is_same(first: FloatArray, second: FloatArray) -> bool:
-    cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0
-    return bool(cosine >= SAME_POSE_COSINE and np.linalg.norm(first[:3, 3] - second[:3, 3]) <= SAME_POSE_SHIFT_M)
 
 
 def _array(values: ArrayLike, name: str, shape: tuple[int | None, ...], meaning: str) -> FloatArray:
