@@ -14,7 +14,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.actions import Action, AtLandmark
 from skincal.model.readings import Chunk, LinkEvent
 from skincal.model.scene import Scene
-from skincal.rig.correction_fit import LandmarkPoke
+from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes
 from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
 from skincal.streams.links import LinkSpec
@@ -28,17 +28,17 @@ def rejection(poke: int, reason: Reason = Reason.SLID) -> Rejection:
     return Rejection(poke, 0.0, 1.0, reason, 1.0, 0.5, "", NO_CHANNELS, final=True)
 
 
-def landmark_outcome(poke: LandmarkPoke) -> Rejection:
-    """A poke at a landmark as the detector gives it: no taxel answered."""
-    where = poke.force, poke.moment, poke.link_from_sensor, poke.pose
-    return Rejection(poke.poke, 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", NO_CHANNELS, True, *where)
+def landmark_outcome(poke: LandmarkPokes) -> Rejection:
+    """One poke at a landmark as the detector gives it: no taxel answered."""
+    where = poke.force, poke.moment, poke.link_from_sensor, str(poke.pose)
+    return Rejection(int(poke.number), 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", NO_CHANNELS, True, *where)
 
 
 def session_of(
     outcomes: Iterable[Outcome] = (),
     scene: Scene | None = None,
     surface: Surface | None = None,
-    landmarks: Sequence[LandmarkPoke] = (),
+    landmarks: LandmarkPokes = NO_LANDMARK_POKES,
 ) -> Session:
     """A session with these pokes and landmark pokes."""
     session = Session(scene or small_scene(), surface)
@@ -46,7 +46,7 @@ def session_of(
         session.add(outcome)
     for poke in landmarks:
         session.add(landmark_outcome(poke))
-        session.act(AtLandmark(poke.poke, poke.name))
+        session.act(AtLandmark(int(poke.number), str(poke.name)))
     return session
 
 

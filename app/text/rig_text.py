@@ -81,7 +81,7 @@ def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: R
     in_use = " ".join(correction_sentence(correction) for correction in used)
     if in_use:
         return in_use
-    if review is not None and review.pokes:
+    if review is not None and len(review.pokes):
         return rig_sentences(review.rig)[0]
     return "not checked, since no landmark was pressed: an error of sensor or arm shifts all taxels together"
 

@@ -275,7 +275,7 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
     from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS
 
     pokes = session.landmark_pokes
-    misses = {poke.poke: poke.miss for poke in pokes}
+    misses: dict[int, float] = dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True))
     lines: list[str] = []
     for action in actions:
         if isinstance(action, AddLandmark):
@@ -284,9 +284,9 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
             passed = f", which its axis passes at {misses[action.poke] * 1e3:.1f} mm" if action.poke in misses else ""
             lines.append(f"wrote poke {action.poke} at {action.name or 'no landmark'}{passed}")
     nothing = ["nothing new, nothing was written"] if session.decisions.landmarks else [_landmark_line(session)]
-    points = max(MIN_LANDMARKS - len({poke.name for poke in pokes}), 0)
+    points = max(MIN_LANDMARKS - len(set(pokes.name.tolist())), 0)
     more = max(MIN_LANDMARK_POKES - len(pokes), points)
-    others = f", {points} of them at {'another' if points == 1 else 'others'}" if points and pokes else ""
+    others = f", {points} of them at {'another' if points == 1 else 'others'}" if points and len(pokes) else ""
     use = f"a correction of the rig needs {MIN_LANDMARK_POKES} at {MIN_LANDMARKS} landmarks: {more} more{others}"
     use = use if more else f"`skincal solve {folder} --correct` uses them"
     return [*(lines or nothing), f"{plural(len(pokes), 'poke')} at landmarks; {use}"]
@@ -346,7 +346,8 @@ def _rows(session: Session, begin_s: float) -> list[dict[str, Any]]:
     from skincal.contacts.outcome import Contact
 
     nearest, names = _nearest(session), session.snapshot().at_landmarks
-    misses = {poke.poke: poke.miss * 1e3 for poke in session.landmark_pokes}
+    pokes = session.landmark_pokes
+    misses = dict(zip(pokes.number.tolist(), (pokes.landmark_miss * 1e3).tolist(), strict=True))
     return [
         {
             "poke": poke.poke,

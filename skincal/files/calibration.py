@@ -16,9 +16,10 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
+from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes
 from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.rig.correction_fit import RigAnswer
 from skincal.taxels.gains import TaxelGain, taxel_gains
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
@@ -49,7 +50,7 @@ class Calibration:
     """Channels that were not used, with the reason."""
     corrections: tuple[UsedCorrection, ...] = ()
     """Of what the rig reports, applied in this order before the estimates were computed."""
-    landmark_pokes: tuple[LandmarkPoke, ...] = ()
+    landmark_pokes: LandmarkPokes = NO_LANDMARK_POKES
     """Pokes at known points of the part, as the rig reported them; those whose poke is in `excluded` did not count."""
     rig: RigAnswer | None = None
     """Fitted rig correction, used or not, with its held-out check; `None` if it was not fitted."""

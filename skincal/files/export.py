@@ -296,7 +296,7 @@ CONTACT_KEYS = {
 }  # fmt: skip
 """Key in the file by field name, for fields that are written unchanged."""
 LANDMARK_KEYS = {
-    "poke": "poke", "name": "landmark", "place": "landmark_place_m", "force": "force_sensor_N", "moment": "moment_sensor_Nm",
+    "number": "poke", "name": "landmark", "place": "landmark_place_m", "force": "force_sensor_N", "moment": "moment_sensor_Nm",
     "link_from_sensor": "link_from_sensor_m", "pose": "pose",
 }  # fmt: skip
 ERROR_KEYS = {

@@ -33,7 +33,7 @@ def use_offered(session: Session) -> None:
 
     Raises InputError: there are no such pokes, they offer nothing, or they do not say for sure what is wrong with the frame.
     """
-    if not session.landmark_pokes:
+    if not len(session.landmark_pokes):
         raise InputError(
             "--correct needs pokes at landmarks; this session has none. `skincal landmarks` says which pokes were at landmarks."
         )
@@ -68,7 +68,7 @@ class SessionResults:
 
     @cached_property
     def _rig_diagnosis(self) -> tuple[FrameDiagnosis | None, RigAnswer | None]:
-        return diagnose_rig(ReviewRequest.from_session(self.session)) if self.session.landmark_pokes else (None, None)
+        return diagnose_rig(ReviewRequest.from_session(self.session)) if len(self.session.landmark_pokes) else (None, None)
 
     @property
     def frame(self) -> FrameDiagnosis | None:

@@ -21,8 +21,9 @@ from skincal.model.scene import Landmark, Scene
 from skincal.model.wrench_frames import frame_in_question
 from skincal.modules.pose import ModuleModel
 from skincal.part.part import load_scene_surface
+from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import RIG, UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
+from skincal.rig.correction_fit import RigAnswer, RigRequest, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.session import Session
@@ -40,7 +41,7 @@ FINISH_REVIEW_IF_RUNNING_FOR_S = 5.0
 class Review:
     """Findings of one review of the sensor and the arm by landmark pokes."""
 
-    pokes: tuple[LandmarkPoke, ...]
+    pokes: LandmarkPokes
     """Landmark pokes that count, after the frame's correction."""
     reported: Mapping[int, float]
     """m: by poke, the distance between its axis and its landmark, without a correction of the rig."""
@@ -84,7 +85,7 @@ def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: N
     `between` is called every tenth of a second or so, and may raise to give up.
     """
     pokes, known = request.rig.landmarks, {landmark.name: landmark for landmark in request.landmarks}
-    frame = diagnose(pokes, landmark_normals([known[poke.name] for poke in pokes], request.rig.surface))
+    frame = diagnose(pokes, landmark_normals([known[name] for name in pokes.name.tolist()], request.rig.surface))
     if frame is not None:
         frame = replace(frame, wrench_frame=request.frame_in_question)
     between()
@@ -107,8 +108,8 @@ def review_rig(request: ReviewRequest, between: Callable[[], None] = lambda: Non
     if model is None and (is_corrected or after is not None):
         model = _model_of(of.scene, of.surface)
     return Review(
-        pokes=tuple(of.landmarks),
-        reported={poke.poke: poke.miss for poke in of.landmarks},
+        pokes=of.landmarks,
+        reported=dict(zip(of.landmarks.number.tolist(), of.landmarks.landmark_miss.tolist(), strict=True)),
         frame=frame,
         rig=rig,
         channels=np.array(request.channels, dtype=np.int64),

@@ -41,17 +41,24 @@ from skincal.model.scene import Landmark, NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.part.part import Part
 from skincal.rig.closing import CLOSING_CHECK_MIN_PLACES, CLOSING_CHECK_PLACES, ClosingPlace, ClosingPlaces
-from skincal.rig.correction import RIG, RigPrior
+from skincal.rig.correction import RIG
 from skincal.rig.correction_fit import RigAnswer, landmark_agreement
-from skincal.rig.expected_gain import MAX_PREDICTED_ARM_POSES, Gain, PlannedPoke, expected_error, unchecked_of
+from skincal.rig.expected_gain import (
+    MAX_PREDICTED_ARM_POSES,
+    Gain,
+    expected_error,
+    straight_pushes,
+    taxel_pushes,
+    unchecked_of,
+)
 from skincal.rig.setup_check import frame_in_doubt
 from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
     ClosingProgress,
     closing_rounds,
     closings_of,
-    counting_landmark_pokes,
     is_due,
+    pokes_before,
     taxel_pokes,
 )
 from skincal.session.decisions import ClosingRound
@@ -145,7 +152,7 @@ class SessionGuide:
             snapshot,
             lambda poke: _asked_target(asked.get(poke)),
             {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
-            rig_error_sd(counting_landmark_pokes(snapshot), self._scene.noise),
+            rig_error_sd(snapshot.counting_landmark_pokes, self._scene.noise),
         )
         return self._with_test_poke(guidance, snapshot)
 
@@ -183,7 +190,8 @@ class SessionGuide:
         estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.decisions.corrections.get(RIG)
         landmarks = landmark_agreement(rig, used)
         verdict = verdict_of(guidance, snapshot, noise, self._surface, self._module_model, landmarks)
-        unchecked = unchecked_of(used, landmarks, estimates, snapshot.contacts, counting_landmark_pokes(snapshot), noise)
+        pokes = snapshot.counting_landmark_pokes
+        unchecked = unchecked_of(used, landmarks, estimates, snapshot.contacts, pokes, noise)
         left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
         doubt = frame_in_doubt(snapshot.wrench_frames, snapshot.contacts)
         closings = closings_of(snapshot, noise)
@@ -285,10 +293,14 @@ class LandmarkGuide:
         if not decisions.landmarks or (self._scene.arm is not None and not pose):
             return []
         skips = [skip for skip in decisions.skips if isinstance(skip, SkipLandmark)]
-        made = counting_landmark_pokes(snapshot)
+        made = snapshot.counting_landmark_pokes
         # If the arm carries the part to each poke, no pose gets all its landmarks: those of every pose count here.
         any_pose = changes_pose_at_most_pokes(snapshot)
-        poked, skipped = ([(pose if any_pose else each.pose, each.name) for each in every] for every in (made, skips))
+        of_pokes = zip(made.pose.tolist(), made.name.tolist(), strict=True)
+        poked, skipped = (
+            [(pose if any_pose else there, name) for there, name in every]
+            for every in (of_pokes, ((skip.pose, skip.name) for skip in skips))
+        )
         return landmark_targets(decisions.landmarks, poked, pose, skipped)
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
@@ -300,9 +312,11 @@ class LandmarkGuide:
         often = [each for each, _ in Counter(contact.pose for contact in contacts).most_common(MAX_PREDICTED_ARM_POSES)]
         poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
         poses[name] = here
-        planned = [PlannedPoke(target.landmark.place, self.normal(target.landmark), here, name) for target in self._targets]
-        made = [poke for poke in counting_landmark_pokes(snapshot) if poke.pose in poses]
-        return expected_error(RigPrior(), self._scene.noise, made, planned, self._taxels, self._outward, poses)
+        places = np.array([target.landmark.place for target in self._targets]).reshape(-1, 3)
+        normals = np.array([self.normal(target.landmark) for target in self._targets]).reshape(-1, 3)
+        every = snapshot.counting_landmark_pokes
+        made, planned = every[np.isin(every.pose, list(poses))], straight_pushes(places, normals, {name: here})
+        return expected_error(made, planned, taxel_pushes(self._taxels, self._outward, poses), self._scene.noise)
 
     def skip(self, *, all_of_pose: bool = False) -> SkipLandmark | None:
         """Make the action that skips this landmark, or all, in this arm pose; `None` without a landmark."""
@@ -367,16 +381,15 @@ class ClosingGuide:
         marks = {landmark.name: landmark for landmark in snapshot.decisions.landmarks}
         at_landmarks = {name: _straight(None, mark.place, self._landmarks.normal(mark), name) for name, mark in marks.items()}
         for at, pokes, targets in (
-            (ClosingPlaces.LANDMARKS, counting_landmark_pokes(snapshot), at_landmarks),
+            (ClosingPlaces.LANDMARKS, snapshot.counting_landmark_pokes, at_landmarks),
             (ClosingPlaces.TAXELS, taxel_pokes(snapshot), _taxel_targets(guidance, snapshot)),
         ):
-            first = [poke for poke in pokes if poke.poke <= begun.after and poke.poke not in earlier and poke.pose == pose]
-            names = [
-                name for name in list(dict.fromkeys(poke.name for poke in first))[:CLOSING_CHECK_PLACES] if name in targets
-            ]
+            first = pokes_before(pokes, begun, earlier)
+            poked = list(dict.fromkeys(first.name[first.pose == pose].tolist()))
+            names = [name for name in poked[:CLOSING_CHECK_PLACES] if name in targets]
             if len(names) < CLOSING_CHECK_MIN_PLACES:
                 continue
-            again = {poke.name for poke in pokes if poke.poke in now.pokes}
+            again = set(pokes.name[np.isin(pokes.number, list(now.pokes))].tolist())
             places = [] if now.is_complete else [ClosingPlace(at, name) for name in names if name not in again]
             place = next((place for place in places if place not in begun.skipped), now.repeat_place)
             if place is None or place.at is not at or place.name not in targets:

@@ -19,9 +19,10 @@ from skincal.contacts.outcome import Contact, Outcome
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.progress import Need, Why
 from skincal.model.scene import Landmark, NoiseSettings
+from skincal.pokes import LandmarkPokes
 from skincal.rig.closing import ClosingPlace
 from skincal.rig.correction import RigPrior
-from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, LandmarkPoke
+from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
 
@@ -80,7 +81,7 @@ def landmark_targets(
     return targets
 
 
-def rig_error_sd(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
+def rig_error_sd(pokes: LandmarkPokes, noise: NoiseSettings) -> float:
     """Estimate the position error caused by the rig, sd in each direction, metres; 0 from too few landmark pokes.
 
     It is the median landmark miss, which one wrong poke does not change, less the noise of the sensor and of the hand
@@ -88,12 +89,10 @@ def rig_error_sd(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
     """
     if len(pokes) < LANDMARK_POKES_PER_POSE:
         return 0.0
-    levers = [float(np.linalg.norm(poke.place - poke.link_from_sensor[:3, 3])) for poke in pokes]
-    forces = [float(np.linalg.norm(poke.force)) for poke in pokes]
-    own = [
-        (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2 for force, lever in zip(forces, levers, strict=True)
-    ]
-    square = float(np.median([poke.miss**2 for poke in pokes])) / CHI2_2DOF_MEDIAN
+    off = pokes.place - pokes.sensor
+    lever, force = np.sqrt(np.vecdot(off, off)), pokes.force_size
+    own = (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2
+    square = float(np.median(pokes.landmark_miss**2)) / CHI2_2DOF_MEDIAN
     return float(np.sqrt(max(0.0, square - float(np.median(own)) - RigPrior().landmark ** 2)))
 
 

@@ -95,7 +95,7 @@ class SessionFacts:
 
 def gather_facts(results: SessionResults, name: str, truth: TaxelPositions | None, method: Method) -> SessionFacts:
     """Gather everything that a report shows; the parameters are fields of `SessionFacts`."""
-    session, snapshot = results.session, results.snapshot
+    session, snapshot, pokes = results.session, results.snapshot, results.session.landmark_pokes
     calibration, errors = session.calibration(), errors_of(snapshot.estimates[method], truth, snapshot.part_size)
     names = [mark.name for mark in session.decisions.landmarks]
     return SessionFacts(
@@ -109,7 +109,7 @@ def gather_facts(results: SessionResults, name: str, truth: TaxelPositions | Non
         gains=calibration.gains(method),
         truth=truth,
         series=_series(results.part, snapshot, truth),
-        misses={mark: tuple(poke.miss for poke in session.landmark_pokes if poke.name == mark) for mark in names},
+        misses={mark: tuple(pokes.landmark_miss[pokes.name == mark].tolist()) for mark in names},
         rejected=_rejected(snapshot),
         lint=calibration_file(calibration, ExportFormat.ICUB, method)[1],
         versions=_versions(),

@@ -23,7 +23,6 @@ Landmarks do not move on the part: there a movement is that of the sensor or the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import erfc, exp, pi, sqrt
@@ -33,8 +32,8 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
+from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import RigPrior
-from skincal.rig.correction_fit import LandmarkPoke, readings_of
 from skincal.rig.expected_gain import rows_in_metres
 
 CLOSING_CHECK_PLACES = 3
@@ -108,20 +107,17 @@ class Closing:
         return self.chance < MOVEMENT_MAX_P_VALUE and self.chance_without_worst >= MOVEMENT_MAX_P_VALUE_WITHOUT_ONE_POKE
 
 
-def closing_check(
-    before: Sequence[LandmarkPoke], after: Sequence[LandmarkPoke], at: ClosingPlaces, noise: NoiseSettings
-) -> Closing | None:
+def closing_check(before: LandmarkPokes, after: LandmarkPokes, at: ClosingPlaces, noise: NoiseSettings) -> Closing | None:
     """Compare repeated pokes with the first ones; `None` with too few places or no observable direction.
 
     Parameters
     ----------
     before, after : at landmarks or taxels, after the frame's correction; those before may be at other places, too
     """
-    names = sorted({poke.name for poke in after} & {poke.name for poke in before})
-    after = [poke for poke in after if poke.name in names]
+    names: list[str] = np.intersect1d(after.name, before.name).tolist()
     if len(names) < CLOSING_CHECK_MIN_PLACES:
         return None
-    pokes = [*before, *after]
+    pokes = LandmarkPokes.concatenate([before, after[np.isin(after.name, names)]])
     across, miss, covariance = _passings(pokes, at, noise)
     moves = np.concatenate([np.zeros((2 * len(before), 3)), across[len(before) :].reshape(-1, 3)])
     inverse = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
@@ -131,7 +127,7 @@ def closing_check(
         return None
     without = _without_each(inverse, moves, miss)
     most = int(np.argmax(without))
-    return Closing(at, tuple(names), *found, 0, without[most], pokes[most].poke, pokes[most].name)
+    return Closing(at, tuple(names), *found, 0, without[most], int(pokes.number[most]), str(pokes.name[most]))
 
 
 class _Movement(NamedTuple):
@@ -171,22 +167,18 @@ def _without_each(inverse: FloatArray, moves: FloatArray, miss: FloatArray) -> l
     return [1.0 if each is None else each.chance for each in found]
 
 
-def _passings(
-    pokes: Sequence[LandmarkPoke], at: ClosingPlaces, noise: NoiseSettings
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _passings(pokes: LandmarkPokes, at: ClosingPlaces, noise: NoiseSettings) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute E (m, 2, 3), the misses (2 m,), metres, and their covariance (2 m, 2 m) for m pokes."""
-    prior, poses = RigPrior(), sorted({poke.pose for poke in pokes})
-    order = {name: index for index, name in enumerate(poses)}
-    places, readings = np.array([poke.place for poke in pokes]), readings_of(pokes, order)
-    rows = rows_in_metres(readings, places, prior, prior.scales(len(poses)))
+    prior = RigPrior()
+    rows = rows_in_metres(pokes, pokes.place, prior, np.unique(pokes.pose).tolist())
     of_rig = rows.of_rig.reshape(2 * len(pokes), -1)
-    force = np.linalg.norm(readings.wrenches[:, :3], axis=1)
-    lever = np.linalg.norm(places - readings.reported[:, :3, 3], axis=1)
+    force = np.linalg.norm(pokes.force, axis=1)
+    lever = np.linalg.norm(pokes.place - pokes.sensor, axis=1)
     aim = prior.landmark if at is ClosingPlaces.LANDMARKS else noise.contact
     own = aim**2 + (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2
-    same = np.array([[one.name == other.name for other in pokes] for one in pokes], dtype=np.float64)
+    same: FloatArray = (pokes.name[:, None] == pokes.name).astype(np.float64)
     flat = rows.of_place.reshape(-1, 3)
-    off = _PLACE_OFFSET_SD_M[at] ** 2 * np.kron(same, np.ones((2, 2))) * (flat @ flat.T)
+    off: FloatArray = _PLACE_OFFSET_SD_M[at] ** 2 * np.kron(same, np.ones((2, 2))) * (flat @ flat.T)
     return rows.of_place, rows.misses.ravel(), of_rig @ of_rig.T + np.diag(np.repeat(own, 2)) + off
 
 

@@ -14,7 +14,7 @@ prior (`RigPrior`) and is counted in its standard deviations; what the pokes do 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -24,10 +24,12 @@ from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray, IntArray, cross_matrix, orthonormal_pair
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
+from skincal.pokes import NameArray, Pokes
 
 FRAME, RIG = "frame", "rig"
 """Kinds of corrections: of the sensor's frame, and of the rig's small errors."""
 Poke = TypeVar("Poke", bound=Contact | Rejection)
+SomePokes = TypeVar("SomePokes", bound=Pokes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,12 +60,12 @@ class Correction:
         return there @ self.motions[name] if name in self.motions else there
 
     def wrench(self, force: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Correct a reported force (3,), N, and moment (3,), N m, in the sensor's frame."""
-        reported = np.concatenate([force, moment])
-        true = self.matrix @ reported
+        """Correct reported forces (..., 3), N, and moments (..., 3), N m, in the sensor's frame."""
+        reported = np.concatenate([force, moment], axis=-1)
+        true = (self.matrix @ reported[..., None])[..., 0]
         if self.quadratic.size:
-            true = true + self.quadratic @ products(reported[None])[0]
-        return true[:3], true[3:]
+            true = true + (self.quadratic @ products(reported)[..., None])[..., 0]
+        return true[..., :3], true[..., 3:]
 
     def after(self, first: Correction) -> Correction:
         """Combine two corrections: `first`, which moves all arm poses equally, then this one."""
@@ -76,6 +78,15 @@ class Correction:
         force, moment = self.wrench(poke.force, poke.moment)
         return replace(poke, force=force, moment=moment, link_from_sensor=self.pose(poke.link_from_sensor, poke.pose))
 
+    def corrected_pokes(self, pokes: SomePokes) -> SomePokes:
+        """Correct pokes, each as `corrected` does."""
+        force, moment = self.wrench(pokes.force, pokes.moment)
+        poses = pokes.link_from_sensor @ self.everywhere
+        for name in set(pokes.pose.tolist()) & self.motions.keys():
+            own = pokes.pose == name
+            poses[own] = poses[own] @ self.motions[name]
+        return replace(pokes, force=force, moment=moment, link_from_sensor=poses)
+
 
 MAX_ARM_POSES_WITH_UNCERTAINTY = 24
 """With more arm poses than this their uncertainty is not kept. Streamed joints make hundreds of poses with a few pokes each,
@@ -86,8 +97,8 @@ _FIRST, _SECOND = np.triu_indices(6)
 
 
 def products(wrenches: FloatArray) -> FloatArray:
-    """Multiply each two components of wrenches (m, 6): (m, 21)."""
-    return wrenches[:, _FIRST] * wrenches[:, _SECOND]
+    """Multiply each two components of wrenches (..., 6): (..., 21)."""
+    return wrenches[..., _FIRST] * wrenches[..., _SECOND]
 
 
 def _features(wrenches: FloatArray, count: int) -> FloatArray:
@@ -146,18 +157,6 @@ class RigPrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RigReadings:
-    """m pokes as the rig reports them."""
-
-    wrenches: FloatArray
-    """(m, 6) float, N and N m, sensor frame, as measured."""
-    poses: IntArray
-    """(m,) index of the arm pose."""
-    reported: FloatArray
-    """(m, 4, 4) float: link_from_sensor as reported."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class RigRows:
     """Whitened rows of m pokes, with their derivatives."""
 
@@ -175,6 +174,8 @@ class RigRows:
 class RigState:
     """Values of the rig's unknowns."""
 
+    names: NameArray
+    """(poses,) names of the arm poses, ascending."""
     matrix: FloatArray
     """(6, 6) float, C; (6, 27) for a nonlinear sensor."""
     turns: FloatArray
@@ -183,9 +184,9 @@ class RigState:
     """(poses, 3) float, metres, t."""
 
     @classmethod
-    def at_prior(cls, poses: int, columns: int = 6) -> RigState:
-        """Make the state of an exact rig, with this number of columns of C."""
-        return cls(np.zeros((6, columns)), np.zeros((poses, 3)), np.zeros((poses, 3)))
+    def at_prior(cls, names: Sequence[str], columns: int = 6) -> RigState:
+        """Make the state of an exact rig with arm poses of these names, ascending, and this number of columns of C."""
+        return cls(np.array(names, dtype=np.str_), np.zeros((6, columns)), *np.zeros((2, len(names), 3)))
 
     def add_step(self, step: FloatArray, scales: FloatArray) -> RigState:
         """Add a step in standard deviations of the prior."""
@@ -193,6 +194,7 @@ class RigState:
         of_matrix = self.matrix.size
         of_poses = change[of_matrix:].reshape(-1, 2, 3)
         return RigState(
+            self.names,
             self.matrix + change[:of_matrix].reshape(self.matrix.shape),
             self.turns + of_poses[:, 0],
             self.shifts + of_poses[:, 1],
@@ -205,24 +207,25 @@ class RigState:
 
 
 def rig_rows(
-    readings: RigReadings, state: RigState, places: FloatArray, spread: FloatArray, noise: NoiseSettings, scales: FloatArray
+    pokes: Pokes, state: RigState, places: FloatArray, spread: FloatArray, noise: NoiseSettings, scales: FloatArray
 ) -> RigRows:
-    """Compute the rows of pokes at `places`.
+    """Compute the rows of m pokes at `places`.
 
     Parameters
     ----------
+    pokes : as measured; `state` has all their arm poses
     places : (m, 3) float, metres, link frame: P
     spread : (m, 3, 3) float, m^2: covariance of the contact about P, link frame
     scales : of the rig's unknowns (`RigPrior.scales`)
     """
-    wrenches, reported = readings.wrenches, readings.reported
+    wrenches, reported, poses = pokes.wrench, pokes.link_from_sensor, np.searchsorted(state.names, pokes.pose)
     features = _features(wrenches, state.matrix.shape[1])
     corrected = wrenches + features @ state.matrix.T
     force, moment = corrected[:, :3], corrected[:, 3:]
     size = np.linalg.norm(wrenches[:, :3], axis=1)
     pairs = orthonormal_pair(wrenches[:, :3] / size[:, None]) / size[:, None, None]
-    sensor_from_link = rotations(state.turns)[readings.poses].transpose(0, 2, 1) @ reported[:, :3, :3].transpose(0, 2, 1)
-    off = reported[:, :3, 3] + (reported[:, :3, :3] @ state.shifts[readings.poses][:, :, None])[:, :, 0]
+    sensor_from_link = rotations(state.turns)[poses].transpose(0, 2, 1) @ reported[:, :3, :3].transpose(0, 2, 1)
+    off = reported[:, :3, 3] + (reported[:, :3, :3] @ state.shifts[poses][:, :, None])[:, :, 0]
     here = (sensor_from_link @ (places - off)[:, :, None])[:, :, 0]
     residual = moment - np.cross(here, force)
     whiten = _whitening(pairs, here, force, sensor_from_link @ spread @ sensor_from_link.transpose(0, 2, 1), noise)
@@ -232,9 +235,9 @@ def rig_rows(
     matrix = np.concatenate([-rows @ cross_matrix(here), rows], axis=2)
     of_matrix = state.matrix.size
     of_rig[:, :, :of_matrix] = (matrix[:, :, :, None] * features[:, None, None, :]).reshape(len(places), 2, of_matrix)
-    turned = with_place @ cross_matrix(here) @ _right_jacobians(state.turns)[readings.poses]
-    shifted = -with_place @ rotations(state.turns)[readings.poses].transpose(0, 2, 1)
-    at = of_matrix + 6 * readings.poses[:, None] + np.arange(6)
+    turned = with_place @ cross_matrix(here) @ _right_jacobians(state.turns)[poses]
+    shifted = -with_place @ rotations(state.turns)[poses].transpose(0, 2, 1)
+    at = of_matrix + 6 * poses[:, None] + np.arange(6)
     np.put_along_axis(of_rig, at[:, None, :].repeat(2, axis=1), np.concatenate([turned, shifted], axis=2), axis=2)
     return RigRows(
         misses=(rows @ residual[:, :, None])[:, :, 0],
@@ -264,10 +267,9 @@ class CorrectionErrors:
     def __call__(self, pokes: IntArray, places: FloatArray, pairs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute (m, 2, n) and (m, 2, 6), metres; see `SharedRows`."""
         numbers, row = np.unique(pokes, return_inverse=True)
-        contacts = [self._contact_of(poke) for poke in numbers.tolist()]
-        poses = np.array([self._poses.get(contact.pose, -1) for contact in contacts])[row]
-        wrenches = np.array([np.concatenate([contact.force, contact.moment]) for contact in contacts])[row]
-        reported = np.array([contact.link_from_sensor for contact in contacts])[row]
+        every = Pokes.collect(self._contact_of(poke) for poke in numbers.tolist())[row]
+        poses = np.array([self._poses.get(name, -1) for name in every.pose.tolist()])
+        wrenches, reported = every.wrench, every.link_from_sensor
         sensor_from_link = reported[:, :3, :3].transpose(0, 2, 1)
         force = wrenches[:, :3]
         here = cross_matrix((sensor_from_link @ (places - reported[:, :3, 3])[:, :, None])[:, :, 0])

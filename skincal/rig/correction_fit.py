@@ -22,17 +22,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
+from skincal.geometry import FloatArray, IntArray
 from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings, Scene
 from skincal.model.skin import SkinKind
 from skincal.modules.pose import ModuleModel, ModulePoses
 from skincal.modules.pose_fit import Touches, fit_modules_from_pokes, trust_from_squares
+from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.correction import (
     MAX_ARM_POSES_WITH_UNCERTAINTY,
     Correction,
     RigPrior,
-    RigReadings,
     RigRows,
     RigState,
     UsedCorrection,
@@ -199,32 +199,6 @@ def taxel_groups(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LandmarkPoke:
-    """A poke at a known point of the part; no taxel needs to answer."""
-
-    poke: int
-    """Number of the poke."""
-    name: str
-    """Of the landmark."""
-    place: FloatArray
-    """(3,) float, metres, link frame: of the landmark."""
-    force: FloatArray
-    """(3,) float, N, tared, sensor frame, force on the part."""
-    moment: FloatArray
-    """(3,) float, N m, about the sensor's origin."""
-    link_from_sensor: FloatArray
-    """(4, 4) float, metres: pose of the arm as reported."""
-    pose: str
-    """Name of the arm pose."""
-
-    @property
-    def miss(self) -> float:
-        """Distance of the poke's axis from the landmark, metres."""
-        force, moment = move_wrench(self.link_from_sensor, self.force, self.moment)
-        return float(np.linalg.norm(np.cross(self.place - axis_point(force, moment), force / np.linalg.norm(force))))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class RigRequest:
     """Input of a rig's correction."""
 
@@ -232,7 +206,7 @@ class RigRequest:
     surface: Surface | None
     contacts: Sequence[Contact]
     """Skin pokes that count."""
-    landmarks: Sequence[LandmarkPoke]
+    landmarks: LandmarkPokes
     dead: Mapping[int, str] = field(default_factory=dict[int, str])
     prior: RigPrior = field(default_factory=RigPrior)
 
@@ -318,10 +292,10 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     ----------
     between : called between the steps, some 50 ms apart; may raise to give up
     """
-    names = sorted({poke.pose for poke in (*request.contacts, *request.landmarks)})
-    scales, points = request.prior.scales(len(names)), len({poke.name for poke in request.landmarks})
+    names = sorted({contact.pose for contact in request.contacts} | set(request.landmarks.pose.tolist()))
+    scales, points = request.prior.scales(len(names)), len(np.unique(request.landmarks.name))
     if len(request.landmarks) < MIN_LANDMARK_POKES or points < MIN_LANDMARKS:
-        trust, nothing = {poke.poke: 1.0 for poke in request.landmarks}, np.zeros(len(scales))
+        trust, nothing = dict.fromkeys(request.landmarks.number.tolist(), 1.0), np.zeros(len(scales))
         return RigAnswer(None, False, float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
     fit = _Fit(request, names, request.prior)
     for _ in range(GAUSS_NEWTON_STEPS):
@@ -367,22 +341,18 @@ class _Fit:
         self.noise, self.scales = request.scene.noise, prior.scales(len(names))
         self.columns = (len(self.scales) - 6 * len(names)) // 6
         self.groups: RigidGroups | None = _rigid_groups(request) if begin is None else begin.groups
-        self.landmarks = sorted(request.landmarks, key=lambda poke: poke.poke)
-        order = {name: index for index, name in enumerate(names)}
-        self._known = readings_of(self.landmarks, order)
-        self._places = np.array([poke.place for poke in self.landmarks])
+        self.landmarks = request.landmarks[request.landmarks.number.argsort(kind="stable")]
         self._aim = np.tile(request.prior.landmark**2 * np.eye(3), (len(self.landmarks), 1, 1))
         by_number = {contact.poke: contact for contact in request.contacts}
         pokes: list[int] = [] if self.groups is None else self.groups.pokes.tolist()
-        self._skin = readings_of([by_number[poke] for poke in pokes], order) if pokes else None
-        self.state = RigState.at_prior(len(names), self.columns)
+        self._skin = Pokes.collect([by_number[poke] for poke in pokes]) if pokes else None
+        self.state = RigState.at_prior(names, self.columns)
         self.trust = np.ones(len(self.landmarks))
         if begin is not None:
             added = np.zeros((LINEAR_SENSOR_MATRIX_COLUMNS, self.columns - begin.columns))
             self.state = replace(begin.state, matrix=np.concatenate([begin.state.matrix, added], axis=1))
             self.trust = begin.trust
-        points = sorted({poke.name for poke in self.landmarks})
-        self._at_landmark = np.array([[poke.name == name for name in points] for poke in self.landmarks], dtype=float)
+        self._at_landmark = (self.landmarks.name[:, None] == np.unique(self.landmarks.name)).astype(np.float64)
         self._shared, self._noisier = np.zeros((2 * len(self.landmarks),) * 2), 1.0
         self._last: tuple[RigRows, FloatArray] | None = None
 
@@ -425,7 +395,7 @@ class _Fit:
         return every, np.array([marginal.log_likelihood(added) for added in every])
 
     def _landmark_rows(self, state: RigState) -> RigRows:
-        return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
+        return rig_rows(self.landmarks, state, self.landmarks.place, self._aim, self.noise, self.scales)
 
     def _without_groups(self, here: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """Factorize all rows but the landmarks': (n + 1, n + 1), and each group's own rows on top of its factor."""
@@ -446,7 +416,7 @@ class _Fit:
         """Make the answer, tested on held-out pokes at the last linearization."""
         assert self._last is not None
         rows, base = self._last
-        reported = self._landmark_rows(RigState.at_prior(len(names), self.columns))
+        reported = self._landmark_rows(RigState.at_prior(names, self.columns))
         held, predicted = self._held_out(rows, base)
         before, after = (np.average(np.sum(own**2, axis=1), weights=self.trust) for own in (reported.misses, held))
         # Squared misses in predicted standard deviations: two numbers a poke.
@@ -454,7 +424,7 @@ class _Fit:
         # Misses are in standard deviations; this converts them to metres on average.
         metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
         unknowns, spread = self.posterior(self.columns)
-        pokes = [poke.poke for poke in self.landmarks]
+        pokes: list[int] = self.landmarks.number.tolist()
         return RigAnswer(
             correction=self.correction(unknowns, max(1.0, ratio) * spread, names),
             used=bool(after < MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT * before),
@@ -463,7 +433,7 @@ class _Fit:
             ratio=ratio,
             plain_ratio=float(np.sqrt(before / 2.0)),
             noisier=self._noisier,
-            points=len({poke.name for poke in self.landmarks}),
+            points=self._at_landmark.shape[1],
             trust=dict(zip(pokes, self.trust.tolist(), strict=True)),
             distances=dict(zip(pokes, self.passed(unknowns).tolist(), strict=True)),
             unknowns=unknowns / self.scales,
@@ -511,7 +481,7 @@ class _Fit:
 
     def passed(self, unknowns: FloatArray) -> FloatArray:
         """Distances (m,), metres, of the axes from their landmarks with the unknowns (n,), SI."""
-        at_prior = RigState.at_prior(len(self.state.turns), self.columns)
+        at_prior = RigState.at_prior(self.state.names.tolist(), self.columns)
         return self._landmark_rows(at_prior.add_step(unknowns / self.scales, self.scales)).distances
 
     def correction(self, unknowns: FloatArray, spread: FloatArray, names: list[str]) -> Correction:
@@ -529,8 +499,7 @@ class _Fit:
     def _held_out(self, rows: RigRows, base: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Misses (m, 2) of landmark pokes, each with a correction made without its quarter, and their covariances (m, 2, 2)."""
         held, predicted = np.empty_like(rows.misses), np.empty((len(rows.misses), 2, 2))
-        names = sorted({poke.name for poke in self.landmarks})
-        quarter = np.array([names.index(poke.name) % LANDMARK_HELD_OUT_FOLDS for poke in self.landmarks])
+        quarter = self._at_landmark.argmax(axis=1) % LANDMARK_HELD_OUT_FOLDS
         for out in range(LANDMARK_HELD_OUT_FOLDS):
             own = quarter == out
             step, root = _solve_rows(base, rows, self._shared, np.where(own, 0.0, self.trust))
@@ -551,15 +520,6 @@ def _rigid_groups(request: RigRequest) -> RigidGroups | None:
     if layout is None or layout.kind is SkinKind.SHEET:
         return taxel_groups(table, estimates, scene.noise, channels)
     return module_groups(table, ModuleModel(layout, scene.skin.anchor, surface), estimates, scene.noise, channels)
-
-
-def readings_of(pokes: Sequence[Contact | LandmarkPoke], order: Mapping[str, int]) -> RigReadings:
-    """Stack the readings of at least one poke; `order` is the index of each arm pose by its name."""
-    return RigReadings(
-        np.array([np.concatenate([poke.force, poke.moment]) for poke in pokes]),
-        np.array([order[poke.pose] for poke in pokes]),
-        np.array([poke.link_from_sensor for poke in pokes]),
-    )
 
 
 def qr_factor(rows: FloatArray) -> FloatArray:

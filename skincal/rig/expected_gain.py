@@ -17,21 +17,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
-from skincal.rig.correction import RigPrior, RigReadings, RigRows, RigState, UsedCorrection, rig_rows
+from skincal.pokes import LandmarkPokes, Pokes
+from skincal.rig.correction import RigPrior, RigRows, RigState, UsedCorrection, rig_rows
 from skincal.rig.correction_fit import (
     MIN_LANDMARK_POKES,
     MIN_LANDMARKS,
     LandmarkAgreement,
-    LandmarkPoke,
     qr_factor,
-    readings_of,
 )
 from skincal.taxels.result import Estimate
 
@@ -43,20 +42,6 @@ MAX_PREDICTED_TAXELS = 40
 """Of more taxels only every n-th is used: neighbours move alike. On the forearm the mean over 28 is within a thousandth of that
 over all 84."""
 NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PlannedPoke:
-    """A landmark poke that is only planned: `EXPECTED_LANDMARK_PRESS_FORCE_N` straight into the part."""
-
-    place: FloatArray
-    """(3,) float, metres, link frame: of the landmark."""
-    normal: FloatArray
-    """(3,) float, unit, outward."""
-    link_from_sensor: FloatArray
-    """(4, 4) float, metres: pose of the arm."""
-    pose: str
-    """Name of the arm pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +56,36 @@ class Gain:
     """Number of planned pokes."""
 
 
+def straight_pushes(places: FloatArray, normals: FloatArray, poses: Mapping[str, FloatArray]) -> LandmarkPokes:
+    """Plan pushes of `EXPECTED_LANDMARK_PRESS_FORCE_N` straight into the part, as an exact rig reports them.
+
+    Parameters
+    ----------
+    places, normals : (n, 3) float, metres and unit, outward, link frame: of landmarks or taxels
+    poses : by name (4, 4) float, metres, link_from_sensor as reported
+
+    Returns
+    -------
+    A push at each place in each arm pose, pose by pose.
+    """
+    count, many = len(places), len(poses)
+    reported = np.repeat(np.array(list(poses.values())), count, axis=0)
+    places, normals = np.tile(places, (many, 1)), np.tile(normals, (many, 1))
+    turns = reported[:, :3, :3].transpose(0, 2, 1)
+    force = (turns @ (-EXPECTED_LANDMARK_PRESS_FORCE_N * normals)[:, :, None])[:, :, 0]
+    here = (turns @ (places - reported[:, :3, 3])[:, :, None])[:, :, 0]
+    names, none = np.repeat(np.array(list(poses), dtype=np.str_), count), np.full(many * count, "")
+    return LandmarkPokes(np.zeros(many * count, dtype=np.int64), force, np.cross(here, force), reported, names, none, places)
+
+
+def taxel_pushes(places: FloatArray, normals: FloatArray, poses: Mapping[str, FloatArray]) -> LandmarkPokes:
+    """Plan `straight_pushes` at taxels, at most `MAX_PREDICTED_TAXELS` of them in each arm pose."""
+    step = max(1, -(-len(places) // MAX_PREDICTED_TAXELS))
+    return straight_pushes(places[::step], normals[::step], poses)
+
+
 def expected_error(
-    prior: RigPrior,
-    noise: NoiseSettings,
-    pokes: Sequence[LandmarkPoke],
-    planned: Sequence[PlannedPoke],
-    places: FloatArray,
-    normals: FloatArray,
-    poses: Mapping[str, FloatArray],
+    pokes: LandmarkPokes, planned: LandmarkPokes, pushes: LandmarkPokes, noise: NoiseSettings, prior: RigPrior | None = None
 ) -> Gain:
     """Predict how far the rig's errors move the taxels, before and after planned landmark pokes.
 
@@ -88,37 +95,34 @@ def expected_error(
     Parameters
     ----------
     pokes : those that are made
-    places, normals : (n, 3) float, metres and unit, outward, link frame: of the taxels, estimated or planned
-    poses : by name (4, 4) float, link_from_sensor as reported: those with pokes on the skin
+    planned : `straight_pushes` at landmarks
+    pushes : `taxel_pushes` at the taxels, estimated or planned, in the arm poses with pokes on the skin
+    noise : of the scene
+    prior : usual errors of a rig; `RigPrior()` for `None`
 
     Raises
     ------
     ValueError
         There is no taxel or no pose.
     """
-    if not len(places) or not poses:
+    if not len(pushes):
         raise ValueError("there is no taxel, or no arm pose in which one is poked")
-    every = (*pokes, *planned)
-    names = sorted({*poses, *(poke.pose for poke in every)})
-    order, scales = {name: index for index, name in enumerate(names)}, prior.scales(len(names))
-    rows = [np.empty((0, len(scales)))]
-    readings = [*([readings_of(pokes, order)] if pokes else []), *([_planned(planned, order)] if planned else [])]
-    for own, some in zip(readings, filter(None, (pokes, planned)), strict=True):
-        at = np.array([poke.place for poke in some])
-        rows.append(_rows(own, at, prior.landmark, noise, prior, scales).of_rig.reshape(-1, len(scales)))
-    moved, points = _taxel_moves(places, normals, poses, order, prior, scales), [poke.place for poke in every]
-    whole = np.concatenate(rows)
-    now, after = (_expected(whole[: 2 * n], points[:n], moved) for n in (len(pokes), len(points)))
+    prior, every = prior or RigPrior(), LandmarkPokes.concatenate([pokes, planned])
+    names: list[str] = np.unique(np.concatenate([pushes.pose, every.pose])).tolist()
+    own = [_rows(some, some.place, prior.landmark, noise, prior, names).of_rig for some in (pokes, planned) if len(some)]
+    whole, moved = np.concatenate([np.empty((0, 2, len(prior.scales(len(names))))), *own]), _taxel_moves(pushes, prior, names)
+    now, after = (_expected(whole[:n], every.place[:n], moved) for n in (len(pokes), len(every)))
     return Gain(now, after, len(planned))
 
 
-def expected_miss(poke: LandmarkPoke, noise: NoiseSettings) -> float:
-    """Predict the rms distance between a poke's axis and its landmark, metres, from `RigPrior`, sensor noise and hand."""
-    prior, lever = RigPrior(), float(np.linalg.norm(poke.place - poke.link_from_sensor[:3, 3]))
-    force = float(np.linalg.norm(poke.force))
-    rows = rows_in_metres(readings_of([poke], {poke.pose: 0}), poke.place[None], prior, prior.scales(1))
+def expected_miss(pokes: LandmarkPokes, noise: NoiseSettings) -> FloatArray:
+    """Predict the rms distance (n,) between each axis and its landmark, metres, from `RigPrior`, sensor noise and hand."""
+    prior, off = RigPrior(), pokes.place - pokes.sensor
+    lever, force = np.sqrt(np.vecdot(off, off)), pokes.force_size
+    alone = replace(pokes, pose=np.full(len(pokes), ""))
+    of_rig = rows_in_metres(alone, pokes.place, prior, [""]).of_rig
     own = prior.landmark**2 + (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2
-    return float(np.sqrt(np.sum(rows.of_rig**2) + 2.0 * own))
+    return np.sqrt(np.sum((of_rig**2).reshape(len(pokes), 2 * of_rig.shape[2]), axis=1) + 2.0 * own)
 
 
 def unchecked_of(
@@ -126,7 +130,7 @@ def unchecked_of(
     landmarks: LandmarkAgreement | None,
     estimates: Sequence[Estimate],
     contacts: Sequence[Contact],
-    pokes: Sequence[LandmarkPoke],
+    pokes: LandmarkPokes,
     noise: NoiseSettings,
 ) -> float | None:
     """Predict the rms movement of the taxels by the rig's errors that no covariance contains, metres.
@@ -152,68 +156,39 @@ def unchecked_of(
     if not pairs or not poses:
         return None
     is_checked = used is not None or (landmarks is not None and landmarks.agrees)
-    made = [poke for poke in pokes if poke.pose in poses] if is_checked else []
+    made = pokes[np.isin(pokes.pose, list(poses))] if is_checked else pokes[:0]
     places, normals = (np.array(values) for values in zip(*pairs, strict=True))
-    return expected_error(RigPrior(), noise, made, [], places, normals, poses).now
+    return expected_error(made, pokes[:0], taxel_pushes(places, normals, poses), noise).now
 
 
-def _planned(pokes: Sequence[PlannedPoke], order: Mapping[str, int]) -> RigReadings:
-    places, normals = np.array([poke.place for poke in pokes]), np.array([poke.normal for poke in pokes])
-    reported, of = np.array([poke.link_from_sensor for poke in pokes]), np.array([order[poke.pose] for poke in pokes])
-    return _pushed(places, normals, reported, of)
-
-
-def _taxel_moves(
-    places: FloatArray,
-    normals: FloatArray,
-    poses: Mapping[str, FloatArray],
-    order: Mapping[str, int],
-    prior: RigPrior,
-    scales: FloatArray,
-) -> FloatArray:
+def _taxel_moves(pushes: LandmarkPokes, prior: RigPrior, names: Sequence[str]) -> FloatArray:
     """Compute (n, 3, k) metres: movement of places along the skin by each unknown of the rig, mean of the poses."""
-    step = -(-len(places) // MAX_PREDICTED_TAXELS)
-    some, out, many = places[::step], normals[::step], len(poses)
-    count = len(some)
-    reported = np.repeat(np.array(list(poses.values())), count, axis=0)
-    of = np.repeat(np.array([order[name] for name in poses]), count)
-    some, out = np.tile(some, (many, 1)), np.tile(out, (many, 1))
-    rows = rows_in_metres(_pushed(some, out, reported, of), some, prior, scales)
+    rows = rows_in_metres(pushes, pushes.place, prior, names)
     shifts = rows.of_place.transpose(0, 2, 1) @ rows.of_rig
-    return shifts.reshape(many, count, 3, -1).mean(axis=0)
+    return shifts.reshape(len(np.unique(pushes.pose)), -1, 3, shifts.shape[2]).mean(axis=0)
 
 
-def _pushed(places: FloatArray, normals: FloatArray, reported: FloatArray, of: IntArray) -> RigReadings:
-    """Make the readings of straight pushes at places (m, 3), in arm poses (m, 4, 4), of an exact rig."""
-    turns = reported[:, :3, :3].transpose(0, 2, 1)
-    force = (turns @ (-EXPECTED_LANDMARK_PRESS_FORCE_N * normals)[:, :, None])[:, :, 0]
-    here = (turns @ (places - reported[:, :3, 3])[:, :, None])[:, :, 0]
-    return RigReadings(np.concatenate([force, np.cross(here, force)], axis=1), of, reported)
-
-
-def rows_in_metres(readings: RigReadings, places: FloatArray, prior: RigPrior, scales: FloatArray) -> RigRows:
+def rows_in_metres(pokes: Pokes, places: FloatArray, prior: RigPrior, names: Sequence[str]) -> RigRows:
     """Compute the rows of noiseless pokes at places (m, 3), in metres: they are whitened by a spread of one metre.
 
-    Their change with the place has orthonormal rows.
+    Their change with the place has orthonormal rows. `names` are those of the arm poses, ascending.
     """
-    return _rows(readings, places, 1.0, NO_NOISE, prior, scales)
+    return _rows(pokes, places, 1.0, NO_NOISE, prior, names)
 
 
 def _rows(
-    readings: RigReadings, places: FloatArray, spread: float, noise: NoiseSettings, prior: RigPrior, scales: FloatArray
+    pokes: Pokes, places: FloatArray, spread: float, noise: NoiseSettings, prior: RigPrior, names: Sequence[str]
 ) -> RigRows:
     """Compute the rows of pokes whose contacts scatter about places (m, 3) with the sd `spread`, metres, per axis."""
     around = np.broadcast_to(spread**2 * np.eye(3), (len(places), 3, 3))
-    return rig_rows(
-        readings, RigState.at_prior((len(scales) - 6 * prior.columns) // 6, prior.columns), places, around, noise, scales
-    )
+    return rig_rows(pokes, RigState.at_prior(names, prior.columns), places, around, noise, prior.scales(len(names)))
 
 
-def _expected(rows: FloatArray, points: Sequence[FloatArray], moved: FloatArray) -> float:
-    """Compute the rms movement (n, 3, k) of places by unknowns that rows (2 m, k) of pokes at m points determine."""
+def _expected(rows: FloatArray, points: FloatArray, moved: FloatArray) -> float:
+    """Compute the rms movement (n, 3, k) of places by unknowns that rows (m, 2, k) of pokes at points (m, 3) determine."""
     size = moved.shape[2]
     if len(points) < MIN_LANDMARK_POKES or len({point.tobytes() for point in points}) < MIN_LANDMARKS:
         rows = rows[:0]
-    root = qr_factor(np.concatenate([np.eye(size), rows]))
+    root = qr_factor(np.concatenate([np.eye(size), rows.reshape(-1, size)]))
     spread = np.asarray(np.linalg.solve(root.T, moved.reshape(-1, size).T), dtype=np.float64)
     return float(np.sqrt(np.sum(spread**2) / len(moved)))

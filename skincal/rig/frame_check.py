@@ -33,8 +33,8 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
-from skincal.rig.correction import Correction, RigPrior, RigReadings, RigState, rig_rows, rigid_motion
-from skincal.rig.correction_fit import LandmarkPoke
+from skincal.pokes import LandmarkPokes, Pokes
+from skincal.rig.correction import Correction, RigPrior, RigState, rig_rows, rigid_motion
 
 POKE_TO_LANDMARK_SD_M = 0.003
 """m, sd of an axis from its landmark, each direction, on a right rig: hand, sensor noise, a landmark off by 4 mm in space."""
@@ -136,7 +136,7 @@ def _miss(distances: FloatArray, beside: int | None) -> float:
 
 
 def diagnose(
-    pokes: Sequence[LandmarkPoke], normals: Sequence[FloatArray | None], prior: RigPrior | None = None
+    pokes: LandmarkPokes, normals: Sequence[FloatArray | None], prior: RigPrior | None = None
 ) -> FrameDiagnosis | None:
     """Tell a wrong sensor frame from a right one; `None` with fewer than `FRAME_CHECK_MIN_POKES` pokes.
 
@@ -151,10 +151,10 @@ def diagnose(
         return None
     count = min(len(pokes), FRAME_CHECK_MAX_POKES)
     some = [len(pokes) * i // count for i in range(count)]
-    used = [pokes[i] for i in some]
-    asked = _Asked.from_pokes(used, [normals[i] for i in some], prior or RigPrior())
-    reported, *wrong = _discrete(asked)
-    wrong = sorted([*wrong, _elsewhere(asked)], key=lambda hypothesis: hypothesis.cost)
+    used = pokes[some]
+    evidence = _LandmarkEvidence(used, [normals[i] for i in some], prior or RigPrior())
+    reported, *wrong = _discrete(evidence)
+    wrong = sorted([*wrong, _elsewhere(evidence)], key=lambda hypothesis: hypothesis.cost)
     best = reported if reported.cost - RIGHT_FRAME_COST_BONUS <= wrong[0].cost else wrong[0]
     first, second = sorted([reported.cost - RIGHT_FRAME_COST_BONUS, *(hypothesis.cost for hypothesis in wrong)])[:2]
     # Both of the same pokes, else leaving out one poke would look like an explanation.
@@ -163,8 +163,8 @@ def diagnose(
     )
     slip = None
     if best.beside is not None:
-        poke = used[best.beside]
-        slip = Slip(poke.poke, poke.name, float(best.distances[best.beside]))
+        at = best.beside
+        slip = Slip(int(used.number[at]), str(used.name[at]), float(best.distances[at]))
     return FrameDiagnosis(
         right=best is reported,
         sure=second - first >= MIN_COST_GAP_TO_BE_SURE and (best.beside is None or count > FRAME_CHECK_MIN_POKES),
@@ -185,36 +185,20 @@ def _named() -> tuple[FrameCorrection, ...]:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Asked:
-    """The n pokes of a check."""
+class _LandmarkEvidence:
+    """Misses of n landmark pokes under hypotheses.
 
-    force: FloatArray
-    """(n, 3) float, N, sensor frame."""
-    moment: FloatArray
-    """(n, 3) float, N m."""
-    reported: FloatArray
-    """(n, 4, 4) float: link_from_sensor."""
-    places: FloatArray
-    """(n, 3) float, metres: the landmarks."""
-    normals: FloatArray
-    """(n, 3) float, outward; zero if unknown."""
-    together: FloatArray
-    """(2 n, 2 n) float: 1 for two rows of one arm pose, else 0."""
-    prior: RigPrior
+    Parameters
+    ----------
+    normals : (3,) float, outward, at each of them; `None` if unknown
+    """
 
-    @classmethod
-    def from_pokes(cls, pokes: Sequence[LandmarkPoke], normals: Sequence[FloatArray | None], prior: RigPrior) -> _Asked:
-        poses = np.repeat([poke.pose for poke in pokes], 2)
-        return cls(
-            force=np.array([poke.force for poke in pokes]),
-            moment=np.array([poke.moment for poke in pokes]),
-            reported=np.array([poke.link_from_sensor for poke in pokes]),
-            places=np.array([poke.place for poke in pokes]),
-            normals=np.array([np.zeros(3) if normal is None else normal for normal in normals]),
-            together=(poses[:, None] == poses).astype(np.float64),
-            prior=prior,
-        )
+    def __init__(self, pokes: LandmarkPokes, normals: Sequence[FloatArray | None], prior: RigPrior) -> None:
+        self.pokes, self._prior = pokes, prior
+        self._normals = np.array([np.zeros(3) if normal is None else normal for normal in normals])
+        poses = np.repeat(pokes.pose, 2)
+        # 1 for two rows of one arm pose, else 0.
+        self._together = (poses[:, None] == poses).astype(np.float64)
 
     def rows(self, force: FloatArray, moment: FloatArray, state: RigState) -> _Rows:
         """Compute the rows of these pokes under each of h hypotheses.
@@ -224,20 +208,25 @@ class _Asked:
         force, moment : (h, n, 3) float, corrected by each
         state : of one arm pose that moves all pokes equally
         """
-        many, count = len(force), len(self.places)
-        wrenches = np.concatenate([force, moment], axis=2).reshape(-1, 6)
-        readings = RigReadings(wrenches, np.zeros(len(wrenches), dtype=np.int64), np.tile(self.reported, (many, 1, 1)))
-        spread = np.broadcast_to(POKE_TO_LANDMARK_SD_M**2 * np.eye(3), (len(wrenches), 3, 3))
-        rows = rig_rows(readings, state, np.tile(self.places, (many, 1)), spread, NO_NOISE, np.ones(42))
-        slopes, scales = rows.of_rig.reshape(many, 2 * count, -1), self.prior.scales(1)
+        many, count = len(force), len(self.pokes)
+        spread = np.broadcast_to(POKE_TO_LANDMARK_SD_M**2 * np.eye(3), (many * count, 3, 3))
+        tried = Pokes(
+            np.tile(self.pokes.number, many),
+            force.reshape(-1, 3),
+            moment.reshape(-1, 3),
+            np.tile(self.pokes.link_from_sensor, (many, 1, 1)),
+            np.full(many * count, ""),
+        )
+        rows = rig_rows(tried, state, np.tile(self.pokes.place, (many, 1)), spread, NO_NOISE, np.ones(42))
+        slopes, scales = rows.of_rig.reshape(many, 2 * count, -1), self._prior.scales(1)
         matrix, motion = slopes[:, :, :36] * scales[:36], slopes[:, :, 36:] * scales[36:]
-        covariances = matrix @ matrix.transpose(0, 2, 1) + self.together * (motion @ motion.transpose(0, 2, 1))
+        covariances = matrix @ matrix.transpose(0, 2, 1) + self._together * (motion @ motion.transpose(0, 2, 1))
         distances = rows.distances.reshape(many, count)
         return _Rows(rows.misses.reshape(many, -1), np.eye(2 * count) + covariances, slopes[:, :, 36:], distances)
 
     def cost_of_sides(self, force: FloatArray, turns: FloatArray) -> FloatArray:
         """Cost (h, n) of pushes from inside the part, by force (h, n, 3), N, and link_from_sensor's rotations (n, 3, 3)."""
-        out = np.sum((turns.transpose(0, 2, 1) @ self.normals[:, :, None])[:, :, 0] * force, axis=2) > 0
+        out = np.sum((turns.transpose(0, 2, 1) @ self._normals[:, :, None])[:, :, 0] * force, axis=2) > 0
         return PUSH_FROM_INSIDE_CHI2 * out
 
 
@@ -264,14 +253,14 @@ class _Rows:
     """(h, n) float, metres."""
 
 
-def _discrete(asked: _Asked) -> list[_Hypothesis]:
+def _discrete(evidence: _LandmarkEvidence) -> list[_Hypothesis]:
     """Compute the cost of every order of the axes with signs, and every unit, in the order of `_named`."""
     turned = np.array([mistake.axes for mistake in _named()]).transpose(0, 2, 1)
     force_scales, moment_scales = np.array([[mistake.force_scale, mistake.moment_scale] for mistake in _named()]).T
-    force = force_scales[:, None, None] * (asked.force @ turned)
-    moment = moment_scales[:, None, None] * (asked.moment @ turned)
-    rows = asked.rows(force, moment, RigState.at_prior(1))
-    sides = asked.cost_of_sides(force, asked.reported[:, :3, :3])
+    force = force_scales[:, None, None] * (evidence.pokes.force @ turned)
+    moment = moment_scales[:, None, None] * (evidence.pokes.moment @ turned)
+    rows = evidence.rows(force, moment, RigState.at_prior([""]))
+    sides = evidence.cost_of_sides(force, evidence.pokes.link_from_sensor[:, :3, :3])
     costs, besides = _least(_costs(rows.misses, rows.covariances), sides)
     costs += _cost_of_size(force)
     return [_Hypothesis(*row) for row in zip(_named(), costs.tolist(), rows.distances, besides, strict=True)]
@@ -306,15 +295,16 @@ def _least(costs: FloatArray, sides: FloatArray) -> tuple[FloatArray, list[int |
     return np.min(total, axis=1), [column - 1 if column else None for column in least.tolist()]
 
 
-def _elsewhere(asked: _Asked, beside: int | None = None) -> _Hypothesis:
+def _elsewhere(evidence: _LandmarkEvidence, beside: int | None = None) -> _Hypothesis:
     """Compute the cost of a sensor that sits elsewhere than reported, with poke `beside`, or a likely one, at another point."""
     scales, cost = np.repeat([MOUNT_TURN_SD, MOUNT_SHIFT_SD_M], 3), np.zeros((1, 1))
     step: FloatArray = np.zeros(6)
-    slipped = np.zeros(len(asked.places))
+    slipped = np.zeros(len(evidence.pokes))
+    force, moment = evidence.pokes.force[None], evidence.pokes.moment[None]
     if beside is not None:
         slipped[beside] = 1.0
     for _ in range(GAUSS_NEWTON_STEPS):
-        rows = asked.rows(asked.force[None], asked.moment[None], _mounted(scales * step))
+        rows = evidence.rows(force, moment, _mounted(scales * step))
         slopes = rows.slopes[0] * scales
         # Linearized here, with the prior's zero as the origin.
         misses = rows.misses[0] - slopes @ step
@@ -327,20 +317,18 @@ def _elsewhere(asked: _Asked, beside: int | None = None) -> _Hypothesis:
         step = -slopes.T @ np.asarray(np.linalg.solve(total, misses), dtype=np.float64)
     move = scales * step
     motion = rigid_motion(move[:3], move[3:])
-    sides = asked.cost_of_sides(asked.force[None], (asked.reported @ motion)[:, :3, :3])
+    sides = evidence.cost_of_sides(force, (evidence.pokes.link_from_sensor @ motion)[:, :3, :3])
     if beside is None and (likely := _least(cost, sides)[1][0]) is not None:
         # Repeated without the influence of that poke.
-        return _elsewhere(asked, likely)
-    whole = float(
-        cost[0, 0] + sides[0] @ (1.0 - slipped) + WRONG_POINT_COST * np.sum(slipped) + _cost_of_size(asked.force[None])[0]
-    )
-    distances = asked.rows(asked.force[None], asked.moment[None], _mounted(move)).distances[0]
+        return _elsewhere(evidence, likely)
+    whole = float(cost[0, 0] + sides[0] @ (1.0 - slipped) + WRONG_POINT_COST * np.sum(slipped) + _cost_of_size(force)[0])
+    distances = evidence.rows(force, moment, _mounted(move)).distances[0]
     return _Hypothesis(FrameCorrection(motion=motion), whole, distances, beside)
 
 
 def _mounted(move: FloatArray) -> RigState:
     """Make a rig whose sensor is rotated by `move[:3]`, rad, and shifted by `move[3:]`, m."""
-    return RigState(np.zeros((6, 6)), move[None, :3], move[None, 3:])
+    return RigState(np.array([""]), np.zeros((6, 6)), move[None, :3], move[None, 3:])
 
 
 def frame_correction(found: FrameCorrection) -> Correction:

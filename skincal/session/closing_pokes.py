@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from skincal.contacts.outcome import Contact
 from skincal.model.scene import NoiseSettings
+from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.closing import CLOSING_CHECK_PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
-from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.decisions import ClosingRound
-from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.snapshot import PokeRecord, Snapshot
 
 CLOSING_CHECK_MAX_POKES_PER_PLACE = 3
@@ -50,7 +51,7 @@ def closing_rounds(snapshot: Snapshot, noise: NoiseSettings) -> list[ClosingProg
     """Determine the progress of each closing check."""
     rounds = list[ClosingProgress]()
     if snapshot.decisions.closings:
-        every = {ClosingPlaces.LANDMARKS: counting_landmark_pokes(snapshot), ClosingPlaces.TAXELS: taxel_pokes(snapshot)}
+        every = {ClosingPlaces.LANDMARKS: snapshot.counting_landmark_pokes, ClosingPlaces.TAXELS: taxel_pokes(snapshot)}
         for number in range(len(snapshot.decisions.closings)):
             earlier = frozenset[int]().union(*(each.pokes for each in rounds))
             rounds.append(_progress(snapshot, number, earlier, every, noise))
@@ -61,7 +62,7 @@ def _progress(
     snapshot: Snapshot,
     number: int,
     earlier: frozenset[int],
-    every: dict[ClosingPlaces, list[LandmarkPoke]],
+    every: dict[ClosingPlaces, LandmarkPokes],
     noise: NoiseSettings,
 ) -> ClosingProgress:
     """Determine the progress of a check, given by its index; `earlier` are the pokes of the checks before.
@@ -103,29 +104,33 @@ def _result(
     begun: ClosingRound,
     pokes: frozenset[int],
     earlier: frozenset[int],
-    every: dict[ClosingPlaces, list[LandmarkPoke]],
+    every: dict[ClosingPlaces, LandmarkPokes],
     noise: NoiseSettings,
 ) -> Closing | None:
     for at, of_kind in every.items():
-        then = [poke for poke in of_kind if poke.poke in pokes]
-        names = {poke.name for poke in then}
-        first = [poke for poke in of_kind if poke.poke <= begun.after and poke.poke not in earlier]
+        then, first = of_kind[np.isin(of_kind.number, list(pokes))], pokes_before(of_kind, begun, earlier)
         # Of thousands of skin pokes, those at the same taxels; of landmark pokes all, which show the rig's errors.
-        before = [poke for poke in first if at is ClosingPlaces.LANDMARKS or poke.name in names]
+        before = first if at is ClosingPlaces.LANDMARKS else first[np.isin(first.name, then.name)]
         closing = closing_check(before, then, at, noise)
         if closing is not None:
             return replace(closing, after=begun.after)
     return None
 
 
+def pokes_before(pokes: LandmarkPokes, begun: ClosingRound, earlier: frozenset[int]) -> LandmarkPokes:
+    """Select the pokes before a check began, without the pokes `earlier` of the checks before."""
+    return pokes[(pokes.number <= begun.after) & ~np.isin(pokes.number, list(earlier))]
+
+
 def _place_to_repeat(
-    begun: ClosingRound, found: Closing | None, pokes: frozenset[int], every: dict[ClosingPlaces, list[LandmarkPoke]]
+    begun: ClosingRound, found: Closing | None, pokes: frozenset[int], every: dict[ClosingPlaces, LandmarkPokes]
 ) -> ClosingPlace | None:
     """Place of the single poke that decides; `None` if there is none, or it was repeated or skipped."""
     if found is None or not found.single_poke_decides or begun.ended:
         return None
     place = ClosingPlace(found.at, found.place)
-    again = sum(poke.poke in pokes and poke.name in found.names for poke in every[found.at])
+    of_kind = every[found.at]
+    again = int(np.sum(np.isin(of_kind.number, list(pokes)) & np.isin(of_kind.name, found.names)))
     asked = again - min(len(found.names), CLOSING_CHECK_PLACES)
     return place if asked < MAX_REPEATS_OF_DECIDING_PLACE and place not in begun.skipped else None
 
@@ -138,13 +143,7 @@ def is_due(snapshot: Snapshot, rounds: Sequence[ClosingProgress]) -> bool:
     return sum(contact.poke > last for contact in snapshot.contacts) >= MIN_CONTACTS_BETWEEN_CLOSING_CHECKS
 
 
-def counting_landmark_pokes(snapshot: Snapshot) -> list[LandmarkPoke]:
-    """Collect the landmark pokes that are not rejected or excluded."""
-    counting = (record.outcome for record in snapshot.pokes if not record.excluded)
-    return landmark_pokes(counting, snapshot.decisions.landmarks, snapshot.at_landmarks)
-
-
-def taxel_pokes(snapshot: Snapshot) -> list[LandmarkPoke]:
+def taxel_pokes(snapshot: Snapshot) -> LandmarkPokes:
     """Collect the skin pokes that count, as pokes at the taxel that answered most, named by its channel, if it is known."""
     places = {
         each.channel: each.position
@@ -152,11 +151,10 @@ def taxel_pokes(snapshot: Snapshot) -> list[LandmarkPoke]:
         for each in estimates
         if each.position is not None
     }
-    return [
-        LandmarkPoke(c.poke, str(channel), places[channel], c.force, c.moment, c.link_from_sensor, c.pose)
-        for c, channel in ((contact, contact.strongest_channel) for contact in snapshot.contacts)
-        if channel in places
-    ]
+    strongest = ((contact, contact.strongest_channel) for contact in snapshot.contacts)
+    known = [(contact, channel) for contact, channel in strongest if channel in places]
+    pokes = Pokes.collect(contact for contact, _ in known)
+    return LandmarkPokes.at(pokes, [str(channel) for _, channel in known], [places[channel] for _, channel in known])
 
 
 def _place(snapshot: Snapshot, record: PokeRecord) -> ClosingPlace | None:

@@ -36,7 +36,7 @@ from skincal.model.tables import MAX_LENGTH_M
 from skincal.rig.closing import ClosingPlace, ClosingPlaces
 from skincal.rig.correction import UsedCorrection
 from skincal.session.corrections import CORRECTED_THINGS, with_correction, without_correction
-from skincal.session.landmark_pokes import poke_at
+from skincal.session.landmark_pokes import can_be_at_landmark
 
 MAX_ACTION_COORDINATE = 1e6
 """Largest coordinate of an action (m, or a direction): far beyond any part, and products of such numbers stay finite."""
@@ -229,7 +229,7 @@ def _with_landmark_poke(action: AtLandmark | FoundAtLandmark, now: Decisions, co
     _check_landmark(now, action.name)
     poke, by_hand = action.poke, isinstance(action, AtLandmark)
     outcome = context.outcome_of(poke)
-    if outcome is None or (action.name and poke_at(outcome, now.landmarks[0]) is None):
+    if outcome is None or (action.name and not can_be_at_landmark(outcome)):
         raise InputError(f"Poke {poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered.")
     missed = None if by_hand else now.missed_landmarks.get(poke)
     return _name_poke(now, poke, action.name, missed, by_hand=by_hand or poke in now.named_by_hand)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
-from skincal.geometry import FloatArray, axis_point, move_wrench
+from skincal.geometry import FloatArray
 from skincal.guide.guidance import may_be_at_landmark
 from skincal.model.actions import FoundAtLandmark, MissedLandmark
 from skincal.model.scene import Landmark, NoiseSettings
-from skincal.rig.correction_fit import LandmarkPoke
+from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.expected_gain import expected_miss
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class LandmarkFinder:
     def find_landmark_pokes(
         self,
         new: Iterable[Outcome],
-        named: Iterable[LandmarkPoke],
+        named: LandmarkPokes,
         landmarks: Iterable[Landmark],
         missed: Collection[int],
         by_hand: Collection[int],
@@ -98,59 +98,56 @@ class LandmarkFinder:
         landmark = known.get(self.asked)
         if landmark is None:
             return []
-        misses = {poke.poke: self._miss(poke, known[poke.name], noise) for poke in named}
-        near = sum(each is None for each in misses.values())
+        misses = self._misses(named, known, noise)
+        near = sum(each is None for each in misses)
         far = len(misses) - near + len(missed)
         found: list[FoundAtLandmark | MissedLandmark] = []
         for outcome in new:
-            poke = poke_at(outcome, landmark)
-            if poke is None or not self._may_be(outcome, landmark):
+            if not can_be_at_landmark(outcome) or not self._may_be(outcome, landmark):
                 continue
-            miss = self._miss(poke, landmark, noise)
+            (miss,) = self._misses(landmark_pokes([outcome], [landmark], {outcome.poke: landmark.name}), known, noise)
             found.append(FoundAtLandmark(outcome.poke, landmark.name) if miss is None or near <= far else miss)
             near, far = near + (miss is None), far + (miss is not None)
         if near > far:
-            found[:0] = [miss for poke, miss in misses.items() if miss is not None and poke not in by_hand]
+            found[:0] = [miss for miss in misses if miss is not None and miss.poke not in by_hand]
         return found
 
-    def _miss(self, poke: LandmarkPoke, landmark: Landmark, noise: NoiseSettings) -> MissedLandmark | None:
-        """Describe how a poke missed a landmark; `None` for a hit."""
+    def _misses(self, pokes: LandmarkPokes, known: Mapping[str, Landmark], noise: NoiseSettings) -> list[MissedLandmark | None]:
+        """Describe how each poke missed its landmark; `None` for a hit."""
+        found: list[MissedLandmark | None] = []
+        limits: list[float] = (MAX_MISS_OVER_EXPECTED_MISS * expected_miss(pokes, noise)).tolist()
+        of_poke = zip(pokes.number.tolist(), pokes.name.tolist(), pokes.landmark_miss.tolist(), limits, strict=True)
+        for (number, name, miss, limit), direction in zip(of_poke, pokes.direction, strict=True):
+            outward = self._outward_at(known[name])
+            behind = outward is not None and float(outward @ direction) > MAX_PUSH_COSINE
+            found.append(MissedLandmark(number, name, miss, limit, behind) if behind or not miss <= limit else None)
+        return found
+
+    def _outward_at(self, landmark: Landmark) -> FloatArray | None:
         key = landmark.place.tobytes()
         if key not in self._outward:
             (self._outward[key],) = landmark_normals([landmark], self._surface)
-        outward = self._outward[key]
-        force, _ = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
-        behind = outward is not None and float(outward @ force) > MAX_PUSH_COSINE * float(np.linalg.norm(force))
-        limit = MAX_MISS_OVER_EXPECTED_MISS * expected_miss(poke, noise)
-        return MissedLandmark(poke.poke, poke.name, poke.miss, limit, behind) if behind or not poke.miss <= limit else None
+        return self._outward[key]
 
     def _may_be(self, outcome: Outcome, landmark: Landmark) -> bool:
         late = outcome.start_s >= self._asked_s + VISUAL_REACTION_TIME_S
         return late and (isinstance(outcome, Rejection) or may_be_at_landmark(outcome, landmark, self._places()))
 
 
-def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:
+def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> LandmarkPokes:
     """Select the landmark pokes from `outcomes`, in their order; `named` gives the landmark's name by poke."""
     known = {landmark.name: landmark for landmark in landmarks}
-    there = ((outcome, known.get(named.get(outcome.poke, ""))) for outcome in outcomes)
-    found = (poke_at(outcome, landmark) for outcome, landmark in there if landmark is not None)
-    return [poke for poke in found if poke is not None]
+    there = [(outcome, known[named[outcome.poke]]) for outcome in outcomes if named.get(outcome.poke) in known]
+    there = [(outcome, landmark) for outcome, landmark in there if can_be_at_landmark(outcome)]
+    pokes = Pokes.collect(outcome for outcome, _ in there)
+    return LandmarkPokes.at(pokes, [landmark.name for _, landmark in there], [landmark.place for _, landmark in there])
 
 
 def can_be_at_landmark(outcome: Outcome) -> bool:
     """Whether a poke has a force axis and was accepted, or rejected only because no taxel answered."""
-    nowhere = Landmark("", np.zeros(3), None)
-    return poke_at(outcome, nowhere) is not None
-
-
-def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
-    """Make a landmark poke of an outcome; `None` unless `can_be_at_landmark`."""
     if isinstance(outcome, Rejection) and outcome.reason is not Reason.NO_TAXEL:
-        return None
-    force, moment, pose = outcome.force, outcome.moment, outcome.link_from_sensor
-    if force is None or moment is None or pose is None:
-        return None
-    return LandmarkPoke(outcome.poke, landmark.name, landmark.place, force, moment, pose, outcome.pose)
+        return False
+    return outcome.force is not None and outcome.moment is not None and outcome.link_from_sensor is not None
 
 
 def nearest_landmarks(
@@ -168,15 +165,11 @@ def nearest_landmarks(
     places = np.array([landmark.place for landmark in landmarks])
     outward = np.array([np.zeros(3) if normal is None else normal for normal in landmark_normals(landmarks, surface)])
     found: dict[int, NearestLandmark] = {}
-    for outcome in outcomes:
-        poke = poke_at(outcome, landmarks[0])
-        if poke is None:
-            continue
-        force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
-        push = force / np.linalg.norm(force)
-        misses = np.linalg.norm(np.cross(places - axis_point(force, moment), push), axis=1)
+    possible = [outcome for outcome in outcomes if can_be_at_landmark(outcome)]
+    for outcome, poke in zip(possible, Pokes.collect(possible), strict=True):
+        misses = poke.miss(places)
         # Without an outward direction any push may be at it.
-        misses[(outward @ push > MAX_PUSH_COSINE) & outward.any(axis=1)] = np.inf
+        misses[(outward @ poke.direction > MAX_PUSH_COSINE) & outward.any(axis=1)] = np.inf
         nearest = int(misses.argmin())
         miss, other = float(misses[nearest]), float(np.delete(misses, nearest).min(initial=np.inf))
         if np.isfinite(miss):

@@ -22,13 +22,14 @@ from skincal.model.actions import Action, AskPoke, FoundAtLandmark, Redo, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.model.wrench_frames import WrenchFrame
+from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import FRAME, RIG, Correction, CorrectionErrors, UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke, RigRequest
+from skincal.rig.correction_fit import RigRequest
 from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fit
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import ActionContext, Decisions, apply_action, is_undoable, take_back, with_excluded
 from skincal.session.landmark_pokes import landmark_pokes
-from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.session.snapshot import PokeRecord, Snapshot, without_excluded
 from skincal.session.solving import Solving
 from skincal.session.undo import ActionEntry, History
 from skincal.taxels.result import POSITION_MAX_SD_M, Estimate, Method
@@ -67,6 +68,8 @@ class Session:
         self._records: dict[int, PokeRecord] = {}
         self._reported: dict[int, Outcome] = {}
         self._frame: UsedCorrection | None = None
+        self._landmark_pokes: LandmarkPokes | None = None
+        """As reported; `None` after a change."""
         self._framed: dict[int, tuple[Outcome, Outcome]] = {}
         """Pokes as reported and under the frame's correction `_frame`: what does not change stays the same object."""
         self.found_dead: Mapping[int, str] = {}
@@ -115,11 +118,18 @@ class Session:
         return next(reversed(self._records), 0)
 
     @property
-    def landmark_pokes(self) -> tuple[LandmarkPoke, ...]:
+    def landmark_pokes(self) -> LandmarkPokes:
         """The landmark pokes that count, in the order of their numbers, after the frame's correction only."""
-        named = self.decisions.landmark_of_poke
-        pokes = [poke for poke in sorted(named) if poke in self._records and not self._records[poke].excluded]
-        return tuple(landmark_pokes(self.frame_corrected(pokes), self.decisions.landmarks, named))
+        pokes, used = without_excluded(self._reported_landmark_pokes(), self.decisions), self.decisions.corrections.get(FRAME)
+        return pokes if used is None else used.correction.corrected_pokes(pokes)
+
+    def _reported_landmark_pokes(self) -> LandmarkPokes:
+        """Collect the landmark pokes, excluded ones, too, in the order of their numbers, as the rig reported them."""
+        if self._landmark_pokes is None:
+            named = self.decisions.landmark_of_poke
+            outcomes = (self._reported[poke] for poke in sorted(named) if poke in self._reported)
+            self._landmark_pokes = landmark_pokes(outcomes, self.decisions.landmarks, named)
+        return self._landmark_pokes
 
     @property
     def shared_errors(self) -> SharedRows | None:
@@ -290,9 +300,7 @@ class Session:
         # The first snapshot solves every taxel, which is no poke's doing.
         if len(fresh) and self._generation:
             self._touched = fresh
-        named = self.decisions.landmark_of_poke
-        outcomes = (self._reported[poke] for poke in named if poke in self._reported)
-        estimates = self._solving.estimates(channels)
+        pokes, estimates = self._reported_landmark_pokes(), self._solving.estimates(channels)
         self._last = self._snapshot = Snapshot(
             generation=self._generation,
             pokes=tuple(self._records.values()),
@@ -301,7 +309,8 @@ class Session:
             dead=self.dead,
             decisions=self.decisions,
             history=self.history,
-            at_landmarks={poke.poke: poke.name for poke in landmark_pokes(outcomes, self.decisions.landmarks, named)},
+            landmark_pokes=pokes,
+            at_landmarks=dict(zip(pokes.number.tolist(), pokes.name.tolist(), strict=True)),
             tried_distances=self._solving.tried_distances,
             clocks=self._clocks,
             tip_frame=self.tip_frame,
@@ -353,7 +362,7 @@ class Session:
             excluded=self.excluded,
             dead=self.dead,
             corrections=tuple(decisions.corrections.values()),
-            landmark_pokes=tuple(landmark_pokes(outcomes, decisions.landmarks, decisions.landmark_of_poke)),
+            landmark_pokes=snapshot.landmark_pokes,
             closings=closings_of(snapshot, self.scene.noise),
             part_size=snapshot.part_size,
         )
@@ -414,6 +423,7 @@ class Session:
         self._changed()
 
     def _changed(self) -> None:
+        self._landmark_pokes = None
         # All changes between two snapshots are one generation.
         if self._snapshot is not None:
             self._generation += 1

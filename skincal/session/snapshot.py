@@ -18,6 +18,8 @@ from skincal.model.actions import AskPoke
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import NoiseSettings
 from skincal.model.wrench_frames import WrenchFrame
+from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes
+from skincal.rig.correction import FRAME, RIG
 from skincal.rig.tip_frame import TipFrame, TipState
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions
@@ -40,6 +42,11 @@ class PokeRecord:
     """Request of the guide at the time of the poke; `None` if unknown."""
 
 
+def without_excluded(pokes: LandmarkPokes, decisions: Decisions) -> LandmarkPokes:
+    """Leave out the pokes that the operator excluded."""
+    return pokes[~np.isin(pokes.number, list(decisions.excluded))]
+
+
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """Everything that a session holds at one moment. Snapshots of the same generation are equal."""
@@ -57,6 +64,8 @@ class Snapshot:
     history: History = field(default_factory=History)
     at_landmarks: Mapping[int, str] = field(default_factory=dict[int, str])
     """Pokes at landmarks that have a force axis: number to the landmark's name."""
+    landmark_pokes: LandmarkPokes = NO_LANDMARK_POKES
+    """The same as the rig reported them, excluded ones, too, in the order of their numbers."""
     tried_distances: tuple[TriedDistance, ...] = ()
     """For each known distance between modules, whether the modules method uses it."""
     clocks: tuple[tuple[int, WallClock | None], ...] = ()
@@ -105,6 +114,15 @@ class Snapshot:
     def detached(self) -> Snapshot:
         """Copy the snapshot for another thread: it shares no table with the session."""
         return replace(self, table=None)
+
+    @cached_property
+    def counting_landmark_pokes(self) -> LandmarkPokes:
+        """The landmark pokes that are not excluded, with the corrections in use, in the order of their numbers."""
+        pokes = without_excluded(self.landmark_pokes, self.decisions)
+        for kind in (FRAME, RIG):
+            if kind in self.decisions.corrections:
+                pokes = self.decisions.corrections[kind].correction.corrected_pokes(pokes)
+        return pokes
 
     @property
     def poke_counts(self) -> PokeCounts:

@@ -13,7 +13,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray, inverse_pose
 from skincal.model.scene import Landmark
-from skincal.rig.correction_fit import LandmarkPoke
+from skincal.pokes import LandmarkPokes, Pokes
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulation.operator import Habits, LandmarkHabits, second_touches, unguided_presses
 from skincal.simulation.rig_errors import drift_step, slow_mean_sd
@@ -141,24 +141,27 @@ def poke_landmarks(
     rng: np.random.Generator,
     first_poke: int = 1,
     beside: FloatArray | None = None,
-) -> list[LandmarkPoke]:
+) -> LandmarkPokes:
     """Simulate `per_pose` pokes at the landmarks in turn in each arm pose of the rig.
 
     `beside` (n,), metres, is an additional offset of each poke from its landmark; `None`: 0.
     """
-    found: list[LandmarkPoke] = []
-    for pose in rig.arm_poses:
-        wanted = [landmarks[(len(found) + i) % len(landmarks)] for i in range(per_pose)]
-        number = first_poke + len(found)
-        off = np.zeros(per_pose) if beside is None else beside[len(found) : len(found) + per_pose]
-        pokes = _aimed(rig, wanted, off, rng)
+    every: list[LandmarkPokes] = []
+    for pose, first in zip(rig.arm_poses, range(0, len(rig.arm_poses) * per_pose, per_pose), strict=True):
+        wanted = [landmarks[(first + i) % len(landmarks)] for i in range(per_pose)]
+        off = np.zeros(per_pose) if beside is None else beside[first : first + per_pose]
+        presses = _aimed(rig, wanted, off, rng)
         arm_pose = rig.arm_pose(pose)
-        wrenches = _mean_wrenches(rig, pokes, arm_pose, rng) + _tared_noise(rig, per_pose, rng)[0]
-        found += [
-            LandmarkPoke(number + i, landmark.name, landmark.place, wrench[:3], wrench[3:], arm_pose.reported, arm_pose.name)
-            for i, (landmark, wrench) in enumerate(zip(wanted, wrenches, strict=True))
-        ]
-    return found
+        wrenches = _mean_wrenches(rig, presses, arm_pose, rng) + _tared_noise(rig, per_pose, rng)[0]
+        pokes = Pokes(
+            number=first_poke + np.arange(first, first + per_pose),
+            force=wrenches[:, :3],
+            moment=wrenches[:, 3:],
+            link_from_sensor=np.tile(arm_pose.reported, (per_pose, 1, 1)),
+            pose=np.full(per_pose, arm_pose.name),
+        )
+        every.append(LandmarkPokes.at(pokes, [mark.name for mark in wanted], [mark.place for mark in wanted]))
+    return LandmarkPokes.concatenate(every)
 
 
 def _aimed(rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Generator) -> PressedPlaces:

@@ -21,12 +21,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import Arm, FloatArray, IntArray
+from skincal.pokes import LandmarkPokes, Pokes
 
 if TYPE_CHECKING:
     from skincal.model.scene import Scene
@@ -189,30 +191,15 @@ CASES: Mapping[str, RigModel] = {
 The last cases are skins that spread a press over 2 to 5 taxels on average, and aims (sd in each direction)."""
 
 
-class KnownPoke(NamedTuple):
-    """A poke at a landmark as recorded, with the fields of `skincal.rig`'s `LandmarkPoke` first."""
-
-    poke: int
-    name: str
-    place: FloatArray
-    """(3,) float, metres: of the landmark, as reported."""
-    force: FloatArray
-    """(3,) float, N, sensor frame."""
-    moment: FloatArray
-    """(3,) float, N m."""
-    link_from_sensor: FloatArray
-    """(4, 4) float, metres, as reported."""
-    pose: str
-    planned: bool
-    """Whether it is among the few that the guide asks for (`GUIDED_LANDMARK_POKES`)."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedSession:
     """A session on a rig, and the truth."""
 
     contacts: list[Contact]
-    known: list[KnownPoke]
+    known: LandmarkPokes
+    """Pokes at the landmarks, as recorded."""
+    planned: NDArray[np.bool_]
+    """Of each of them, whether it is among the few that the guide asks for (`GUIDED_LANDMARK_POKES`)."""
     channels: IntArray
     """(n,) the taxels, ascending."""
     places: FloatArray
@@ -605,16 +592,25 @@ def simulate_session(
     true = _true_poses(np.array(list(reported.values())), world, poses, arm)
     read = Sensor(world, sensor).read(sensor_wrenches(true, points, forces, world.flex), noise)
     given = [landmark.place + world.landmarks * wrong.standard_normal(3) for landmark in scene.landmarks]
-    session = SimulatedSession([], [], channels, places, part.wrong(world, mesh))
-    names, asked = list(reported), [0] * len(reported)
+    names, at_landmark = list(reported), np.flatnonzero(marks >= 0)
+    every = Pokes(
+        np.arange(1, len(read) + 1), read[:, :3], read[:, 3:], np.array(list(reported.values()))[poses], np.array(names)[poses]
+    )
+    own_marks: list[int] = marks[at_landmark].tolist()
+    guided = np.zeros(max(len(names), len(GUIDED_LANDMARK_POKES)), dtype=np.int64)
+    guided[: len(GUIDED_LANDMARK_POKES)] = GUIDED_LANDMARK_POKES
+    session = SimulatedSession(
+        contacts=[],
+        known=LandmarkPokes.at(every[at_landmark], [scene.landmarks[k].name for k in own_marks], [given[k] for k in own_marks]),
+        planned=np.arange(len(at_landmark)) % max(known, 1) < guided[poses[at_landmark]],
+        channels=channels,
+        places=places,
+        vertices=part.wrong(world, mesh),
+    )
     rows: list[tuple[int, int]] = list(zip(poses.tolist(), marks.tolist(), strict=True))
     for i, (pose, mark) in enumerate(rows):
         name, force, moment = names[pose], read[i, :3], read[i, 3:]
         if mark >= 0:
-            asked[pose] += 1
-            planned = pose < len(GUIDED_LANDMARK_POKES) and asked[pose] <= GUIDED_LANDMARK_POKES[pose]
-            title = scene.landmarks[mark].name
-            session.known.append(KnownPoke(i + 1, title, given[mark], force, moment, reported[name], name, planned))
             continue
         own = np.flatnonzero(responses[i] > scene.contacts.response_min)
         session.contacts.append(

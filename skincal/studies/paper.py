@@ -22,7 +22,8 @@ from skincal.methods import estimate_taxels
 from skincal.palette import BLACK
 from skincal.palette import METHODS as METHOD_HUES
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
-from skincal.rig.correction_fit import REPORT_LANDMARK_POKES_WITH_TRUST_BELOW, LandmarkPoke, RigRequest, correct_rig
+from skincal.pokes import LandmarkPokes
+from skincal.rig.correction_fit import REPORT_LANDMARK_POKES_WITH_TRUST_BELOW, RigRequest, correct_rig
 from skincal.simulation.contacts import poke_landmarks
 from skincal.simulation.example_parts import forearm
 from skincal.simulation.poking_strategies import TABLE_I, poke_rounds, poke_table
@@ -170,7 +171,7 @@ def _make_rig(seed: int, stream: int, errors: RigErrors) -> tuple[Rig, np.random
 
 def _poke_landmarks(
     rig: Rig, rng: np.random.Generator, each: int = LANDMARKS_PER_POSE[0], off: FloatArray | None = None
-) -> list[LandmarkPoke]:
+) -> LandmarkPokes:
     return poke_landmarks(rig, forearm().scene.landmarks, each, rng, FIRST_LANDMARK_POKE_NUMBER, off)
 
 
@@ -178,9 +179,7 @@ def _poke_all_poses(rig: Rig, each: int, rng: np.random.Generator) -> list[Conta
     return [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, each, rng, 1 + k * each)]
 
 
-def corrected(
-    rig: Rig, contacts: Sequence[Contact], known: Sequence[LandmarkPoke], methods: Sequence[Method] = METHODS
-) -> Measured:
+def corrected(rig: Rig, contacts: Sequence[Contact], known: LandmarkPokes, methods: Sequence[Method] = METHODS) -> Measured:
     """Correct a rig by landmark pokes, and solve the pokes on its skin.
 
     Returns

@@ -36,6 +36,7 @@ from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.off_surface import HEIGHT_MAX_SD_M, SIGNIFICANT_HEIGHT_MIN_SDS, SUBTRACTED_SKIN_THICKNESS_SDS
 from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import trust_from_squares
+from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, Correction, CorrectionErrors, RigPrior, products
 from skincal.rig.correction_fit import (
     GAUSS_NEWTON_STEPS,
@@ -48,7 +49,6 @@ from skincal.rig.correction_fit import (
     NONLINEAR_SENSOR_QUADRATIC_SHARE,
     SENSOR_MODEL_MIN_LOG_LIKELIHOOD_RATIO,
     TRUST_UPDATES_PER_FIT_STEP,
-    LandmarkPoke,
     RigAnswer,
     RigRequest,
     correct_rig,
@@ -419,11 +419,12 @@ def shipped_correction(pokes: CorrectionInputs) -> Outputs:
 def correct_by_landmarks(pokes: CorrectionInputs) -> RigAnswer:
     """Correct a rig by the program."""
     scene = replace(load_scene(resource("scenes/icub-forearm/scene.toml")), noise=pokes.noise)
-    known = [
-        LandmarkPoke(at, f"{pokes.at[at]}", pokes.places[pokes.at[at]], pokes.wrenches[at, :3], pokes.wrenches[at, 3:],
-                     pokes.poses[pokes.pose_of[at]], f"{pokes.pose_of[at]}")
-        for at in range(pokes.landmark_count)
-    ]  # fmt: skip
+    of = np.arange(pokes.landmark_count)
+    forces, moments = pokes.wrenches[of, :3], pokes.wrenches[of, 3:]
+    known = LandmarkPokes(
+        of, forces, moments, pokes.poses[pokes.pose_of[of]], pokes.pose_of[of].astype(np.str_), pokes.at[of].astype(np.str_),
+        pokes.places[pokes.at[of]],
+    )  # fmt: skip
     return correct_rig(RigRequest(scene, None, [], known, prior=pokes.prior))
 
 

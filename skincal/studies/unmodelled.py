@@ -24,7 +24,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.palette import BLACK, BLUE, VERMILION
 from skincal.plotting import GREY, Axes, Figure
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
-from skincal.rig.correction_fit import LandmarkAgreement, LandmarkPoke, RigRequest, correct_rig, landmark_agreement
+from skincal.rig.correction_fit import LandmarkAgreement, RigRequest, correct_rig, landmark_agreement
 from skincal.session.snapshot import snapshot_of
 from skincal.simulation.example_parts import forearm
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
@@ -131,7 +131,7 @@ def run_session(case: str, seed: int) -> Session:
     plain = _solve(scene, surface, poked, poked.contacts)
     found = {0: _judge(plain, None, used=False)}
     for count in LANDMARK_COUNTS[1:]:
-        known = [LandmarkPoke(*mark[:7]) for mark in poked.known if mark.planned or count == LANDMARK_COUNTS[-1]]
+        known = poked.known if count == LANDMARK_COUNTS[-1] else poked.known[poked.planned]
         answer = correct_rig(RigRequest(scene, surface, poked.contacts, known))
         if answer.used and answer.correction is not None:
             used = UsedCorrection(RIG, answer.correction, answer.before, answer.after, len(known), answer.ratio)

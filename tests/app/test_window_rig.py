@@ -88,7 +88,7 @@ class Poked:
         number, before = self.pipeline.session.last_poke + 1, self.frame
         landmark = next(each for each in self.pipeline.session.decisions.landmarks if each.name == self.asked)
         pokes = poke_landmarks(self.rig, (landmark,), 1, self.rng, number)
-        made = replace(next(poke for poke in pokes if poke.pose == POSE), poke=number)
+        made = next(poke for poke in pokes if poke.pose == POSE)
         start_s = time.monotonic() + 1.0
         rest = {"force": made.force, "moment": made.moment, "link_from_sensor": made.link_from_sensor, "pose": POSE}
         channels = np.array([self.near()[0]] if answered else [], dtype=np.int64)

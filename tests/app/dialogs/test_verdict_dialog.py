@@ -19,6 +19,7 @@ from skincal.contacts.poke_counts import PokeCounts
 from skincal.following.review import Review
 from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict
+from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import (
@@ -26,7 +27,6 @@ from skincal.rig.correction_fit import (
     MIN_LANDMARK_POKES,
     MIN_LANDMARKS,
     LandmarkAgreement,
-    LandmarkPoke,
     RigAnswer,
 )
 from skincal.session.corrections import correct_action
@@ -337,8 +337,9 @@ def test_what_is_known_of_the_rig_is_said():
     assert rig_state((), (used,), None) == correction_sentence(used)
     assert rig_state((), (), None).startswith(approved("verdict.rig_unchecked"))
     few = RigAnswer(None, False, np.nan, np.nan, 2, {1: 1.0, 2: 1.0, 3: 1.0}, {}, np.zeros(42), np.ones(42))
-    pokes = tuple(LandmarkPoke(poke, "wrist", *np.zeros((3, 3)), np.eye(4), "") for poke in (1, 2, 3))
-    for poked, said in ((pokes, rig_sentences(few)[0]), ((), rig_state((), (), None))):
+    none = np.zeros((3, 3))
+    pokes = LandmarkPokes(np.arange(1, 4), none, none, np.tile(np.eye(4), (3, 1, 1)), np.full(3, ""), np.full(3, "wrist"), none)
+    for poked, said in ((pokes, rig_sentences(few)[0]), (NO_LANDMARK_POKES, rig_state((), (), None))):
         review = Review(poked, {}, None, few, np.arange(24), {}, {})
         assert rig_state((), (), review) == said
     assert approved("rig.too_few_counts", pokes=3, landmarks=2) in rig_sentences(few)[0]

@@ -17,8 +17,9 @@ from skincal.following.review import Review
 from skincal.geometry import FloatArray
 from skincal.model.actions import Uncorrect
 from skincal.model.scene import Landmark
+from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import FrameCorrection, FrameDiagnosis
 from skincal.session.corrections import correction_of
 from skincal.session.snapshot import Snapshot
@@ -47,8 +48,10 @@ def rig(*, used: bool = True, correction: Correction | None = None, distances: M
 TOO_FEW = RigAnswer(None, False, float("nan"), float("nan"), 2, {1: 1.0, 2: 1.0}, {}, NOBODY, NOBODY)
 
 
-def poke_of(number: int, name: str = "corner") -> LandmarkPoke:
-    return LandmarkPoke(number, name, np.zeros(3), np.array([0, 0, -9.0]), np.zeros(3), np.eye(4), "low")
+def pokes_at_corner(count: int) -> LandmarkPokes:
+    none = np.zeros((count, 3))
+    poses, names = np.tile(np.eye(4), (count, 1, 1)), np.full(count, "corner")
+    return LandmarkPokes(np.arange(1, count + 1), none - [0, 0, 9.0], none, poses, np.full(count, "low"), names, none)
 
 
 def review(
@@ -59,8 +62,7 @@ def review(
     before: Mapping[Method, FloatArray] | None = None,
     after: Mapping[Method, FloatArray] | None = None,
 ) -> Review:
-    found = tuple(poke_of(number) for number in range(1, pokes + 1))
-    return Review(found, reported or {}, diagnosis, answer or rig(), PLAN.channels, before or {}, after or {})
+    return Review(pokes_at_corner(pokes), reported or {}, diagnosis, answer or rig(), PLAN.channels, before or {}, after or {})
 
 
 def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmarks=None, excluded=()):

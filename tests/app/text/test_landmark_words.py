@@ -20,8 +20,9 @@ from skincal.guide.guidance import GuidePhase, LandmarkTarget
 from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.part.part import Part
+from skincal.pokes import NO_LANDMARK_POKES
 from skincal.rig.expected_gain import Gain
-from skincal.session.landmark_pokes import VISUAL_REACTION_TIME_S, LandmarkFinder
+from skincal.session.landmark_pokes import VISUAL_REACTION_TIME_S, LandmarkFinder, landmark_pokes
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method
 from skincal.words.poke_words import REASON_WORDS
@@ -47,7 +48,9 @@ def three_are_enough(monkeypatch):
 def of_pokes(*pokes, at=None, points=POINTS, excluded=()) -> Snapshot:
     """A session with these pokes, of which `at` are at landmarks: number to name."""
     made = session(len(pokes), pokes=pokes, excluded=excluded)
-    return decided(replace(made, at_landmarks=at or {}), landmarks=tuple(points))
+    there = landmark_pokes(pokes, points, at or {})
+    made = replace(made, at_landmarks=at or {}, landmark_pokes=there)
+    return decided(made, landmarks=tuple(points), excluded=frozenset(excluded))
 
 
 def press(poke: int, start_s: float, place=CORNER.place, pose: str = "low") -> Rejection:
@@ -103,7 +106,7 @@ class Landmarks(LandmarkGuide):
         self.begin(snapshot)
         decisions = snapshot.decisions
         return self._finder.find_landmark_pokes(
-            new, (), decisions.landmarks, decisions.missed_landmarks, decisions.named_by_hand, part().scene.noise
+            new, NO_LANDMARK_POKES, decisions.landmarks, decisions.missed_landmarks, decisions.named_by_hand, part().scene.noise
         )
 
 

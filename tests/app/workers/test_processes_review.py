@@ -12,7 +12,7 @@ import pytest
 
 from app.workers.processes import SKIN_POKES_PER_RIG_REVIEW, ReviewClient, WorkerProcess
 from app.workers.threads import ThreadService
-from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.contacts.outcome import Contact
 from skincal.following.review import ReviewRequest, review_rig
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
@@ -28,6 +28,7 @@ from skincal.words.rig_words import frame_sentence, rig_sentences
 from tests.app.whole_window import OPEN_MS
 from tests.app.workers.process_support import is_running
 from tests.approved import approved
+from tests.build import landmark_outcome
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +43,8 @@ def session(part):
     scene, surface = part
     rig, rng = Rig(scene, surface, RigErrors.paper(), np.random.default_rng(1)), np.random.default_rng(2)
     made = Session(scene, surface)
-    nobody = np.empty(0, dtype=np.int64)
     for poke in poke_landmarks(rig, scene.landmarks, 3, rng)[:3]:
-        made.add(
-            Rejection(
-                poke.poke, 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", nobody, True, poke.force, poke.moment,
-                poke.link_from_sensor, poke.pose,
-            )
-        )  # fmt: skip
+        made.add(landmark_outcome(poke))
     return made
 
 
@@ -105,7 +100,7 @@ def test_it_answers_what_the_session_itself_finds_until_the_window_closes(qtbot,
     qtbot.waitUntil(lambda: bool(heard.reviews), timeout=OPEN_MS)
     qtbot.wait(200)
     (answer,) = heard.reviews
-    assert [poke.poke for poke in answer.pokes] == [1, 2, 3], "of the newest alone"
+    assert answer.pokes.number.tolist() == [1, 2, 3], "of the newest alone"
     assert answer.used is session.snapshot().decisions.corrections
     own = review_rig(ReviewRequest.from_session(session))
     assert answer.reported == own.reported
@@ -129,7 +124,7 @@ def test_a_process_that_dies_is_replaced_and_told_all(qtbot, session, client, pr
     os.kill(processes.pid, signal.SIGKILL)
     tell(session, client, 2, 3)
     qtbot.waitUntil(lambda: len(heard.reviews) > 1, timeout=OPEN_MS)
-    assert [poke.poke for poke in heard.reviews[-1].pokes] == [1, 2, 3]
+    assert heard.reviews[-1].pokes.number.tolist() == [1, 2, 3]
     assert heard.failures == []
 
 
@@ -260,7 +255,7 @@ def test_one_review_at_a_time_and_the_newest_next(session, client, processes, he
     done(None)
     (_, (newest, finish)) = waiting
     assert newest[0] == tickets[-1]
-    assert [poke.poke for poke in newest[-1].rig.landmarks] == [1, 2, 3]
+    assert newest[-1].rig.landmarks.number.tolist() == [1, 2, 3]
     finish(None)
     assert len(waiting) == 2
     assert heard.reviews == []

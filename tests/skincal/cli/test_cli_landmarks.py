@@ -55,7 +55,7 @@ class Log:
                 if isinstance(poke, Contact):
                     answers = dict(zip(poke.channels.tolist(), np.minimum(poke.responses, 200.0).tolist(), strict=True))
                 else:
-                    self.names[count] = poke.name
+                    self.names[count] = str(poke.name)
                 self._press(script, np.r_[poke.force, poke.moment], answers)
             self.angles += [np.degrees(rig.scene.arm.poses[name])] * (len(script.samples) - len(self.angles))
         self.count = count

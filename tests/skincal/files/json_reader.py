@@ -21,8 +21,8 @@ from skincal.files.export import (
     NOISE_UNITS,
 )
 from skincal.model.scene import ContactSettings, NoiseSettings
+from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import Correction, UsedCorrection
-from skincal.rig.correction_fit import LandmarkPoke
 from skincal.taxels.result import Cause, Estimate, Method, Rival, State, StateReason
 
 UNKNOWN = ("tare_change", "before", "after")
@@ -46,7 +46,7 @@ class CalibrationFile:
     dead: Mapping[int, str]
     estimates: Mapping[Method, tuple[Estimate, ...]]
     corrections: tuple[UsedCorrection, ...]
-    landmark_pokes: tuple[LandmarkPoke, ...]
+    landmark_pokes: LandmarkPokes
     landmark_check: Mapping[str, Any] | None
 
     @property
@@ -80,7 +80,9 @@ def read_json(path: Path) -> CalibrationFile:
             for name, items in document["estimates"].items()
         },
         corrections=tuple(_correction(values) for values in document["corrections"]),
-        landmark_pokes=tuple(LandmarkPoke(**_fields(values, LANDMARK_KEYS)) for values in document["landmark_pokes"]),
+        landmark_pokes=LandmarkPokes(
+            **{name: np.array([values[key] for values in document["landmark_pokes"]]) for name, key in LANDMARK_KEYS.items()}
+        ),
         landmark_check=document["landmark_check"],
     )
 

@@ -17,6 +17,7 @@ from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.model.skin import SkinKind
 from skincal.modules.pose import ModuleModel
+from skincal.pokes import NO_LANDMARK_POKES
 from skincal.rig.correction_fit import RigRequest, TaxelGroups, _rigid_groups
 from skincal.session.session import Session
 from skincal.session.solving import methods_of
@@ -140,5 +141,5 @@ def test_a_sheet_without_a_mesh_has_no_modules_method():
 def test_the_rig_s_correction_moves_the_taxels_of_a_sheet_one_by_one():
     of = sheet()
     *_, (_, _, session) = guided(of, 30)
-    groups = _rigid_groups(RigRequest(of.scene, of.surface, session.contacts, []))
+    groups = _rigid_groups(RigRequest(of.scene, of.surface, session.contacts, NO_LANDMARK_POKES))
     assert isinstance(groups, TaxelGroups)

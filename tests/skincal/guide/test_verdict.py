@@ -15,6 +15,7 @@ from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.actions import MarkDead
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel
+from skincal.pokes import NO_LANDMARK_POKES
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, RigAnswer, RigRequest, correct_rig, landmark_agreement
 from skincal.rig.expected_gain import unchecked_of
@@ -258,7 +259,7 @@ def test_a_rig_that_landmarks_speak_against_may_be_as_wrong_as_any():
     rig, contacts, known, answer, found = landmark_case(RigErrors.paper(), 1)
     noise, against = rig.scene.noise, landmark_agreement(answer, None)
     assert not against.agrees
-    plain = unchecked_of(None, None, found, contacts, (), noise)
+    plain = unchecked_of(None, None, found, contacts, NO_LANDMARK_POKES, noise)
     assert plain == unchecked_of(None, against, found, contacts, known, noise)
     off = [
         estimate.position - place for estimate, place in zip(found, rig.places, strict=True) if estimate.position is not None

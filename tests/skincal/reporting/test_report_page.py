@@ -278,7 +278,8 @@ def imported(tmp_path_factory) -> tuple[int, Path]:
     folder = tmp_path_factory.mktemp("imported") / "session"
     pipeline = noted_session(folder, rig.scene, rig.surface, [*contacts, *map(landmark_outcome, landmarks)])
     for poke in landmarks:
-        pipeline.act(AtLandmark(poke.poke, poke.name), 2 + poke.poke)
+        number = int(poke.number)
+        pipeline.act(AtLandmark(number, str(poke.name)), 2 + number)
     pipeline.close()
     return len(landmarks), folder
 

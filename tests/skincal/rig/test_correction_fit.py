@@ -11,9 +11,10 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, rotations
+from skincal.pokes import NO_LANDMARK_POKES, Pokes
 from skincal.rig import correction_fit
-from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
-from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, _first_rows, correct_rig
+from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, CorrectionErrors, RigPrior, RigState, products, rig_rows
+from skincal.rig.correction_fit import MIN_LANDMARK_POKES, RigRequest, _first_rows, correct_rig
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.example_parts import forearm
 from skincal.simulation.rig_errors import RigErrors
@@ -23,7 +24,7 @@ from skincal.taxels.shared_errors import predicted_error
 from skincal.words.rig_words import rig_sentences
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
-POSES = 3
+POSES = ("high", "low", "side")
 PRIOR = RigPrior()
 BENT = RigPrior(quadratic=correction_fit.NONLINEAR_SENSOR_QUADRATIC_SHARE)
 
@@ -32,9 +33,11 @@ def some_rows(rng):
     reported = np.tile(np.eye(4), (6, 1, 1))
     reported[:, :3, :3], reported[:, :3, 3] = rotations(rng.normal(0, 1, (6, 3))), rng.normal(0, 0.1, (6, 3))
     wrenches = np.column_stack([rng.normal(0, 6, (6, 3)), rng.normal(0, 1, (6, 3))])
-    scales = PRIOR.scales(POSES)
+    scales = PRIOR.scales(len(POSES))
     state = RigState.at_prior(POSES).add_step(2.0 * rng.standard_normal(len(scales)), scales)
-    return RigReadings(wrenches, rng.integers(0, POSES, 6), reported), state, rng.normal(0, 0.1, (6, 3)), scales
+    names = np.array(POSES)[rng.integers(0, len(POSES), 6)]
+    pokes = Pokes(np.arange(6), wrenches[:, :3], wrenches[:, 3:], reported, names)
+    return pokes, state, rng.normal(0, 0.1, (6, 3)), scales
 
 
 # Noise of the moment alone is the same everywhere, so that rows change as r does.
@@ -43,26 +46,25 @@ NOWHERE = np.zeros((6, 3, 3))
 
 
 def test_the_rows_change_with_the_rig_and_the_place_as_they_say(rng):
-    readings, state, places, scales = some_rows(rng)
-    rows, step = rig_rows(readings, state, places, NOWHERE, FLAT, scales), 1e-5
+    pokes, state, places, scales = some_rows(rng)
+    rows, step = rig_rows(pokes, state, places, NOWHERE, FLAT, scales), 1e-5
     for unknown, move in enumerate(step * np.eye(len(scales))):
         there, back = (
-            rig_rows(readings, state.add_step(sign * move, scales), places, NOWHERE, FLAT, scales).misses
-            for sign in (1.0, -1.0)
+            rig_rows(pokes, state.add_step(sign * move, scales), places, NOWHERE, FLAT, scales).misses for sign in (1.0, -1.0)
         )
         np.testing.assert_allclose((there - back) / (2 * step), rows.of_rig[:, :, unknown], rtol=0, atol=1e-7)
     for axis, move in enumerate(1e-6 * np.eye(3)):
-        there, back = (rig_rows(readings, state, places + sign * move, NOWHERE, FLAT, scales).misses for sign in (1.0, -1.0))
+        there, back = (rig_rows(pokes, state, places + sign * move, NOWHERE, FLAT, scales).misses for sign in (1.0, -1.0))
         np.testing.assert_allclose((there - back) / 2e-6, rows.of_place[:, :, axis], rtol=0, atol=1e-5)
 
 
 def test_a_right_rig_misses_by_nothing_and_in_metres_by_how_far_the_point_is_off(rng):
-    readings, _, places, scales = some_rows(rng)
-    here = np.linalg.solve(readings.reported, np.column_stack([places, np.ones(6)])[:, :, None])[:, :3, 0]
-    exact = replace(readings, wrenches=np.column_stack([readings.wrenches[:, :3], np.cross(here, readings.wrenches[:, :3])]))
+    pokes, _, places, scales = some_rows(rng)
+    here = np.linalg.solve(pokes.link_from_sensor, np.column_stack([places, np.ones(6)])[:, :, None])[:, :3, 0]
+    exact = replace(pokes, moment=np.cross(here, pokes.force))
     right = RigState.at_prior(POSES)
     assert np.abs(rig_rows(exact, right, places, NOWHERE, FLAT, scales).misses).max() < 1e-12
-    push = (readings.reported[:, :3, :3] @ readings.wrenches[:, :3, None])[:, :, 0]
+    push = (pokes.link_from_sensor[:, :3, :3] @ pokes.force[:, :, None])[:, :, 0]
     aside = np.cross(push, rng.standard_normal((6, 3)))
     aside *= 0.004 / np.linalg.norm(aside, axis=1, keepdims=True)
     np.testing.assert_allclose(rig_rows(exact, right, places + aside, NOWHERE, FLAT, scales).distances, 0.004, rtol=1e-9)
@@ -117,19 +119,20 @@ def test_landmarks_that_are_misplaced_do_not_spoil_a_rig_that_is_right():
     for seed in range(4):
         rng, rig = np.random.default_rng(seed), make_rig(RigErrors.noise(), seed)
         contacts = simulate_contacts(rig, unguided(rig, 1, rng), rng)
-        known = [poke for poke in poke_landmarks(rig, rig.scene.landmarks, 12, rng, 10_001) if poke.pose == contacts[0].pose]
+        known = poke_landmarks(rig, rig.scene.landmarks, 12, rng, 10_001)
+        known = known[known.pose == contacts[0].pose]
         off = {landmark.name: 0.004 / np.sqrt(3.0) * rng.standard_normal(3) for landmark in rig.scene.landmarks}
-        misplaced = [replace(landmark, place=landmark.place + off[landmark.name]) for landmark in known]
+        misplaced = replace(known, place=known.place + [off[name] for name in known.name])
         for some in (misplaced[:6], misplaced):
             assert not correct_rig(RigRequest(rig.scene, rig.surface, contacts, some)).used
 
 
 def test_too_few_landmark_pokes_or_landmarks_correct_nothing():
     rig, request, _ = trial(1, "paper", 1, 10)
-    names = {mark.name for mark in rig.scene.landmarks[:3]}
-    three = [landmark for landmark in request.landmarks if landmark.name in names]
+    names = [mark.name for mark in rig.scene.landmarks[:3]]
+    three = request.landmarks[np.isin(request.landmarks.name, names)]
     assert len(three) > MIN_LANDMARK_POKES
-    for some, points in (([], 0), (request.landmarks[: MIN_LANDMARK_POKES - 1], 5), (three, 3)):
+    for some, points in ((NO_LANDMARK_POKES, 0), (request.landmarks[: MIN_LANDMARK_POKES - 1], 5), (three, 3)):
         answer = correct_rig(replace(request, landmarks=some))
         assert (answer.used, answer.correction, answer.points) == (False, None, points)
         assert not answer.unknowns.any()
@@ -152,7 +155,7 @@ def test_a_landmark_poked_ten_millimetres_off_is_named_and_does_little_harm():
 def test_what_landmarks_do_not_tell_stays_at_the_prior():
     """Poses without a landmark poke and a skin poke keep the reported pose; what is well known is known better than before."""
     _, request, _ = trial(2, "paper", 1, 3)
-    some = [poke for poke in request.landmarks if poke.pose != "3"]
+    some = request.landmarks[request.landmarks.pose != "3"]
     answer = correct_rig(replace(request, landmarks=some, contacts=[poke for poke in request.contacts if poke.pose != "3"]))
     assert "3" not in answer.correction.motions
     blind = correct_rig(replace(request, landmarks=some, contacts=[poke for poke in request.contacts if poke.pose == "3"][:1]))
@@ -195,10 +198,11 @@ def test_a_rigid_motion_of_the_link_frame_leaves_the_correction():
             replace(request.scene, skin=replace(skin, anchor=anchor)),
             surface,
             [replace(poke, link_from_sensor=motion @ poke.link_from_sensor) for poke in request.contacts],
-            [
-                replace(poke, link_from_sensor=motion @ poke.link_from_sensor, place=turn @ poke.place + shift)
-                for poke in request.landmarks
-            ],
+            replace(
+                request.landmarks,
+                link_from_sensor=motion @ request.landmarks.link_from_sensor,
+                place=request.landmarks.place @ turn.T + shift,
+            ),
         )
     )
     np.testing.assert_allclose(moved.correction.matrix, answer.correction.matrix, rtol=0, atol=2e-4)
@@ -231,12 +235,11 @@ def quadratic_rig(seed, share):
     wrong = share * rng.standard_normal((6, 21)) * units[:, None] / products(units[None])
 
     def read(poke):
-        wrench = np.concatenate([poke.force, poke.moment])
-        wrench = wrench - wrong @ products(wrench[None])[0]
-        return replace(poke, force=wrench[:3], moment=wrench[3:])
+        wrench = np.concatenate([poke.force, poke.moment], axis=-1)
+        wrench = wrench - products(wrench) @ wrong.T
+        return replace(poke, force=wrench[..., :3], moment=wrench[..., 3:])
 
-    pokes = [[read(poke) for poke in some] for some in (request.contacts, request.landmarks)]
-    return rig, replace(request, contacts=pokes[0], landmarks=pokes[1]), wrong
+    return rig, replace(request, contacts=[read(poke) for poke in request.contacts], landmarks=read(request.landmarks)), wrong
 
 
 def test_a_sensor_that_is_not_linear_is_found_and_one_that_is_is_taken_for_linear():
@@ -294,7 +297,7 @@ def second_request(case, seed, planned):
     scene, true = forearm().scene, forearm().surface
     poked = simulate_session(scene, true.vertices, true.triangles, CASES[case], seed)
     surface = make_surface(poked.vertices, true.triangles)
-    known = [LandmarkPoke(*mark[:7]) for mark in poked.known if mark.planned or not planned]
+    known = poked.known[poked.planned] if planned else poked.known
     return poked, RigRequest(scene, surface, poked.contacts, known)
 
 
@@ -390,7 +393,8 @@ def test_landmarks_whose_places_are_off_leave_more_unknown():
         rig, request, right = trial(seed, "paper", 1, 10)
         rng = np.random.default_rng(seed)
         off = {name: 0.003 / np.sqrt(3.0) * rng.standard_normal(3) for name in sorted({p.name for p in request.landmarks})}
-        moved = replace(request, landmarks=[replace(poke, place=poke.place + off[poke.name]) for poke in request.landmarks])
+        places = request.landmarks.place + [off[name] for name in request.landmarks.name]
+        moved = replace(request, landmarks=replace(request.landmarks, place=places))
         assert predicted_whole(rig, moved, correct_rig(moved)) > 1.2 * predicted_whole(rig, request, right)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from skincal.modules.pose import rotations
+from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import FRAME, RIG, Correction, RigPrior
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, diagnose, frame_correction
@@ -38,7 +39,7 @@ def three(trial):
     rig = rig_of(trial % 10 + 1)
     pokes = poke_landmarks(rig, rig.scene.landmarks, 3, rng)[:3]
     beside = LAYOUT / np.sqrt(3.0) * rng.standard_normal((3, 3))
-    pokes = [replace(poke, place=poke.place + off) for poke, off in zip(pokes, beside, strict=True)]
+    pokes = replace(pokes, place=pokes.place + beside)
     return pokes, [landmark.normal for landmark in rig.scene.landmarks[:3]], rng
 
 
@@ -47,6 +48,11 @@ def other_axes(rng):
         axes = np.diag(rng.choice([-1.0, 1.0], 3))[rng.permutation(3)]
         if not np.array_equal(axes, np.eye(3)):
             return axes
+
+
+def turned_by(pokes, axes):
+    """Pokes of which a sensor reports the components in another order."""
+    return replace(pokes, force=pokes.force @ axes, moment=pokes.moment @ axes)
 
 
 def mounting(rng):
@@ -61,13 +67,13 @@ def said_right(trial):
     pokes, normals, rng = three(trial)
     kind, axes, motion = trial % 5, other_axes(rng), mounting(rng)
     change = (
-        lambda poke: poke,
-        lambda contact: replace(contact, force=axes.T @ contact.force, moment=axes.T @ contact.moment),
-        lambda contact: replace(contact, moment=1e3 * contact.moment),
-        lambda contact: replace(contact, force=contact.force / STANDARD_GRAVITY),
-        lambda contact: replace(contact, link_from_sensor=contact.link_from_sensor @ motion),
+        lambda pokes: pokes,
+        lambda pokes: turned_by(pokes, axes),
+        lambda pokes: replace(pokes, moment=1e3 * pokes.moment),
+        lambda pokes: replace(pokes, force=pokes.force / STANDARD_GRAVITY),
+        lambda pokes: replace(pokes, link_from_sensor=pokes.link_from_sensor @ motion),
     )[kind]
-    said = diagnose([change(poke) for poke in pokes], normals)
+    said = diagnose(change(pokes), normals)
     plain = np.array_equal(said.correction.axes, np.eye(3))
     return (
         said.right,
@@ -107,15 +113,15 @@ def test_what_is_ordinarily_wrong_with_a_rig_is_no_wrong_frame(count):
 def test_on_such_a_rig_another_order_of_the_axes_is_named(count):
     named = 0
     for pokes, normals, axes in on_bad_rigs(count):
-        said = diagnose([replace(poke, force=axes.T @ poke.force, moment=axes.T @ poke.moment) for poke in pokes], normals)
+        said = diagnose(turned_by(pokes, axes), normals)
         named += np.array_equal(said.correction.axes, axes) and said.correction.moment_scale == 1.0
     assert named >= 0.95 * BAD
 
 
-def same_poke(poke, other):
-    np.testing.assert_array_equal(poke.force, other.force)
-    np.testing.assert_array_equal(poke.moment, other.moment)
-    np.testing.assert_array_equal(poke.link_from_sensor, other.link_from_sensor)
+def same_pokes(pokes, others):
+    np.testing.assert_array_equal(pokes.force, others.force)
+    np.testing.assert_array_equal(pokes.moment, others.moment)
+    np.testing.assert_array_equal(pokes.link_from_sensor, others.link_from_sensor)
 
 
 def test_a_right_frame_is_left_and_a_wrong_one_is_corrected_by_what_is_offered():
@@ -126,27 +132,26 @@ def test_a_right_frame_is_left_and_a_wrong_one_is_corrected_by_what_is_offered()
     assert said.miss < 0.01
     assert said.corrected_miss == said.miss
     assert "right" in frame_sentence(said)
-    reaction = diagnose([replace(poke, force=-poke.force, moment=-poke.moment) for poke in pokes], normals)
+    reaction = diagnose(replace(pokes, force=-pokes.force, moment=-pokes.moment), normals)
     # The axis is the same: the side that pushes tells.
     assert reaction.miss == pytest.approx(said.miss)
     assert "reaction" in frame_sentence(reaction)
-    turned = [replace(poke, force=poke.force[[1, 0, 2]], moment=poke.moment[[1, 0, 2]]) for poke in pokes]
+    turned = replace(pokes, force=pokes.force[:, [1, 0, 2]], moment=pokes.moment[:, [1, 0, 2]])
     found = diagnose(turned, normals)
     assert approved("sensor_frame.axes_order_clause", order="y, x, z") in frame_sentence(found)
     assert f"{found.miss * 1e3:.0f} mm" in frame_sentence(found)
-    for before, after in zip(pokes, turned, strict=True):
-        same_poke(frame_correction(found.correction).corrected(after), before)
+    same_pokes(frame_correction(found.correction).corrected_pokes(turned), pokes)
 
 
 def one_elsewhere(count, seed):
     """Pokes on a rig with the paper's errors, one of them at another landmark than listed, their normals, and that poke."""
     rig, rng = make_rig(RigErrors.paper(), seed), np.random.default_rng([seed, 97])
     marks = rig.scene.landmarks
-    pokes = list(poke_landmarks(rig, marks, 3, rng)[:count])
+    pokes = poke_landmarks(rig, marks, 3, rng)[:count]
     listed = [i % len(marks) for i in range(count)]
     slip = int(rng.integers(count))
     listed[slip] = (listed[slip] + int(rng.integers(1, len(marks)))) % len(marks)
-    pokes = [replace(poke, place=marks[i].place, name=marks[i].name) for poke, i in zip(pokes, listed, strict=True)]
+    pokes = LandmarkPokes.at(pokes, [marks[i].name for i in listed], [marks[i].place for i in listed])
     return pokes, [marks[i].normal for i in listed], pokes[slip]
 
 
@@ -159,7 +164,7 @@ def test_a_poke_at_another_landmark_is_no_wrong_frame(count, found):
         said = diagnose(pokes, normals)
         right += said.right
         blamed += not said.right and said.sure
-        named += said.slip is not None and (said.slip.poke, said.slip.name) == (slip.poke, slip.name)
+        named += said.slip is not None and (said.slip.poke, said.slip.name) == (slip.number, slip.name)
         # Two pokes that are left tell no frame surely.
         assert not (count == 3 and said.right and said.corrected_miss < said.miss and said.sure)
     assert blamed <= 1
@@ -173,12 +178,12 @@ def test_a_wrong_frame_is_named_beside_a_poke_at_another_landmark():
     for seed in range(1, SLIPS + 1):
         pokes, normals, slip = one_elsewhere(12, seed)
         axes = other_axes(np.random.default_rng([seed, 96]))
-        said = diagnose([replace(poke, force=axes.T @ poke.force, moment=axes.T @ poke.moment) for poke in pokes], normals)
+        said = diagnose(turned_by(pokes, axes), normals)
         named += (
             np.array_equal(said.correction.axes, axes)
             and said.explained
             and said.slip is not None
-            and said.slip.poke == slip.poke
+            and said.slip.poke == slip.number
         )
     assert named >= 0.9 * SLIPS
 
@@ -190,7 +195,7 @@ def rig_answer(correction):
 
 def test_the_rig_is_offered_before_a_wrong_frame_that_is_not_sure_or_explains_nothing():
     pokes, normals, _ = three(0)
-    turned = diagnose([replace(poke, force=-poke.force, moment=-poke.moment) for poke in pokes], normals)
+    turned = diagnose(replace(pokes, force=-pokes.force, moment=-pokes.moment), normals)
     rig = rig_answer(Correction(np.eye(6), np.eye(4), {}))
     assert offered(turned, rig, 3, {}).of == FRAME
     assert offered(replace(turned, sure=False), rig, 3, {}).of == RIG
@@ -204,8 +209,8 @@ def test_what_no_mistake_of_the_frame_explains_is_said_and_not_offered():
     unexplained = 0
     for pokes, normals, _ in on_bad_rigs(21)[:SLIPS]:
         # The landmarks' names went round by one.
-        places = [landmark.place for landmark in (*pokes[1:6], pokes[0])] * 4
-        said = diagnose([replace(poke, place=place) for poke, place in zip(pokes, places[:21], strict=True)], normals)
+        places = np.tile(pokes.place[[1, 2, 3, 4, 5, 0]], (4, 1))
+        said = diagnose(replace(pokes, place=places[:21]), normals)
         assert not (said.sure and said.right)
         unexplained += not said.explained
         if not said.explained:
@@ -220,7 +225,7 @@ def test_a_reaction_is_shown_by_the_surface_where_landmarks_have_no_normal():
     rig = rig_of(1)
     bare = [replace(landmark, normal=None) for landmark in rig.scene.landmarks[:3]]
     pokes, _, _ = three(0)
-    reaction = [replace(poke, force=-poke.force, moment=-poke.moment) for poke in pokes]
+    reaction = replace(pokes, force=-pokes.force, moment=-pokes.moment)
     normals = landmark_normals(bare, rig.surface)
     assert "reaction" in frame_sentence(diagnose(reaction, normals))
     assert diagnose(pokes, normals).right
@@ -228,7 +233,7 @@ def test_a_reaction_is_shown_by_the_surface_where_landmarks_have_no_normal():
     blind = diagnose(reaction, [None] * 3)
     assert (blind.right, blind.sure) == (True, False), "without normals the reaction cannot be seen"
     assert diagnose(pokes[:2], normals[:2]) is None
-    same_poke(frame_correction(FrameCorrection()).corrected(pokes[0]), pokes[0])
+    same_pokes(frame_correction(FrameCorrection()).corrected_pokes(pokes), pokes)
     away = replace(bare[0], place=bare[0].place + 0.05 * normals[0])
     own = replace(away, normal=np.array([0.0, 0.0, 1.0]))
     found = landmark_normals([away, own], rig.surface)

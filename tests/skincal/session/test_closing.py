@@ -13,8 +13,8 @@ from skincal.following.session_guide import SessionGuide
 from skincal.guide.guidance import GuidePhase
 from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo
 from skincal.part.part import lay_part
+from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.closing import Closing, ClosingPlace, ClosingPlaces, closing_check
-from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.closing_pokes import (
     CLOSING_CHECK_MAX_POKES_PER_PLACE,
     MAX_REPEATS_OF_DECIDING_PLACE,
@@ -41,7 +41,9 @@ NOISE = make_rig(RigErrors.noise(), 1).scene.noise
 
 def off_by(poke, offset):
     """The poke as it is where the tip was `offset` beside the place, link frame, metres."""
-    return replace(poke, moment=poke.moment + np.cross(poke.link_from_sensor[:3, :3].T @ offset, poke.force))
+    return replace(
+        poke, moment=poke.moment + np.cross(poke.link_from_sensor[..., :3, :3].swapaxes(-1, -2) @ offset, poke.force)
+    )
 
 
 def across(poke, size, rng):
@@ -118,7 +120,7 @@ def test_at_enough_three_landmarks_are_asked_for_once_more_and_nothing_moved():
     it = Sessions(RigErrors.noise())
     assert it.look().enough
     assert not it.verdict().closings
-    first = [poke.name for poke in it.session.landmark_pokes][:3]
+    first = it.session.landmark_pokes.name.tolist()[:3]
     assert it.close() == first
     (closing,) = it.verdict().closings
     assert (closing.at, closing.names) == (ClosingPlaces.LANDMARKS, tuple(sorted(first)))
@@ -197,7 +199,7 @@ def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
 
 def test_where_an_early_poke_was_far_off_its_place_is_asked_for_twice_at_most():
     it = Sessions(RigErrors.noise(), slips=0.03)
-    first = next(iter(it.session.landmark_pokes)).name
+    first = str(it.session.landmark_pokes.name[0])
     assert it.close().count(first) == 1 + MAX_REPEATS_OF_DECIDING_PLACE
     (closing,) = it.verdict().closings
     assert (closing.single_poke_decides, closing.place, closing.poke) == (True, first, 1)
@@ -205,7 +207,7 @@ def test_where_an_early_poke_was_far_off_its_place_is_asked_for_twice_at_most():
 
 def test_the_place_of_one_poke_is_asked_for_no_more_where_others_are_poked_instead():
     it, first = with_one_far_off()
-    other = next(reversed(it.session.landmark_pokes)).name
+    other = str(it.session.landmark_pokes.name[-1])
     assert other != first
     made = it.number
     for _ in range(CLOSING_CHECK_MAX_POKES_PER_PLACE):
@@ -224,7 +226,13 @@ def nine_pokes(seed, *, moved=0.0):
     """Six landmarks poked once, and three of them once more, after the part moved by so many metres."""
     rig, rng = make_rig(RigErrors.paper(), seed), np.random.default_rng(seed)
     pokes, way = poke_landmarks(rig, rig.scene.landmarks, 9, rng, 1)[:9], rng.normal(size=3)
-    return [*pokes[:6], *(off_by(poke, moved * way / np.linalg.norm(way)) for poke in pokes[6:])]
+    return LandmarkPokes.concatenate([pokes[:6], off_by(pokes[6:], moved * way / np.linalg.norm(way))])
+
+
+def with_one_off(pokes, position, by):
+    """The pokes, one of them beside its place by a vector, metres, link frame."""
+    own = pokes[position : position + 1]
+    return LandmarkPokes.concatenate([pokes[:position], off_by(own, by), pokes[position + 1 :]])
 
 
 def test_one_poke_far_off_moves_nothing_wherever_it_is():
@@ -234,7 +242,7 @@ def test_one_poke_far_off_moves_nothing_wherever_it_is():
             pokes, rng = nine_pokes(seed), np.random.default_rng([seed, position])
             push = pokes[position].link_from_sensor[:3, :3] @ pokes[position].force
             beside = np.cross(push, rng.normal(size=3))
-            pokes[position] = off_by(pokes[position], 0.020 * beside / np.linalg.norm(beside))
+            pokes = with_one_off(pokes, position, 0.020 * beside / np.linalg.norm(beside))
             closing = landmark_check(pokes)
             before.append(closing.chance < 0.01)
             now.append(closing.has_moved)
@@ -250,9 +258,9 @@ def test_a_movement_shows_whichever_poke_is_left_out():
 
 def test_a_poke_that_is_left_out_counts_as_if_it_had_not_been_made():
     pokes = nine_pokes(2)
-    pokes[4] = off_by(pokes[4], np.array([0.0, 0.0, 0.2]))
+    pokes = with_one_off(pokes, 4, np.array([0.0, 0.0, 0.2]))
     assert landmark_check(pokes).poke == 5
-    alone = closing_check([*pokes[:4], pokes[5]], pokes[6:], ClosingPlaces.LANDMARKS, NOISE)
+    alone = closing_check(pokes[[0, 1, 2, 3, 5]], pokes[6:], ClosingPlaces.LANDMARKS, NOISE)
     assert landmark_check(pokes).chance_without_worst == pytest.approx(alone.chance, rel=1e-6)
 
 
@@ -299,12 +307,15 @@ def test_the_chance_is_what_it_says():
 def pushed_down(rng: np.random.Generator, moved: tuple[float, float, float] = (0.0, 0.0, 0.0)):
     """Six landmarks of a flat part, all pushed within 5 degrees of straight down, and three once more after it moved."""
     places = np.array([[x, y, 0.12] for x in (-0.04, 0.0, 0.04) for y in (-0.02, 0.02)])
-    pokes = []
-    for number, which in enumerate((*range(6), *range(3))):
+    numbers, wrenches = [*range(6), *range(3)], []
+    for number, which in enumerate(numbers):
         force = 8.0 * np.array([*rng.normal(0.0, np.radians(2.5), 2), -1.0])
         place = places[which] + (np.array(moved) if number >= 6 else 0.0)
         moment = np.cross(place, force) + rng.normal(0.0, 0.010, 3)
-        pokes.append(LandmarkPoke(number, str(which), places[which], force, moment, np.eye(4), "home"))
+        wrenches.append([force, moment])
+    force, moment = np.array(wrenches).transpose(1, 0, 2)
+    every = Pokes(np.arange(9), force, moment, np.tile(np.eye(4), (9, 1, 1)), np.full(9, "home"))
+    pokes = LandmarkPokes.at(every, list(map(str, numbers)), places[numbers])
     return pokes[:6], pokes[6:]
 
 

@@ -134,11 +134,11 @@ def test_a_frame_that_is_named_wrong_is_put_right():
     session = Session(rig.scene, rig.surface)
     for poke in poke_landmarks(rig, rig.scene.landmarks, 6, rng)[:6]:
         session.add(landmark_outcome(replace(poke, force=TURN @ poke.force, moment=1e3 * TURN @ poke.moment)))
-        session.act(AtLandmark(poke.poke, poke.name))
+        session.act(AtLandmark(int(poke.number), str(poke.name)))
     normals = {landmark.name: landmark.normal for landmark in session.decisions.landmarks}
 
     def diagnosis():
-        return diagnose(session.landmark_pokes, [normals[poke.name] for poke in session.landmark_pokes])
+        return diagnose(session.landmark_pokes, [normals[name] for name in session.landmark_pokes.name])
 
     found = diagnosis()
     assert not found.right
@@ -352,7 +352,7 @@ def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp
         "landmark_pokes": 21, "miss_before_m": found.before, "miss_after_m": found.after, "worth_using": True,
     }  # fmt: skip
     assert len(file.landmark_pokes) == 21
-    reported = session.outcome(file.landmark_pokes[0].poke)
+    reported = session.outcome(int(file.landmark_pokes.number[0]))
     assert np.array_equal(file.landmark_pokes[0].force, reported.force), "as the rig reported it"
 
     contacts = [contact for contact in file.contacts if contact.poke not in file.excluded]
@@ -371,7 +371,8 @@ def recorded(poked, tmp_path_factory):
     outcomes = [*contacts, *(landmark_outcome(landmark) for landmark in landmarks)]
     pipeline = noted_session(folder, rig.scene, rig.surface, outcomes)
     for poke in landmarks:
-        pipeline.act(AtLandmark(poke.poke, poke.name), 2 + poke.poke)
+        number = int(poke.number)
+        pipeline.act(AtLandmark(number, str(poke.name)), 2 + number)
     pipeline.close()
     return folder
 

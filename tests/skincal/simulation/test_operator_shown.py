@@ -13,7 +13,7 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Landmark
 from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, write_line
-from skincal.session.landmark_pokes import poke_at
+from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.pipeline import Pipeline
 from skincal.simulation.device import DeviceTimeline
 from skincal.simulation.operator import (
@@ -264,7 +264,7 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
                 pipeline.feed(Chunk(link, at_ns, data))
             pipeline.tick(round(line.now * 1e9))
         outcomes = [record.outcome for record in pipeline.snapshot().pokes]
-        there = [poke for outcome in outcomes if (poke := poke_at(outcome, Landmark("head", head, None))) is not None]
+        there = landmark_pokes(outcomes, [Landmark("head", head, None)], {outcome.poke: "head" for outcome in outcomes})
         assert len(there) >= 5
         if not felt:
             assert {outcome.reason for outcome in outcomes} == {Reason.NO_TAXEL}
@@ -273,4 +273,5 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
             assert 7.0 < np.linalg.norm(force) < 14.0
             away = np.linalg.norm(moment - np.cross(head, force)) / np.linalg.norm(force)
             assert away < 0.004
+            assert poke.landmark_miss < 0.004
         assert any(hasattr(outcome, "responses") for outcome in outcomes) is felt

@@ -13,6 +13,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import load_scene, resource
 from skincal.modules.pose import ModuleModel
+from skincal.pokes import Pokes
 from skincal.simulation.example_parts import forearm
 from skincal.studies.independent_simulator import (
     CASES,
@@ -55,7 +56,9 @@ def poked(world=PERFECT, seed=1):
 
 
 def readings(session):
-    return np.array([[*each.force, *each.moment] for each in sorted([*session.contacts, *session.known], key=lambda e: e.poke)])
+    skin = Pokes.collect(session.contacts)
+    numbers = np.concatenate([skin.number, session.known.number])
+    return np.concatenate([skin.wrench, session.known.wrench])[numbers.argsort()]
 
 
 def in_link(each, pose=None):
@@ -336,7 +339,7 @@ def test_a_landmark_is_told_wrong_by_the_same_for_all_its_pokes():
 
 def test_the_guide_asks_for_21_of_70_landmark_pokes_well_spread():
     known = poked().known
-    asked = [each for each in known if each.planned]
+    asked = known[poked().planned]
     assert (len(known), len(asked)) == (70, 21)
     poses = list(dict.fromkeys(each.pose for each in known))
     names = [[each.name for each in asked if each.pose == pose] for pose in poses]
