@@ -11,7 +11,7 @@ It has the options and commands of `skincal`:
   start.py --headless                     run the simulated session without a window
   start.py --ros2 ...                     install the packages that read ROS 2, then the same as without it;
                                           so do --rosbag, --robometry, --hdf5, --parquet,
-                                          --excel and --physics
+                                          --excel, --physics and --study
   start.py COMMAND ...                    a command: solve, export, apply, compare, report, devices, watch,
                                           landmarks, record, simulate, scene, import or study
   start.py --physics demo robot           a simulated robot calibrates a part

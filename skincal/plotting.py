@@ -83,3 +83,17 @@ def add_common_legend(figure: Figure, panels: Any, columns: int) -> None:
     found = [panel.get_legend_handles_labels() for panel in panels.axes]
     marks = {label: handle for handles, labels in found for handle, label in zip(handles, labels, strict=True)}
     figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=columns)
+
+
+def draw_predicted_and_true(
+    axes: Axes, places: Sequence[float], predicted: Sequence[float], true: Sequence[float], look: Mapping[str, Any]
+) -> None:
+    """Draw a predicted error (hollow) and the true one (full) along x, joined by a line, at each of `places` along y.
+
+    `look` has the `color` and the `label` of both, and may have a `marker`.
+    """
+    colour, label = look["color"], look["label"]
+    marks = {"marker": look.get("marker", "o"), "s": 28, "zorder": 3}
+    axes.hlines(places, predicted, true, color=colour, linewidth=1.0)
+    axes.scatter(true, places, color=colour, label=f"true, {label}", **marks)
+    axes.scatter(predicted, places, color="white", edgecolors=colour, label=f"predicted, {label}", **marks)

@@ -282,7 +282,7 @@ def test_linear_algebra_takes_one_thread_unless_the_environment_says_otherwise(m
 def test_processes_beside_the_studies_take_one_thread_each() -> None:
     environment = {name: value for name, value in os.environ.items() if not name.endswith(("NUM_THREADS", "MAXIMUM_THREADS"))}
     inside = THREADS.format(module="skincal")
-    script = f"from skincal.studies.benchmarking import processes\nprocesses().submit(exec, {inside!r}, {{}}).result()\n"
+    script = f"from skincal.studies.harness import processes\nprocesses().submit(exec, {inside!r}, {{}}).result()\n"
     done = run("-c", script, environment=environment)
     assert done.returncode == 0, done.stderr
     assert set(done.stdout.split()) <= {"1"}

@@ -37,6 +37,7 @@ EXTRA_PACKAGES = {
     "--parquet": ("pyarrow",),
     "--excel": ("openpyxl",),
     "--physics": ("mujoco",),
+    "--study": ("mpmath",),
 }
 """Packages of an extra of `pyproject.toml`, by the option of `start.py` that installs it."""
 XVFB_NEEDS = (Path("/usr/bin/xkbcomp"), Path("/usr/share/X11/xkb"))

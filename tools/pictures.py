@@ -16,8 +16,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from functools import partial
-from importlib import import_module
 from pathlib import Path
 
 from PIL import Image
@@ -31,14 +29,12 @@ from app.session.opening import OpenRequest, find_scene, server_command
 from app.sound.player import Player
 from app.theme import Choice
 from app.window import Theme, Window
-from skincal.cli.study import FIGURE_DOTS_PER_INCH, FIGURE_INCHES
 from skincal.methods import leading_method
 from skincal.model.scene import load_scene
 from skincal.part.part import load_part, load_scene_surface
-from skincal.plotting import render
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.virtual_session import simulate_session
-from skincal.studies import STUDIES
+from skincal.studies import STUDIES, load_study
 from skincal.taxels.result import Method
 
 PART_PICTURE_COLOURS = 200
@@ -181,12 +177,12 @@ def draw_headless() -> None:
 def draw_studies(measured: Path) -> None:
     """Write the figures of all studies."""
     measured.mkdir(parents=True, exist_ok=True)
-    for name, (module, _) in STUDIES.items():
-        study, path = import_module(f"skincal.studies.{module}"), measured / f"{name}.json"
+    for name in STUDIES:
+        study, path = load_study(name), measured / f"{name}.json"
         if not path.is_file():
             path.write_text(json.dumps(study.run(False, print), indent=1, allow_nan=False), encoding="utf-8")
         result = json.loads(path.read_text(encoding="utf-8"))
-        (picture,) = render(partial(study.draw, result), FIGURE_INCHES, ("png",), FIGURE_DOTS_PER_INCH)
+        (picture,) = study.pictures(result, ("png",))
         (PICTURES_FOLDER / f"{name}.png").write_bytes(picture)
 
 

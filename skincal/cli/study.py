@@ -6,8 +6,6 @@ import json
 import os
 import tempfile
 from collections.abc import Callable
-from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,15 +14,12 @@ import typer
 from skincal.cli.solve import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
-from skincal.studies import STUDIES
+from skincal.studies import STUDIES, load_study
 
 if TYPE_CHECKING:
-    from skincal.studies import Study
+    from skincal.studies.harness import Study
 
 DEFAULT_FOLDER = Path("studies")
-FIGURE_DOTS_PER_INCH = 130
-FIGURE_INCHES = (12.0, 7.0)
-"""Width and height, unless a study sets its own."""
 Quick = Annotated[bool, typer.Option("--quick", help="A shorter version: at most 90 s on two idle cores.")]
 Out = Annotated[
     Path | None,
@@ -42,19 +37,19 @@ _studies = typer.Typer(
 
 def add_to(app: typer.Typer) -> None:
     """Add a command for each study."""
-    for name, (_, purpose) in STUDIES.items():
+    for name, entry in STUDIES.items():
         example = f"Examples: skincal study {name} --quick --out measured; skincal study {name} --json"
-        _studies.command(name, help=purpose, epilog=example)(_command(name))
+        _studies.command(name, help=entry.purpose, epilog=example)(_command(name))
     app.add_typer(_studies, name="study")
 
 
 def _command(name: str) -> Callable[..., None]:
     # Typer reads the options from a function's signature: each study gets a function of its own.
     def command(quick: Quick = False, as_json: Json = False, out: Out = None) -> None:
+        study = load_study(name)
         folder = DEFAULT_FOLDER if out is None and not as_json else out
         if folder is not None:
             _check_folder(folder, name)
-        study = _load(name)
         result = study.run(quick, _say)
         text = json.dumps(result, allow_nan=False)
         written = [] if folder is None else _write(study, name, result, folder)
@@ -73,12 +68,6 @@ def _say(sentence: str) -> None:
     say(sentence, err=True)
 
 
-def _load(name: str) -> Study:
-    # Only now: the other commands neither draw nor search.
-    module: Any = import_module(f"skincal.studies.{STUDIES[name][0]}")
-    return module
-
-
 def _check_folder(folder: Path, name: str) -> None:
     """Make the folder and see that files can be written there, now rather than after minutes of measuring."""
     try:
@@ -93,11 +82,9 @@ def _check_folder(folder: Path, name: str) -> None:
         raise InputError(f"{folder}: is no folder that can be written to ({why}); choose another by --out.") from None
 
 
-def _write(study: Study, name: str, result: dict[str, Any], folder: Path) -> list[Path]:
-    from skincal.plotting import render
-
+def _write(study: Study[Any], name: str, result: dict[str, Any], folder: Path) -> list[Path]:
     kinds = ("svg", "png")
-    pictures = render(partial(study.draw, result), FIGURE_INCHES, kinds, FIGURE_DOTS_PER_INCH)
+    pictures = study.pictures(result, kinds)
     files = {"json": (json.dumps(result, indent=1, allow_nan=False) + "\n").encode(), **dict(zip(kinds, pictures, strict=True))}
     written: list[Path] = []
     for ending, data in files.items():

@@ -1,4 +1,4 @@
-"""Timers, limits and worker processes of the studies.
+"""Timers of the studies.
 
 Times are the CPU time of the whole process, all its threads together, with the garbage collector off. Other programs on a busy
 machine do not count. Work that two threads share counts in full, so that it compares with work of one thread. Where the
@@ -8,77 +8,16 @@ system's clock of a process is too coarse (Windows: 16 ms), wall time is used.
 from __future__ import annotations
 
 import gc
-import multiprocessing
-import os
-import sys
 import time
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.session.session import Session
-
-
-def finite(number: float) -> float | None:
-    """Convert a number for JSON, which has no infinity: `None` if it is not finite."""
-    return float(number) if np.isfinite(number) else None
-
-
-def side_by_side(trees: Sequence[Any]) -> Any:
-    """Combine equally shaped trees into one tree whose leaves are lists."""
-    first = trees[0]
-    if isinstance(first, dict):
-        shape = cast("dict[Any, Any]", first)
-        return {name: side_by_side([tree[name] for tree in trees]) for name in shape}
-    return [side_by_side(some) for some in zip(*trees, strict=True)] if isinstance(first, list) else list(trees)
-
-
-def check_limits(numbers: Mapping[str, tuple[float, str, float]]) -> dict[str, dict[str, Any]]:
-    """Check each limit of a study.
-
-    Parameters
-    ----------
-    numbers : name to value, ">=" or "<=", and limit
-
-    Returns
-    -------
-    JSON by name: `value` (`None` if it is not finite), `sign`, `limit` and `holds`
-    """
-    return {
-        name: {
-            "value": finite(value), "sign": sign, "limit": limit,
-            "holds": bool(value >= limit if sign == ">=" else value <= limit),
-        }
-        for name, (value, sign, limit) in numbers.items()
-    }  # fmt: skip
-
-
-def limit_lines(limits: Mapping[str, Mapping[str, Any]], digits: int = 3) -> list[str]:
-    """Describe each limit in a line."""
-    lines: list[str] = []
-    for name, one in limits.items():
-        value = "not reached" if one["value"] is None else f"{one['value']:.{digits}g}"
-        holds = "holds" if one["holds"] else "DOES NOT HOLD"
-        lines.append(f"{name}: {value}, limit {one['sign']} {one['limit']:g}: {holds}")
-    return lines
-
-
-def processes() -> ProcessPoolExecutor:
-    """Start one process for each core that this process may use. Results do not depend on their number."""
-    return ProcessPoolExecutor(usable_cores(), mp_context=multiprocessing.get_context("spawn"))
-
-
-def usable_cores() -> int:
-    """Count the cores that this process may use: a container or a scheduler may allow fewer than the machine has."""
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-
-
-# ---- times ----
 
 Result = TypeVar("Result")
 

@@ -6,9 +6,8 @@ Courses run in parallel, and their numbers do not depend on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from skincal.palette import BLACK, BLUE, ORANGE, VERMILION
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.simulation.example_parts import forearm
 from skincal.simulation.poking_strategies import CAREFUL, STRATEGIES, Conditions, ErrorCourse, run_course
-from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
+from skincal.studies.harness import Bench, Findings, Limits, Row, Study, finite
 from skincal.taxels.result import Method
 
 STANDARD_CASE = "standard"
@@ -86,54 +85,53 @@ QUICK_SIZES = GuidanceSizes(
 )  # fmt: skip
 
 
-def run(quick: bool, progress: Callable[[str], None], sizes: GuidanceSizes | None = None) -> dict[str, Any]:
-    """Measure; quick with fewer seeds, conditions and pokes.
+def measure(bench: Bench, sizes: GuidanceSizes) -> Findings:
+    """Measure.
 
     Returns
     -------
     JSON: `table` with a row for each strategy, method and conditions; `pokes_to_5mm` and `pokes_to_3mm` in standard conditions
-    by the free method, null above `limits`; `bars`
+    by the free method, null above `limits`
     """
-    sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
-    tasks = list(_tasks(sizes))
-    rows: list[dict[str, Any]] = []
     kept: dict[tuple[str, str, str], list[ErrorCourse]] = {}
-    with processes() as pool:
-        found = zip(tasks, pool.map(_run, tasks), strict=True)
-        for (case, method, way), group in groupby(found, key=lambda pair: (pair[0].case, pair[0].method.value, pair[0].way)):
-            own = list(group)
-            courses = kept[case, method, way] = [course for _, course in own]
-            rows.append(_row(own[0][0], courses))
-            progress(_row_text(rows[-1]))
+
+    def row(task: CourseTask, courses: list[ErrorCourse]) -> Row:
+        kept[task.case, task.method.value, task.way] = courses
+        return _row(task, courses)
+
+    rows = bench.rows(_cases(sizes), _run, row, _row_text)
     free = {row["way"]: row for row in rows if (row["case"], row["method"]) == (STANDARD_CASE, "free")}
-    return {
-        "study": "guidance", "quick": quick, "table": rows,
+    numbers = {
+        "table": rows,
         "pokes_to_5mm": {way: row["pokes_to_5mm"]["median"] for way, row in free.items()},
         "pokes_to_3mm": {way: row["pokes_to_3mm"]["median"] for way, row in free.items()},
-        "limits": {way: row["limit"] for way, row in free.items()}, "bars": _bars(free, rows, kept),
-    }  # fmt: skip
+        "limits": {way: row["limit"] for way, row in free.items()},
+    }
+    return Findings(numbers, _limits(free, rows, kept))
 
 
-def _tasks(sizes: GuidanceSizes) -> Iterator[CourseTask]:
-    """Yield the seeds of each strategy, method and conditions in turn."""
+def _cases(sizes: GuidanceSizes) -> Iterator[tuple[CourseTask, list[CourseTask]]]:
+    """Yield each strategy with a method and conditions, and the sessions of its seeds."""
 
-    def seeds(way: str, method: Method, count: int, limit: int, case: str = STANDARD_CASE) -> Iterator[CourseTask]:
-        conditions = sizes.cases.get(case, Conditions())
-        return (CourseTask(way, method, case, conditions, seed, limit) for seed in range(1, count + 1))
+    def seeds(
+        way: str, method: Method, count: int, limit: int, case: str = STANDARD_CASE
+    ) -> tuple[CourseTask, list[CourseTask]]:
+        first = CourseTask(way, method, case, sizes.cases.get(case, Conditions()), 1, limit)
+        return first, [replace(first, seed=seed) for seed in range(1, count + 1)]
 
-    yield from seeds("guided", Method.FREE, sizes.seeds, sizes.guided_limit)
+    yield seeds("guided", Method.FREE, sizes.seeds, sizes.guided_limit)
     for way in STRATEGIES:
-        yield from seeds(way, Method.FREE, sizes.other_seeds, sizes.long)
+        yield seeds(way, Method.FREE, sizes.other_seeds, sizes.long)
     ways = ("guided", "round_robin", "random", "clumped")
     for way in ways:
         # These two are compared to a tenth, which takes more seeds.
         count = sizes.seeds if way in ("guided", "round_robin") else sizes.other_seeds
-        yield from seeds(way, Method.SURFACE, count, sizes.surface_limit)
+        yield seeds(way, Method.SURFACE, count, sizes.surface_limit)
     for way in ways:
-        yield from seeds(way, Method.MODULES, sizes.modules_seeds, sizes.modules_limit)
+        yield seeds(way, Method.MODULES, sizes.modules_seeds, sizes.modules_limit)
     for case in sizes.cases:
         for way, method in COMPARED_COURSES:
-            yield from seeds(way, method, sizes.case_seeds, sizes.free_limit, case)
+            yield seeds(way, method, sizes.case_seeds, sizes.free_limit, case)
 
 
 def _run(task: CourseTask) -> ErrorCourse:
@@ -176,9 +174,7 @@ def _interval(numbers: Sequence[float]) -> dict[str, float | None]:
     return {"median": finite(middle), "low": finite(ordered[low]), "high": finite(ordered[high])}
 
 
-def _bars(
-    free: Mapping[str, dict[str, Any]], rows: Sequence[dict[str, Any]], kept: Mapping[tuple[str, str, str], list[ErrorCourse]]
-) -> dict[str, dict[str, Any]]:
+def _limits(free: Mapping[str, Row], rows: Sequence[Row], kept: Mapping[tuple[str, str, str], list[ErrorCourse]]) -> Limits:
     to = {way: row["pokes_to_5mm"]["median"] for way, row in free.items()}
     guided, to_3 = to["guided"] or np.inf, free["guided"]["pokes_to_3mm"]["median"] or np.inf
     # A strategy that does not get there takes more than its limit.
@@ -189,7 +185,7 @@ def _bars(
     # At the last poke with drift, over the seeds that both cases have.
     drifting = kept["drift 0.25 N", "free", "guided"]
     still = [course.mean_at(drifting[0].pokes[-1]) for course in kept[STANDARD_CASE, "free", "guided"][: len(drifting)]]
-    return check_limits({
+    return {
         "guided_pokes_to_5mm": (guided, "<=", POKES_TO_5_MM_MAX),
         "guided_pokes_to_3mm": (to_3, "<=", POKES_TO_3_MM_MAX),
         "random_over_guided": (times["random"], ">=", RANDOM_RATIO_MIN),
@@ -200,7 +196,7 @@ def _bars(
             float(np.mean([course.mean[-1] for course in drifting]) / np.mean(still)), "<=", MAX_ERROR_RATIO_WITH_DRIFT
         ),
         "falsely_done_share": (max(row["falsely_done_share"] for row in rows), "<=", MAX_FALSELY_FINISHED_SHARE),
-    })  # fmt: skip
+    }  # fmt: skip
 
 
 def _row_text(row: Mapping[str, Any]) -> str:
@@ -215,9 +211,9 @@ def _row_text(row: Mapping[str, Any]) -> str:
     )
 
 
-def summary(result: dict[str, Any]) -> list[str]:
-    """Describe each row and each limit."""
-    return [*map(_row_text, result["table"]), *limit_lines(result["bars"])]
+def describe(result: Mapping[str, Any]) -> list[str]:
+    """Describe each row."""
+    return list(map(_row_text, result["table"]))
 
 
 # ---- figure ----
@@ -233,7 +229,7 @@ WAY_LOOKS: dict[str, tuple[str, str, str]] = {
 POKE_TICKS = (20, 50, 84, 168, 252, 504, 1008, 2016, 4032)
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
+def draw(result: Mapping[str, Any], figure: Figure) -> None:
     """Draw the standard conditions of all methods, and the other conditions below."""
     figure.set_size_inches(17.0, 10.0)
     figure.suptitle("Mean error of 84 taxels against pokes: the lower left is reached by few pokes")
@@ -279,3 +275,6 @@ def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]], method: str) -> N
     # Room above the bars for the legend.
     axes.set(ylabel="mean error (mm)", title=f"{method} method in other cases", ylim=(0.0, 1.2 * axes.get_ylim()[1]))
     axes.legend()
+
+
+THIS_STUDY = Study("guidance", quick=QUICK_SIZES, full=FULL_SIZES, measure=measure, lines=describe, draw=draw)

@@ -9,7 +9,7 @@ the times is seeded. The program was developed with this simulator; the study `u
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
@@ -29,7 +29,7 @@ from skincal.simulation.example_parts import forearm
 from skincal.simulation.poking_strategies import TABLE_I, poke_rounds, poke_table
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
-from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes, side_by_side
+from skincal.studies.harness import Bench, Findings, Limits, Study, finite, side_by_side
 from skincal.taxels.result import Method
 
 Measured: TypeAlias = dict[str, Any]
@@ -82,34 +82,30 @@ FULL_SIZES = PaperSizes()
 QUICK_SIZES = PaperSizes(seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168))
 
 
-def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None = None) -> dict[str, Any]:
-    """Measure; quick with fewer seeds.
+def measure(bench: Bench, sizes: PaperSizes) -> Findings:
+    """Measure.
 
     Returns
     -------
     JSON: `mean_mm` (pooled, mean over taxels and seeds, of each method, and of modules with 21 and 70 landmark pokes),
     `good_rig_mm`, `per_pose_mm`, `averaged_mm`, `landmarks`, `safety`, `course_mm` (the good rig after so many pokes),
-    `bad_course_mm` (the paper's rig after so many), `runtime_ms`, `published`, `bars`
+    `bad_course_mm` (the paper's rig after so many), `runtime_ms`, `published`
     """
-    sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
-    with processes() as pool:
-        trials: list[Measured] = []
-        for trial in pool.map(partial(run_trial, share=sizes.share), range(1, sizes.seeds + 1)):
-            trials.append(trial)
-            progress(_trial_text(trial))
-        goods = list(pool.map(partial(run_good, counts=sizes.counts), range(1, sizes.good + 1)))
-        progress(f"good rig, {len(goods)} seeds")
-        safeties = list(pool.map(run_safety, range(1, sizes.safety + 1)))
-        progress(f"corrections tried on {len(safeties)} more rigs")
-        follow = partial(run_course, counts=sizes.steps, share=sizes.share)
-        courses = list(pool.map(follow, range(1, sizes.courses + 1)))
-        progress(f"{len(courses)} rigs followed from poke to poke")
+    trials: list[Measured] = []
+    for trial in bench.each(partial(run_trial, share=sizes.share), range(1, sizes.seeds + 1)):
+        trials.append(trial)
+        bench.say(_trial_text(trial))
+    goods = list(bench.each(partial(run_good, counts=sizes.counts), range(1, sizes.good + 1)))
+    bench.say(f"good rig, {len(goods)} seeds")
+    safeties = list(bench.each(run_safety, range(1, sizes.safety + 1)))
+    bench.say(f"corrections tried on {len(safeties)} more rigs")
+    follow = partial(run_course, counts=sizes.steps, share=sizes.share)
+    courses = list(bench.each(follow, range(1, sizes.courses + 1)))
+    bench.say(f"{len(courses)} rigs followed from poke to poke")
     rig, good = side_by_side(trials), side_by_side(goods)
     pooled = {**rig["pooled"], **{f"modules_{some['landmarks'][0]}": some["errors"]["modules"] for some in rig["landmarks"]}}
     before, after = _mean(good["before"]), _mean(good["after"])
     result = {
-        "study": "paper",
-        "quick": quick,
         "seeds": len(trials),
         "pokes": trials[0]["pokes"],
         "minutes": dict(TABLE_I),
@@ -126,7 +122,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         "trials": trials,
         "published": PUBLISHED_ERRORS,
     }
-    return {**result, "bars": _bars(result, rig["alone"])}
+    return Findings(result, _limits(result, rig["alone"]))
 
 
 # ---- one rig; results are JSON, errors by method ----
@@ -345,14 +341,14 @@ def _course_means(courses: Sequence[Measured]) -> Measured:
     return {"rigs": len(courses), "pokes": courses[0]["pokes"], **finite_means}
 
 
-def _bars(result: Measured, alone: Measured) -> Measured:
+def _limits(result: Measured, alone: Measured) -> Limits:
     mean, good, safety = result["mean_mm"], result["good_rig_mm"], result["safety"]
     # The share of the poses of all rigs whose mean error lies where the published ones do.
     within = {
         name: _mean([low <= mean <= high for errors in alone[name].values() for mean in errors["mean"]])
         for name, (low, high) in PUBLISHED_RANGE_MM.items()
     }
-    return check_limits({
+    return {
         "free_within_published_share": (within["free"], ">=", MAJORITY_SHARE_OF_POSES),
         "surface_within_published_share": (within["surface"], ">=", MAJORITY_SHARE_OF_POSES),
         "modules_over_surface": (mean["modules"] / mean["surface"], "<=", 1.0),
@@ -362,11 +358,11 @@ def _bars(result: Measured, alone: Measured) -> Measured:
         "no_worse_share": (safety["no_worse_share"], ">=", MIN_SHARE_OF_RIGS_NOT_WORSENED),
         "no_worse_wrong_share": (safety["no_worse_wrong_share"], ">=", MIN_SHARE_OF_RIGS_NOT_WORSENED),
         "no_error_ratio": (result["no_error"]["ratio"], "<=", 1.1),
-    })  # fmt: skip
+    }  # fmt: skip
 
 
-def summary(result: Measured) -> list[str]:
-    """Describe the errors and the limits."""
+def describe(result: Mapping[str, Any]) -> list[str]:
+    """Describe the errors."""
 
     def mm(values: Mapping[str, float]) -> str:
         return ", ".join(f"{name} {value:.2f} mm" for name, value in values.items())
@@ -383,7 +379,6 @@ def summary(result: Measured) -> list[str]:
         ),
         f"{safety['seeds']} more rigs, 21 landmark pokes: {safety['before_mm']:.1f} -> {safety['after_mm']:.2f} mm, "
         f"with one poke 10 mm off {safety['after_wrong_mm']:.2f} mm; that poke is named in {safety['wrong_told_share']:.0%}",
-        *limit_lines(result["bars"]),
     ]
 
 
@@ -392,7 +387,7 @@ def summary(result: Measured) -> list[str]:
 CORRECTED_LABEL = "modules, rig corrected by 21 landmark pokes"
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
+def draw(result: Mapping[str, Any], figure: Figure) -> None:
     """Draw five panels."""
     figure.set_size_inches(13.0, 14.0)
     figure.suptitle(f"The paper's experiment on {result['seeds']} simulated rigs, each as wrong as the paper's")
@@ -424,7 +419,7 @@ def _method_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[M
 ERROR_LABEL = "error of 84 taxels (mm): mean and sd"
 
 
-def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
+def _draw_alone(axes: Axes, result: Mapping[str, Any]) -> None:
     minutes: dict[str, float] = result["minutes"]
     rows = {method: [poses[pose] for pose in minutes] for method, poses in result["per_pose_mm"].items()}
     _method_bars(axes, [f"{pose}\n{length:g} min" for pose, length in minutes.items()], rows, ERROR_LABEL)
@@ -436,7 +431,7 @@ def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
     axes.legend(loc="upper left", ncols=3)
 
 
-def _draw_averaged(axes: Axes, result: dict[str, Any]) -> None:
+def _draw_averaged(axes: Axes, result: Mapping[str, Any]) -> None:
     names = [f"1 to {last}" if last > 1 else "1" for last in range(1, 8)]
     _method_bars(axes, names, result["averaged_mm"], ERROR_LABEL)
     for method, value in result["published"]["averaged_mean_mm"].items():
@@ -445,7 +440,7 @@ def _draw_averaged(axes: Axes, result: dict[str, Any]) -> None:
     axes.legend(loc="upper right")
 
 
-def _draw_landmarks(axes: Axes, result: dict[str, Any]) -> None:
+def _draw_landmarks(axes: Axes, result: Mapping[str, Any]) -> None:
     some: list[Measured] = [{"landmark_pokes": 0, "mean_mm": result["mean_mm"]}, *result["landmarks"]]
     rows = {method: [{"mean": row["mean_mm"][method]} for row in some] for method in METHOD_HUES}
     _method_bars(axes, [f"{row['landmark_pokes']} landmark pokes" for row in some], rows, "mean error (mm), all poses pooled")
@@ -453,7 +448,7 @@ def _draw_landmarks(axes: Axes, result: dict[str, Any]) -> None:
     axes.legend()
 
 
-def _draw_good(axes: Axes, result: dict[str, Any]) -> None:
+def _draw_good(axes: Axes, result: Mapping[str, Any]) -> None:
     course = result["course_mm"]
     _draw_lines(axes, course["pokes"], {method: course[method] for method in METHOD_HUES}, least=0.2)
     times = ", ".join(f"{method} {milliseconds:.0f} ms" for method, milliseconds in result["runtime_ms"].items())
@@ -476,3 +471,6 @@ def _draw_lines(axes: Axes, pokes: Sequence[float], courses: Mapping[str, Sequen
     )
     axes.set_ylabel("mean error (mm) of those with an estimate")
     axes.legend()
+
+
+THIS_STUDY = Study("paper", quick=QUICK_SIZES, full=FULL_SIZES, measure=measure, lines=describe, draw=draw)

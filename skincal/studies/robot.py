@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import groupby, starmap
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,36 +30,27 @@ from skincal.physics.effects import EFFECT_NAMES, Effects
 from skincal.physics.engine import load_mujoco
 from skincal.physics.layouts import make_robot
 from skincal.physics.session import RobotSession, make_client
-from skincal.plotting import Axes, Figure
+from skincal.plotting import Axes, Figure, draw_predicted_and_true
 from skincal.robot.target_lines import Judged
 from skincal.session.session import Session
-from skincal.studies.benchmarking import check_limits, limit_lines, processes, time_session_pokes, timed
-from skincal.studies.unmodelled import error_numbers, mean_over_seeds
+from skincal.studies.benchmarking import time_session_pokes, timed
+from skincal.studies.error_numbers import error_numbers, mean_over_seeds
+from skincal.studies.harness import Bench, Findings, Row, Study
 from skincal.taxels.result import Method
 
 RIGS: Mapping[str, str] = {"arm": "an arm pokes the part", "moving part": "the part is pressed onto a fixed tip"}
 CASES = ("none", *EFFECT_NAMES, "all")
 """Imperfections: none, each alone, all."""
-SESSIONS_OF_CASE = {"none": 4, "all": 20}
-"""Sessions of these cases; two of the others. The ratio of predicted to true error varies by a tenth with eight."""
-SESSIONS_OF_OTHER_CASES = 2
-QUICK_CASES, QUICK_POKES = ("none", "all"), 40
-"""Cases of the quick study, and its pokes in each session at most."""
-POKES_PER_SESSION_MAX = 252
-"""Pokes of a session at most: three for each taxel."""
 SIMULATED_SECONDS_PER_POKE_MAX = 6.0
 """Simulated time of a session at most, over its pokes at most. The arm needs 3.2 s a poke."""
 SENSOR_NOISE = {"force": 0.05, "moment": 0.0015}
 """N and N m, noise of a poke for the scene: tared means of the rig's sensor at rest have an sd of 0.04 N and 0.0015 N m. The
 scene of the forearm has 0.10 N and 0.010 N m, for a real sensor that drifts."""
-DISPLACED_MM, DISPLACED_SEEDS = (0.0, 5.0, 10.0), 3
-"""Displacement of the arm's base, in a direction of each seed's own."""
 SOLVES_PER_TIMING = 5
 MEAN_MAX_MM, ACCEPTED_MIN, COVERAGE_MIN, ENOUGH_MIN = 1.0, 0.90, 0.85, 0.95
 """mm, and shares: of accepted pokes, of taxels inside their 95 % regions, of sessions that end with *enough*."""
 PREDICTED_RANGE = (0.7, 1.5)
 """Allowed ratio of predicted to true error, rms over the sessions with all imperfections."""
-Row: TypeAlias = dict[str, Any]
 
 
 class Task(NamedTuple):
@@ -74,15 +65,31 @@ class Task(NamedTuple):
     corrects_aim: bool = True
 
 
-def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Measure; quick with two cases, one session each, which end early.
+@dataclass(frozen=True, slots=True)
+class RobotSizes:
+    """Numbers of sessions and pokes."""
+
+    rigs: tuple[str, ...] = tuple(RIGS)
+    sessions: Mapping[str, int] = field(default_factory=lambda: dict.fromkeys(CASES, 2) | {"none": 4, "all": 20})
+    """By case. The ratio of predicted to true error varies by a tenth with eight sessions."""
+    max_pokes: int = 252
+    """Pokes of a session at most: three for each taxel."""
+    displaced_mm: tuple[float, ...] = (0.0, 5.0, 10.0)
+    """Displacements of the arm's base, in a direction of each seed's own."""
+    displaced_sessions: int = 3
+    are_whole: bool = True
+    """Whether the sessions go on to their end: only then their errors and numbers of pokes have limits."""
+
+
+def measure(bench: Bench, sizes: RobotSizes) -> Findings:
+    """Measure.
 
     Returns
     -------
     JSON: `robot`, a row for each rig and case (`rig`, `case`, `sessions`, `taxels`, `pokes`, `accepted` and `no_taxel` as
     shares, simulated `minutes`, and by method `mean_mm`, `inside`, `predicted_mm`, `true_rms_mm`, `missing` taxels, and the
     CPU times `poke_ms` of a poke and `solve_ms` of all pokes: means over the sessions, the errors predicted and true root mean
-    squares); `displaced`, such rows with `displaced_mm` and `corrects_aim`, unless quick; and `bars`
+    squares); `displaced`, such rows with `displaced_mm` and `corrects_aim`
 
     Raises
     ------
@@ -90,44 +97,22 @@ def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
         MuJoCo is missing.
     """
     load_mujoco()
-    rows: list[Row] = []
-    displaced: list[Row] = []
-    with processes() as pool:
-        for case, sessions in _sessions_by_case(_tasks(quick), pool.map):
-            rows.append(_mean_row(case, sessions))
-            progress(_row_text(rows[-1]))
-        for case, sessions in _sessions_by_case([] if quick else _displaced_tasks(), pool.map):
-            displaced.append(
-                {"displaced_mm": case.displaced_mm, "corrects_aim": case.corrects_aim, **_mean_row(case, sessions)}
-            )
-            progress(_displaced_text(displaced[-1]))
-    bars = check_limits(robot_limits(rows, quick=quick))
-    return {"study": "robot", "quick": quick, "robot": rows, "displaced": displaced, "bars": bars}
-
-
-def _sessions_by_case(
-    tasks: Sequence[Task], each: Callable[[Callable[[Task], Row], Sequence[Task]], Iterable[Row]]
-) -> Iterator[tuple[Task, list[Row]]]:
-    """Run sessions; yield those that differ in their seed alone together, with the first task."""
-    for case, group in groupby(zip(tasks, each(run_session, tasks), strict=True), key=lambda pair: pair[0]._replace(seed=1)):
-        yield case, [session for _, session in group]
-
-
-def _tasks(quick: bool) -> list[Task]:
-    cases = QUICK_CASES if quick else CASES
-    seeds = {case: 1 if quick else SESSIONS_OF_CASE.get(case, SESSIONS_OF_OTHER_CASES) for case in cases}
-    most = QUICK_POKES if quick else POKES_PER_SESSION_MAX
-    return [Task(rig, case, seed, most) for rig in RIGS for case in cases for seed in range(1, seeds[case] + 1)]
-
-
-def _displaced_tasks() -> list[Task]:
-    seeds = range(1, DISPLACED_SEEDS + 1)
-    return [
-        Task("arm", "none", seed, POKES_PER_SESSION_MAX, size, corrects)
-        for corrects in (True, False)
-        for size in DISPLACED_MM
-        for seed in seeds
+    cases = [
+        _sessions(Task(rig, case, 1, sizes.max_pokes), count) for rig in sizes.rigs for case, count in sizes.sessions.items()
     ]
+    displaced = [
+        _sessions(Task("arm", "none", 1, sizes.max_pokes, size, corrects), sizes.displaced_sessions)
+        for corrects in (True, False)
+        for size in sizes.displaced_mm
+    ]
+    rows = bench.rows(cases, run_session, _mean_row, _row_text)
+    others = bench.rows(displaced, run_session, _displaced_row, _displaced_text)
+    return Findings({"robot": rows, "displaced": others}, robot_limits(rows, are_whole=sizes.are_whole))
+
+
+def _sessions(first: Task, count: int) -> tuple[Task, list[Task]]:
+    """Make a case of sessions that differ in their seed alone."""
+    return first, [first._replace(seed=seed) for seed in range(1, count + 1)]
 
 
 def scene_of(rig: str, folder: Path) -> Scene:
@@ -222,12 +207,16 @@ def _mean_row(case: Task, sessions: Sequence[Row]) -> Row:
     return {"rig": case.rig, "case": case.case, "sessions": len(sessions), "taxels": taxels, **numbers, "methods": methods}
 
 
-def robot_limits(rows: Sequence[Mapping[str, Any]], *, quick: bool = False) -> dict[str, tuple[float, str, float]]:
+def _displaced_row(case: Task, sessions: Sequence[Row]) -> Row:
+    return {"displaced_mm": case.displaced_mm, "corrects_aim": case.corrects_aim, **_mean_row(case, sessions)}
+
+
+def robot_limits(rows: Sequence[Mapping[str, Any]], *, are_whole: bool = True) -> dict[str, tuple[float, str, float]]:
     """Return by name the worst value of the rows, ">=" or "<=", and its limit; errors only of whole sessions."""
     limits = {"robot_accepted": (min(row["accepted"] for row in rows if row["case"] in ("none", "all")), ">=", ACCEPTED_MIN)}
     lead = [(row["case"], row["methods"][Method.MODULES.value]) for row in rows]
     limits["robot_inside_all"] = (min(own["inside"] for case, own in lead if case == "all"), ">=", COVERAGE_MIN)
-    if quick:
+    if not are_whole:
         return limits
     limits["robot_enough"] = (min(row["enough"] for row in rows if row["case"] in ("none", "all")), ">=", ENOUGH_MIN)
     limits["robot_mean_mm"] = (max(own["mean_mm"] for case, own in lead if case in ("none", "all")), "<=", MEAN_MAX_MM)
@@ -237,14 +226,14 @@ def robot_limits(rows: Sequence[Mapping[str, Any]], *, quick: bool = False) -> d
     return limits
 
 
-def summary(result: Mapping[str, Any]) -> list[str]:
-    """Describe each rig and case, and each limit."""
+def describe(result: Mapping[str, Any]) -> list[str]:
+    """Describe each rig and case."""
     lines: list[str] = []
     for rig, group in groupby(result["robot"], key=lambda row: row["rig"]):
         lines += [f"{rig} ({RIGS[rig]}):", *(f"  {_row_text(row)}" for row in group)]
     if result["displaced"]:
         lines += ["base of the arm displaced, no other imperfection:", *map(_displaced_text, result["displaced"])]
-    return [*lines, *limit_lines(result["bars"])]
+    return lines
 
 
 def _displaced_text(row: Mapping[str, Any]) -> str:
@@ -277,12 +266,20 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
         own = [row for row in rows if row["rig"] == rig]
         places = [shift - cases.index(row["case"]) for row in own]
         lead = [row["methods"][Method.MODULES.value] for row in own]
-        true, predicted = ([each[name] for each in lead] for name in ("true_rms_mm", "predicted_mm"))
-        axes.hlines(places, predicted, true, color=colour, linewidth=1.0)
-        axes.scatter(true, places, color=colour, zorder=3, label=f"{rig}: true")
-        axes.scatter(predicted, places, color="white", edgecolors=colour, zorder=3, label=f"{rig}: predicted")
+        predicted, true = ([each[name] for each in lead] for name in ("predicted_mm", "true_rms_mm"))
+        draw_predicted_and_true(axes, places, predicted, true, {"color": colour, "label": rig})
     axes.set_yticks([-place for place in range(len(cases))], cases)
     axes.set(xlabel="error of the taxels (mm rms), modules method", title="A robot that pokes, in MuJoCo")
     axes.set_xlim(left=0.0)
     axes.grid(visible=True)
     axes.legend(loc="best")
+
+
+THIS_STUDY = Study(
+    "robot",
+    quick=RobotSizes(sessions={"none": 1, "all": 1}, max_pokes=40, displaced_mm=(), are_whole=False),
+    full=RobotSizes(),
+    measure=measure,
+    lines=describe,
+    draw=draw,
+)

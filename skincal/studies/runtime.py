@@ -34,7 +34,8 @@ from skincal.session.session import Session
 from skincal.simulation.example_parts import ExamplePart
 from skincal.studies import baselines
 from skincal.studies.baselines import ModuleProblem, TaxelProblem
-from skincal.studies.benchmarking import CLOCK_NAME, check_limits, limit_lines, quartiles, time_session_pokes, time_words, timed
+from skincal.studies.benchmarking import CLOCK_NAME, quartiles, time_session_pokes, time_words, timed
+from skincal.studies.harness import Bench, Findings, Limits, Row, Study
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
@@ -58,7 +59,6 @@ NUMPY_TIME_MS = 16.7
 """Time of numpy's part of the comparison on the machine where these limits were set."""
 Say: TypeAlias = Callable[[str], None]
 Positions: TypeAlias = Mapping[int, FloatArray]
-Row: TypeAlias = dict[str, Any]
 
 
 class MethodLook(NamedTuple):
@@ -137,24 +137,23 @@ QUICK_SIZES = RuntimeSizes(
 )  # fmt: skip
 
 
-def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[str, Any]:
+def measure(bench: Bench, sizes: RuntimeSizes) -> Findings:
     """Measure everything. `docs/benchmarks.md` describes the JSON."""
     began = time.perf_counter()
-    sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
     small, large = ExamplePart(sizes.small.scene), ExamplePart(sizes.large.scene)
     left_out: list[str] = []
 
     def leave_out(sentence: str) -> None:
         left_out.append(sentence)
-        progress(sentence)
+        bench.say(sentence)
 
     if not baselines.has_quadprog():
         leave_out("quadprog is not installed; left out")
     rows: list[Row] = []
-    for row in _table([(small, sizes.small), (large, sizes.large)], sizes, progress, leave_out):
+    for row in _table([(small, sizes.small), (large, sizes.large)], sizes, bench.say, leave_out):
         rows.append(row)
-        progress(_row_text(row))
-    progress("single pokes, and a whole session at once")
+        bench.say(_row_text(row))
+    bench.say("single pokes, and a whole session at once")
     latency = {
         "poke": [poke_time(small, per_taxel, sizes.live_pokes) for per_taxel in sizes.live_per_taxel],
         "whole": whole_time(large, sizes.per_taxel, sizes.large.repeats),
@@ -164,11 +163,11 @@ def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[s
         if row["off_ours_m"] is not None:
             agreement[row["method"]] = max(agreement.get(row["method"], 0.0), row["off_ours_m"])
     ratios = time_ratios(rows, latency, large.name, sizes.per_taxel)
-    return {
-        "study": "runtime", "quick": quick, "machine": _machine(), "table": rows, "growth": growth_of(rows, sizes.per_taxel),
-        "agreement_m": agreement, **latency, "ratios": ratios, "bars": runtime_limits(ratios, agreement, latency),
-        "left_out": left_out, "seconds": time.perf_counter() - began,
+    numbers = {
+        "machine": _machine(), "table": rows, "growth": growth_of(rows, sizes.per_taxel), "agreement_m": agreement, **latency,
+        "ratios": ratios, "left_out": left_out, "seconds": time.perf_counter() - began,
     }  # fmt: skip
+    return Findings(numbers, runtime_limits(ratios, agreement, latency))
 
 
 def _machine() -> dict[str, Any]:
@@ -514,12 +513,10 @@ def time_ratios(rows: Sequence[Row], latency: Mapping[str, Any], part: str, per_
     }
 
 
-def runtime_limits(
-    ratios: Mapping[str, float], off: Mapping[str, float], latency: Mapping[str, Any]
-) -> dict[str, dict[str, Any]]:
-    """Check each limit of `docs/benchmarks.md`."""
+def runtime_limits(ratios: Mapping[str, float], off: Mapping[str, float], latency: Mapping[str, Any]) -> Limits:
+    """List each limit of `docs/benchmarks.md`."""
     poke, whole = latency["poke"][0], latency["whole"]
-    return check_limits({
+    return {
         # A whole re-solve on the large part, over brute force and the paper's solvers.
         "brute_over_surface": (ratios["brute_over_surface"], ">=", 300.0),
         "slsqp_over_surface": (ratios["slsqp_over_surface"], ">=", 10_000.0),
@@ -539,7 +536,7 @@ def runtime_limits(
         "resolve_whole_over_numpy": (ratios["resolve_whole_over_numpy"], "<=", SOLVE_ALL_TAXELS_MAX_MS / NUMPY_TIME_MS),
         "modules_whole_s": (whole["modules_ms"]["median"] / 1e3, "<=", 1.0),
         "modules_whole_over_numpy": (ratios["modules_whole_over_numpy"], "<=", 50.0),
-    })  # fmt: skip
+    }  # fmt: skip
 
 
 def growth_of(rows: Sequence[Row], per_taxel: int) -> dict[str, list[dict[str, Any]]]:
@@ -568,8 +565,8 @@ def _row_text(row: Row) -> str:
     )
 
 
-def summary(result: dict[str, Any]) -> list[str]:
-    """List the measured times of the largest problem of each part, the limits, and what was not measured."""
+def describe(result: Mapping[str, Any]) -> list[str]:
+    """List the measured times of the largest problem of each part, and what was not measured."""
     lines: list[str] = []
     for size, rows in groupby(main_rows(result), key=lambda row: (row["part"], *_size(row))):
         lines.append("{}: {} taxels, {} triangles, {} pokes a taxel".format(*size))
@@ -582,10 +579,10 @@ def summary(result: dict[str, Any]) -> list[str]:
         for poke in result["poke"]
         for key, by in (("time_ms", ""), ("with_modules_ms", ", all three methods"))
     ]
-    return [*lines, *limit_lines(result["bars"], digits=4), AS_SHIPPED, *result["left_out"]]
+    return [*lines, AS_SHIPPED, *result["left_out"]]
 
 
-def main_rows(result: dict[str, Any]) -> list[Row]:
+def main_rows(result: Mapping[str, Any]) -> list[Row]:
     """Select the rows of the sizes on which everything is measured: those of the lstsq rows, one size a part."""
     sizes = {row["part"]: _size(row) for row in reversed(result["table"]) if row["method"] == "lstsq"}
     return [row for row in result["table"] if _size(row) == sizes.get(row["part"])]
@@ -602,7 +599,7 @@ FIGURE_KEY = (
 )
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
+def draw(result: Mapping[str, Any], figure: Figure) -> None:
     """Draw error against run time on both parts, and the cost of a taxel as the problem grows."""
     figure.set_size_inches(13.0, 12.0)
     figure.suptitle(f"Error against run time: lower is more exact, further left is faster\n{FIGURE_KEY}")
@@ -661,3 +658,8 @@ def _draw_growth(axes: Axes, points: Sequence[Mapping[str, Any]], name: str, lab
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.set(xlabel=label, ylabel="processor time per taxel")
     axes.set_title(f"Cost of a taxel against {label}", fontsize=10)
+
+
+THIS_STUDY = Study(
+    "runtime", quick=QUICK_SIZES, full=FULL_SIZES, measure=measure, lines=describe, draw=draw, in_processes=False
+)

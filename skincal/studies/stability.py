@@ -10,9 +10,9 @@ Corrections, covariances, heights and distances (`stability_corrections`) have t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import chain, count
+from itertools import chain
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -29,7 +29,7 @@ from skincal.palette import BLACK, BLUE, ORANGE, SKY, VERMILION
 from skincal.plotting import Axes, Figure, add_common_legend
 from skincal.studies import reference_80_digits as reference
 from skincal.studies.baselines import ModuleProblem
-from skincal.studies.benchmarking import processes
+from skincal.studies.harness import Bench, Findings, Study
 from skincal.studies.reference_80_digits import ERROR_OF_FAILED_SOLVER_M, Truth, distance, error_of, find_truth
 from skincal.studies.stability_cases import (
     FULL_SIZES,
@@ -58,41 +58,40 @@ STUDY_RANDOM_SEED = 20261121
 Record: TypeAlias = dict[str, Any]
 
 
-def run(
-    quick: bool,
-    progress: Callable[[str], None],
-    sizes: CaseSizes | None = None,
-    cases: Sequence[Case | AddedCase] | None = None,
-) -> dict[str, Any]:
-    """Measure every case (or `cases`), in parallel; quick with fewer readings and smaller meshes.
+def measure(bench: Bench, sizes: CaseSizes) -> Findings:
+    """Measure every case, or those of `sizes.only`.
 
     Returns
     -------
     JSON: `cases` of the shipped solvers, `alternatives` of other ways to solve the same rows, names of cases in `misses`
     """
-    sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
-    every = cases or chain(taxel_cases(sizes), module_cases(sizes), added_cases(sizes))
     records: list[Record] = []
     alternatives: list[Record] = []
-    progress(
+    bench.say(
         f"tolerance: {TOLERANCE_OVER_INPUT_ROUNDING:g} times the effect of the inputs' last digit, plus "
         f"{RELATIVE_TOLERANCE:g} of the answer"
     )
-    with processes() as pool:
-        for own, others in pool.map(partial(measure, draws=sizes.draws), count(), every):
-            records += own
-            alternatives += others
-            progress(f"{records[-1]['name']}: {records[-1]['error_over_bound']:.2g} of the tolerance")
-    return {
-        "study": "stability", "quick": quick, "digits": reference.PRECISION_DIGITS, "draws": sizes.draws,
+    for own, others in bench.each(partial(_measure_case, draws=sizes.draws), enumerate(all_cases(sizes))):
+        records += own
+        alternatives += others
+        bench.say(f"{records[-1]['name']}: {records[-1]['error_over_bound']:.2g} of the tolerance")
+    return Findings({
+        "digits": reference.PRECISION_DIGITS, "draws": sizes.draws,
         "factor": TOLERANCE_OVER_INPUT_ROUNDING, "of_size": RELATIVE_TOLERANCE, "held": sum(case["holds"] for case in records),
         "misses": [case["name"] for case in records if not case["holds"]],
         "cases": records, "alternatives": alternatives,
-    }  # fmt: skip
+    })  # fmt: skip
 
 
-def measure(number: int, case: Case | AddedCase, draws: int) -> tuple[list[Record], list[Record]]:
+def all_cases(sizes: CaseSizes) -> Iterator[Case | AddedCase]:
+    """Yield every case, or those that `sizes` names."""
+    every = chain(taxel_cases(sizes), module_cases(sizes), added_cases(sizes))
+    return (case for case in every if not sizes.only or case.name in sizes.only)
+
+
+def _measure_case(numbered: tuple[int, Case | AddedCase], draws: int) -> tuple[list[Record], list[Record]]:
     """Measure the shipped solver of a case, and its alternatives."""
+    number, case = numbered
     rng = np.random.default_rng([STUDY_RANDOM_SEED, number])
     if isinstance(case, AddedCase):
         found: tuple[list[Record], list[Record]] = evaluate_added(case, draws, rng), []
@@ -376,7 +375,7 @@ MODULE_ALTERNATIVES: dict[str, Alternative] = {
 # ---- text ----
 
 
-def summary(result: dict[str, Any]) -> list[str]:
+def describe(result: Mapping[str, Any]) -> list[str]:
     """List how many cases stay within the tolerance, the worst case of each solver, each failure, and the other solvers."""
     cases = result["cases"]
     lines = [
@@ -428,7 +427,7 @@ MIN_PLOTTED_TOLERANCE_SHARE = 1e-4
 """Smaller shares of the tolerance are drawn at this one."""
 
 
-def draw(result: dict[str, Any], figure: Figure) -> None:
+def draw(result: Mapping[str, Any], figure: Figure) -> None:
     """Draw the worst share of the tolerance in each family of cases, one panel a solver."""
     solvers = list(dict.fromkeys(case["solver"] for case in result["cases"]))
     figure.set_size_inches(17.0, 9.0)
@@ -469,3 +468,6 @@ def _draw_solver(panel: Axes, solver: str, cases: Sequence[Record], others: Sequ
         title=f"{solver}: {len(cases)} cases",
         xlabel=f"error over tolerance (least {MIN_PLOTTED_TOLERANCE_SHARE:g}; no number at the right end)",
     )  # fmt: skip
+
+
+THIS_STUDY = Study("stability", quick=QUICK_SIZES, full=FULL_SIZES, measure=measure, lines=describe, draw=draw)

@@ -8,7 +8,8 @@ at landmarks.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,8 +25,8 @@ from skincal.simulation.contacts import add_tips, poke_landmarks, simulate_conta
 from skincal.simulation.example_parts import ExamplePart, forearm
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
-from skincal.studies.benchmarking import check_limits, limit_lines, processes
-from skincal.studies.unmodelled import error_numbers
+from skincal.studies.error_numbers import error_numbers
+from skincal.studies.harness import Bench, Findings, Study
 from skincal.taxels.result import Estimate, Method
 
 RIG_CASES: Mapping[str, tuple[Callable[[], RigErrors], int]] = {
@@ -36,9 +37,6 @@ RIG_CASES: Mapping[str, tuple[Callable[[], RigErrors], int]] = {
 """Errors, and landmark pokes in each arm pose; the third is the paper's rig with a correction."""
 TIP_SDS_MM: tuple[float | None, ...] = (None, 0.3, 1.0, 5.0)
 """`None` for force axes alone."""
-POKE_COUNTS = (42, 84, 126, 168, 252, 336, 504)
-POKES_PER_TAXEL = 6
-SEEDS, QUICK_SEEDS = 8, 2
 GOAL_ERROR_MM = 3.0
 TAXELS_WITH_ESTIMATE_MIN_SHARE = 0.95
 """Share of the taxels that must have an estimate before a mean error counts."""
@@ -48,35 +46,52 @@ MEAN_TIP = "tip"
 """Name of the mean of a taxel's tips, without its force axes, among the methods."""
 
 
-def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Measure; quick with fewer seeds.
+@dataclass(frozen=True, slots=True)
+class TipSizes:
+    """Numbers of sessions and pokes."""
+
+    seeds: int = 8
+    pokes_per_taxel: int = 6
+    counts: tuple[int, ...] = (42, 84, 126, 168, 252, 336, 504)
+    """Numbers of pokes after which a session is solved."""
+    cases: tuple[tuple[str, float | None], ...] = tuple((rig, sd_mm) for rig in RIG_CASES for sd_mm in TIP_SDS_MM)
+    """Rigs and tip errors, mm."""
+
+
+class Task(NamedTuple):
+    """One simulated session: rig, error of the tip and seed."""
+
+    rig: str
+    sd_mm: float | None
+    seed: int
+    sizes: TipSizes
+
+
+def measure(bench: Bench, sizes: TipSizes) -> Findings:
+    """Measure.
 
     Returns
     -------
-    JSON: `seeds`, `tip` (a row for each rig and tip error, see `_row`) and `bars`
+    JSON: `seeds`, `tip` (a row for each rig and tip error, see `_row`)
     """
-    seeds = range(1, 1 + (QUICK_SEEDS if quick else SEEDS))
-    rows: list[dict[str, Any]] = []
-    with processes() as pool:
-        for rig in RIG_CASES:
-            for sd_mm in TIP_SDS_MM:
-                found = list(pool.map(run_session, [rig] * len(seeds), [sd_mm] * len(seeds), seeds))
-                rows.append(_row(rig, sd_mm, found))
-                progress(_row_text(rows[-1]))
-    return {"study": "tip", "quick": quick, "seeds": len(seeds), "tip": rows, "bars": check_limits(tip_limits(rows))}
+    seeds = range(1, 1 + sizes.seeds)
+    cases = [(Task(*case, 1, sizes), [Task(*case, seed, sizes) for seed in seeds]) for case in sizes.cases]
+    rows = bench.rows(cases, run_session, _row, _row_text)
+    return Findings({"seeds": sizes.seeds, "tip": rows}, tip_limits(rows))
 
 
-def run_session(rig: str, sd_mm: float | None, seed: int) -> dict[int, dict[str, dict[str, Any]]]:
-    """Simulate a session and solve it after each of `POKE_COUNTS`: the numbers of `error_numbers` by count and method."""
+def run_session(task: Task) -> dict[int, dict[str, dict[str, Any]]]:
+    """Simulate a session and solve it after each of its counts of pokes: the numbers of `error_numbers` by count and method."""
     part = forearm()
-    errors, landmark_pokes = RIG_CASES[rig]
-    simulated, rng = Rig(part.scene, part.surface, errors(), np.random.default_rng(seed)), np.random.default_rng((seed, 1))
-    contacts = _poke(simulated, sd_mm, rng)
+    errors, landmark_pokes = RIG_CASES[task.rig]
+    simulated = Rig(part.scene, part.surface, errors(), np.random.default_rng(task.seed))
+    rng = np.random.default_rng((task.seed, 1))
+    contacts = _poke(simulated, task, rng)
     session, found = Session(part.scene, part.surface), dict[int, dict[str, dict[str, Any]]]()
     if landmark_pokes:
         contacts = _corrected(simulated, part, contacts, session, landmark_pokes, rng)
     done = 0
-    for count in POKE_COUNTS:
+    for count in task.sizes.counts:
         while done < len(contacts) and contacts[done].poke <= count:
             session.add(contacts[done])
             done += 1
@@ -103,14 +118,16 @@ def _corrected(
     return [answer.correction.corrected(contact) for contact in contacts]
 
 
-def _poke(rig: Rig, sd_mm: float | None, rng: np.random.Generator) -> list[Contact]:
+def _poke(rig: Rig, task: Task, rng: np.random.Generator) -> list[Contact]:
     poses, contacts, first = list(rig.arm_poses), list[Contact](), 1
     fixed = np.eye(4)
     fixed[:3, :3], fixed[:3, 3] = rotations(rng.standard_normal((1, 3)))[0], rng.uniform(-1.0, 1.0, 3)
-    for turn in range(POKES_PER_TAXEL):
+    for turn in range(task.sizes.pokes_per_taxel):
         pose, pokes = poses[turn % len(poses)], unguided(rig, 1, rng)
         made = simulate_contacts(rig, pokes, rng, pose, first)
-        contacts += made if sd_mm is None else add_tips(made, pokes, rig.arm_pose(pose), fixed, sd_mm * 1e-3, rng, first)
+        if task.sd_mm is not None:
+            made = add_tips(made, pokes, rig.arm_pose(pose), fixed, task.sd_mm * 1e-3, rng, first)
+        contacts += made
         first += len(pokes)
     return contacts
 
@@ -128,26 +145,26 @@ def _mean_tips(contacts: Sequence[Contact], tips: FloatArray, channels: Sequence
     return {"mean": float(1e3 * off.mean()), "missing": int((~known).sum())}
 
 
-def _row(rig: str, sd_mm: float | None, found: Sequence[Mapping[int, Mapping[str, Mapping[str, Any]]]]) -> dict[str, Any]:
+def _row(case: Task, found: Sequence[Mapping[int, Mapping[str, Mapping[str, Any]]]]) -> dict[str, Any]:
     """Average over seeds.
 
     Returns
     -------
-    JSON: `rig`, `tip_sd_mm`, and for each method lists over `POKE_COUNTS`: `mean_mm` (`None` while fewer than
+    JSON: `rig`, `tip_sd_mm`, and for each method lists over `pokes`: `mean_mm` (`None` while fewer than
     `TAXELS_WITH_ESTIMATE_MIN_SHARE` of the taxels are known), `inside`; and `pokes_to_goal`, `None` if it is not reached
     """
-    methods: dict[str, Any] = {}
+    counts, methods = case.sizes.counts, dict[str, Any]()
     for name in (*(method.value for method in Method), MEAN_TIP):
-        numbers = [[session[count].get(name) for session in found] for count in POKE_COUNTS]
+        numbers = [[session[count].get(name) for session in found] for count in counts]
         means = [_mean_if_known(each) for each in numbers]
-        reached = [count for count, mean in zip(POKE_COUNTS, means, strict=True) if mean is not None and mean <= GOAL_ERROR_MM]
+        reached = [count for count, mean in zip(counts, means, strict=True) if mean is not None and mean <= GOAL_ERROR_MM]
         inside = [[one["inside"] for one in each if one is not None and "inside" in one] for each in numbers]
         methods[name] = {
             "mean_mm": means,
             "inside": [float(np.nanmean(each)) if each and np.isfinite(each).any() else None for each in inside],
             "pokes_to_goal": min(reached, default=None),
         }
-    return {"rig": rig, "tip_sd_mm": sd_mm, "pokes": list(POKE_COUNTS), "methods": methods}
+    return {"rig": case.rig, "tip_sd_mm": case.sd_mm, "pokes": list(counts), "methods": methods}
 
 
 def _mean_if_known(found: Sequence[Mapping[str, Any] | None]) -> float | None:
@@ -161,7 +178,7 @@ def tip_limits(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str,
     by_case = {(row["rig"], row["tip_sd_mm"]): row["methods"] for row in rows}
     limits: dict[str, tuple[float, str, float]] = {}
     alone, both = (by_case["good", sd]["free"]["pokes_to_goal"] or np.inf for sd in (None, 1.0))
-    limits["tip_pokes_to_3mm_share"] = (both / alone if np.isfinite(alone) else both / (2 * POKE_COUNTS[-1]), "<=", 0.5)
+    limits["tip_pokes_to_3mm_share"] = (both / alone if np.isfinite(alone) else both / (2 * rows[0]["pokes"][-1]), "<=", 0.5)
     covered = [
         share for (rig, sd), methods in by_case.items() if rig == "good" and sd is not None
         for method in Method for share in methods[method.value]["inside"] if share is not None
@@ -170,11 +187,11 @@ def tip_limits(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str,
     return limits
 
 
-def summary(result: Mapping[str, Any]) -> list[str]:
-    """Describe each case and each limit."""
-    counts = ", ".join(map(str, POKE_COUNTS))
+def describe(result: Mapping[str, Any]) -> list[str]:
+    """Describe each case."""
+    counts = ", ".join(map(str, result["tip"][0]["pokes"]))
     head = f"forearm, {result['seeds']} sessions of each kind, mean error of the free method after {counts} pokes:"
-    return [head, *map(_row_text, result["tip"]), *limit_lines(result["bars"])]
+    return [head, *map(_row_text, result["tip"])]
 
 
 def _row_text(row: Mapping[str, Any]) -> str:
@@ -207,3 +224,6 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
         axes.grid(visible=True)
     panels[0].set_ylabel("mean error, mm")
     panels[0].legend()
+
+
+THIS_STUDY = Study("tip", quick=TipSizes(seeds=2), full=TipSizes(), measure=measure, lines=describe, draw=draw)

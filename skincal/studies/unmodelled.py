@@ -7,47 +7,41 @@ believes a wrong prediction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray
 from skincal.guide.verdict import Check, check, is_believed
 from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import Scene
 from skincal.modules.pose import ModuleModel
 from skincal.palette import BLACK, BLUE, VERMILION
-from skincal.plotting import GREY, Axes, Figure
+from skincal.plotting import GREY, Axes, Figure, draw_predicted_and_true
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, RigRequest, correct_rig, landmark_agreement
 from skincal.session.snapshot import snapshot_of
 from skincal.simulation.example_parts import forearm
-from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
+from skincal.studies.error_numbers import error_numbers, mean_over_seeds
+from skincal.studies.harness import SILENT_BENCH, Bench, Findings, Study, finite
 from skincal.studies.independent_simulator import CASES, SimulatedSession, simulate_session
 from skincal.studies.unmodelled_sheet import AS_BOARD, AT_END, SHEET_CASE, SHEET_COUNTS, run_sheet
-from skincal.taxels.result import Estimate, Method
+from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import SharedRows
 
 LANDMARK_COUNTS = (0, 21, 70)
 """Landmark pokes: none, those that the guide asks for, and ten in each arm pose."""
 RANDOM_SEEDS_PER_CASE = 12
-SHEET_SEEDS, QUICK_SHEET_SEEDS = 24, 8
 EXTRA_SEEDS = {"gaussian": 48, "mesh_inflated": 48}
 """More seeds for cases near their limit: with twelve seeds, chance moves the share inside by 0.8 % and the error by 1.5 %."""
 SPREAD_CASES = tuple(case for case in CASES if "_taxels_aim_" in case)
 """Skins that spread a press over 2 to 5 taxels, aimed at to 1 and to 3 mm."""
 RIGHT_PREDICTION_MIN_COVERAGE = 0.90
 """Share of the taxels inside their 95 % ellipsoids from which a session's prediction is right: it should be believed."""
-QUICK_SEEDS, QUICK_CASES = 2, ("nothing", "quadratic_2", "moderate", "gaussian")
-ZERO_VARIANCE_MAX_RATIO = 1e-6
-"""Variances below this share of the largest are taken for zero: the estimate lies on a surface."""
-CHI2_95 = {1: 3.841, 2: 5.991, 3: 7.815}
-"""95 % quantile of chi-square by degrees of freedom."""
 WRONG_PREDICTION_MAX_COVERAGE = 0.80
 """Share of the taxels inside their 95 % ellipsoids below which a prediction is wrong, and belief in it a mistake."""
 MEAN_MAX_MM = {
@@ -63,64 +57,43 @@ OUTSIDE_MODEL = ("drift_0.1N", "lean", "wide_foam", "gains")
 ByMethod: TypeAlias = dict[str, dict[str, Any]]
 """Numbers by method.
 
-`mean`, `predicted`, `true_rms` : mm; `true_along` is the rms part of the error in the directions of the covariance
-`inside` : share of the taxels in their 95 % ellipsoid; `missing` have no estimate
+`mean` to `missing` : as of `error_numbers`
 `skin_agrees` : whether held-out pokes agree with the prediction
 `ratio` : of measured to predicted misses at landmarks, NaN without them; `noisier` is the noise factor of landmark pokes
 `believed`, `wrongly_believed` : by the verdict; `used` : whether the rig was corrected
 """
-ROOT_MEAN_SQUARES = ("predicted", "true_rms", "true_along", "ratio", "predicted_mm", "true_rms_mm")
-"""Numbers that are averaged as root mean squares, also those of `robot`."""
 Session: TypeAlias = dict[int, ByMethod]
 """By number of landmark pokes."""
 
 
-def run(
-    quick: bool, progress: Callable[[str], None], seeds: int | None = None, cases: Sequence[str] | None = None
-) -> dict[str, Any]:
-    """Measure; quick with few rigs of few cases.
+@dataclass(frozen=True, slots=True)
+class UnmodelledSizes:
+    """Numbers of rigs."""
+
+    seeds: int = RANDOM_SEEDS_PER_CASE
+    """Rigs of most cases."""
+    cases: tuple[str, ...] = tuple(CASES)
+    sheet_seeds: int = 24
+    """Sheets of the case "sheet"; zero to leave it out."""
+
+
+def measure(bench: Bench, sizes: UnmodelledSizes) -> Findings:
+    """Measure.
 
     Returns
     -------
     JSON: `seeds` (rigs of most cases), `unmodelled` (a row for each case, see `unmodelled`), `sheet` (see `sheet_row`; `None`
-    if `cases` are given) and `bars`
+    if it is left out)
     """
-    seeds = seeds or (QUICK_SEEDS if quick else RANDOM_SEEDS_PER_CASE)
-    rows: list[dict[str, Any]] = []
-    with processes() as pool:
-        for case in cases or (QUICK_CASES if quick else tuple(CASES)):
-            rows += unmodelled(seeds, [case], each=pool.map)
-            progress(_row_text(rows[-1]).strip())
-        sheet = None if cases else sheet_row(QUICK_SHEET_SEEDS if quick else SHEET_SEEDS, each=pool.map)
+    rows = unmodelled(sizes.seeds, sizes.cases, bench=bench)
+    sheet = sheet_row(sizes.sheet_seeds, bench=bench) if sizes.sheet_seeds else None
     limits = unmodelled_limits(rows) | ({} if sheet is None else sheet_limits(sheet))
-    return {
-        "study": "unmodelled", "quick": quick, "seeds": seeds, "unmodelled": rows, "sheet": sheet,
-        "bars": check_limits(limits),
-    }  # fmt: skip
+    return Findings({"seeds": sizes.seeds, "unmodelled": rows, "sheet": sheet}, limits)
 
 
-def summary(result: Mapping[str, Any]) -> list[str]:
-    """Describe each case and each limit."""
-    of_sheet = [] if result["sheet"] is None else sheet_lines(result["sheet"])
-    return [*unmodelled_lines(result["unmodelled"]), *of_sheet, *limit_lines(result["bars"])]
-
-
-def in_known_directions(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Project an error (3,) onto the directions with nonzero variance. Return the components and their variances, (d,)."""
-    values, axes = np.linalg.eigh(covariance)
-    known = values > ZERO_VARIANCE_MAX_RATIO * max(values[-1], 0.0)
-    return axes[:, known].T @ off, values[known]
-
-
-def inside_95_ellipsoid(off: FloatArray, covariance: FloatArray) -> bool:
-    """Whether an error (3,) lies inside the 95 % ellipsoid of a covariance (3, 3), or its ellipse on a surface.
-
-    A covariance of zero claims an exact position: only a zero error lies inside.
-    """
-    parts, variances = in_known_directions(off, covariance)
-    if not len(parts):
-        return not off.any()
-    return float(np.sum(parts**2 / variances)) < CHI2_95[len(parts)]
+def describe(result: Mapping[str, Any]) -> list[str]:
+    """Describe each case."""
+    return [*unmodelled_lines(result["unmodelled"]), *([] if result["sheet"] is None else sheet_lines(result["sheet"]))]
 
 
 def run_session(case: str, seed: int) -> Session:
@@ -176,38 +149,15 @@ def _judge(solved: Solved, landmarks: LandmarkAgreement | None, used: bool) -> B
     return found
 
 
-def error_numbers(estimates: Sequence[Estimate], places: FloatArray) -> dict[str, Any]:
-    """Compare estimates with the true positions (n, 3): the numbers of `ByMethod` up to `missing`."""
-    both: list[tuple[FloatArray, FloatArray]] = [
-        (estimate.position - place, estimate.covariance)
-        for estimate, place in zip(estimates, places, strict=True)
-        if estimate.position is not None and estimate.covariance is not None
-    ]
-    if not both:
-        return {**dict.fromkeys(("mean", "inside", "predicted", "true_rms", "true_along"), np.nan), "missing": len(estimates)}
-    off: FloatArray = np.linalg.norm([error for error, _ in both], axis=1)
-    along = [np.sum(in_known_directions(error, covariance)[0] ** 2) for error, covariance in both]
-    return {
-        "mean": 1e3 * float(off.mean()),
-        "inside": float(np.mean([inside_95_ellipsoid(error, covariance) for error, covariance in both])),
-        "predicted": 1e3 * float(np.sqrt(np.mean([float(covariance.trace()) for _, covariance in both]))),
-        "true_rms": 1e3 * float(np.sqrt(np.mean(off**2))),
-        "true_along": 1e3 * float(np.sqrt(np.mean(along))),
-        "missing": len(estimates) - len(both),
-    }
-
-
-def sheet_row(
-    seeds: int, each: Callable[[Callable[[int], dict[str, Any]], Iterable[int]], Iterable[dict[str, Any]]] = map, first: int = 1
-) -> dict[str, Any]:
-    """Measure the case "sheet" (`unmodelled_sheet`), seeds from `first` on; `each` is `map`, or that of a pool.
+def sheet_row(seeds: int, first: int = 1, bench: Bench = SILENT_BENCH) -> dict[str, Any]:
+    """Measure the case "sheet" (`unmodelled_sheet`), seeds from `first` on.
 
     Returns
     -------
     JSON: `pokes` until the guide asks no more (of each seed), `planned` by the layout alone, and by number of pokes and method
     the means over seeds, with `ratio`, predicted over true error along the surface
     """
-    found = list(each(partial(run_sheet, compare=error_numbers), range(first, first + seeds)))
+    found = list(bench.each(partial(run_sheet, compare=error_numbers), range(first, first + seeds)))
     row: dict[str, Any] = {"planned": found[0]["planned"], "pokes": [session["pokes"] for session in found]}
     for count in (*map(str, SHEET_COUNTS), AT_END):
         own = [session[count] for session in found if count in session]
@@ -252,12 +202,8 @@ def sheet_lines(row: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-Each: TypeAlias = Callable[[Callable[[str, int], Session], Iterable[str], Iterable[int]], Iterable[Session]]
-"""`map`, or that of a pool of processes."""
-
-
 def unmodelled(
-    seeds: int = RANDOM_SEEDS_PER_CASE, cases: Sequence[str] = tuple(CASES), each: Each = map, first: int = 1
+    seeds: int = RANDOM_SEEDS_PER_CASE, cases: Sequence[str] = tuple(CASES), first: int = 1, bench: Bench = SILENT_BENCH
 ) -> list[dict[str, Any]]:
     """Try the program on rigs of each case, seeds from `first` on. Its thresholds were found with seeds from 1 on.
 
@@ -269,10 +215,13 @@ def unmodelled(
     `RIGHT_PREDICTION_MIN_COVERAGE` of the taxels inside, over all methods. `sessions`: the modules method's numbers of each
     seed
     """
-    of_case = {case: seeds if seeds < RANDOM_SEEDS_PER_CASE else max(seeds, EXTRA_SEEDS.get(case, 0)) for case in cases}
-    jobs = [(case, seed) for case, count in of_case.items() for seed in range(first, first + count)]
-    found = iter(each(run_session, [case for case, _ in jobs], [seed for _, seed in jobs]))
-    return [_row(case, list(islice(found, count)), first) for case, count in of_case.items()]
+    counts = {case: seeds if seeds < RANDOM_SEEDS_PER_CASE else max(seeds, EXTRA_SEEDS.get(case, 0)) for case in cases}
+    runs = [(case, [(case, seed) for seed in range(first, first + count)]) for case, count in counts.items()]
+    return bench.rows(runs, _run, partial(_row, first=first), _row_text)
+
+
+def _run(run: tuple[str, int]) -> Session:
+    return run_session(*run)
 
 
 def _row(case: str, found: Sequence[Session], first: int) -> dict[str, Any]:
@@ -304,17 +253,6 @@ def _row(case: str, found: Sequence[Session], first: int) -> dict[str, Any]:
             for seed, session in enumerate(found, start=first)
         ],
     }  # fmt: skip
-
-
-def mean_over_seeds(found: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
-    """Average over seeds: predicted and true errors and ratios as root mean squares, the others as means."""
-    means: dict[str, float | None] = {}
-    for name in found[0]:
-        own = np.array([session[name] for session in found], dtype=float)
-        # A session without any estimate has no errors (NaN); it counts under `missing`.
-        own = own[np.isfinite(own)]
-        means[name] = None if not len(own) else float(np.sqrt(np.mean(own**2)) if name in ROOT_MEAN_SQUARES else own.mean())
-    return means
 
 
 def unmodelled_limits(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str, float]]:
@@ -411,11 +349,9 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
     for offset, (count, (colour, mark)) in zip((0.15, -0.15), LANDMARK_LOOKS.items(), strict=True):
         places = [offset - row for row in range(len(rows))]
         predicted, true = ([row[f"{name}_{count}"] for row in rows] for name in ("predicted", "true_rms"))
-        look = {"color": colour, "marker": mark, "s": 28, "zorder": 3}
-        errors.hlines(places, predicted, true, color=colour, linewidth=1.0)
-        errors.scatter(true, places, label=f"true, {count} landmark pokes", **look)
-        errors.scatter(predicted, places, label="predicted", **{**look, "color": "white", "edgecolors": colour})
-        shares.scatter([row[f"inside_{count}"] for row in rows], places, label=f"{count} landmark pokes", **look)
+        look = {"color": colour, "marker": mark, "label": f"{count} landmark pokes"}
+        draw_predicted_and_true(errors, places, predicted, true, look)
+        shares.scatter([row[f"inside_{count}"] for row in rows], places, s=28, zorder=3, **look)
     least = min(row[f"predicted_{count}"] for row in rows for count in LANDMARK_LOOKS)
     most = max(row[f"true_rms_{count}"] for row in rows for count in LANDMARK_LOOKS)
     ticks = [at for at in (0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if least / 2.5 <= at <= 2.5 * most]
@@ -434,3 +370,13 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
     for axes in (errors, shares):
         axes.grid(visible=True)
         axes.legend(loc="best")
+
+
+THIS_STUDY = Study(
+    "unmodelled",
+    quick=UnmodelledSizes(2, ("nothing", "quadratic_2", "moderate", "gaussian"), 8),
+    full=UnmodelledSizes(),
+    measure=measure,
+    lines=describe,
+    draw=draw,
+)

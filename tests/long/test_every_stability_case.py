@@ -8,16 +8,14 @@ import json
 import pytest
 
 from skincal.studies import stability
-from skincal.studies.stability_cases import module_cases, taxel_cases
-from skincal.studies.stability_corrections import added_cases
 from tests.skincal.studies.test_stability import TINY
 
 
 @pytest.fixture(scope="module")
 def result():
     said = []
-    result = stability.run(quick=True, progress=said.append, sizes=TINY)
-    assert len(said) == 1 + sum(len(list(cases(TINY))) for cases in (taxel_cases, module_cases, added_cases))
+    result = stability.THIS_STUDY.run(True, said.append, TINY)
+    assert len(said) == 1 + len(list(stability.all_cases(TINY)))
     return result
 
 

@@ -5,7 +5,7 @@ How they are counted is in `tests/skincal/studies/test_unmodelled.py`.
 
 import pytest
 
-from skincal.studies.benchmarking import check_limits, processes
+from skincal.studies.harness import Bench, check_limits, processes
 from skincal.studies.unmodelled import unmodelled, unmodelled_limits
 
 CASES = ["nothing", "gaussian", "moderate", "wander"]
@@ -18,6 +18,6 @@ ASKED = {
 @pytest.mark.timeout(600)
 def test_the_bars_hold_on_rigs_of_the_second_simulator():
     with processes() as pool:
-        bars = check_limits(unmodelled_limits(unmodelled(12, CASES, each=pool.map, first=1001)))
+        bars = check_limits(unmodelled_limits(unmodelled(12, CASES, 1001, Bench(print, pool))))
     assert {name.removeprefix("unmodelled_") for name in bars} == ASKED
     assert {name: bar for name, bar in bars.items() if not bar["holds"]} == {}

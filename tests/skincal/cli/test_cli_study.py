@@ -7,43 +7,28 @@ from importlib import import_module
 
 import pytest
 
-from skincal.studies import STUDIES, runtime
+from skincal.studies import STUDIES
+from skincal.studies.harness import Findings, Study
 from tests.approved import approved
-from tests.skincal.studies.studies_support import tiny
+
+
+def replace_study(monkeypatch, name, numbers, asked):
+    """Make a study give these numbers at once, and append whether quick sizes were asked for."""
+    module = import_module(f"skincal.studies.{STUDIES[name].module}")
+    study = Study(
+        name, quick=True, full=False, measure=lambda bench, quick: (asked.append(quick), bench.say("measuring"), numbers)[-1],
+        lines=lambda result: [f"measured {result['study']}"], draw=lambda _, figure: figure.add_subplot().plot([0, 1]),
+        in_processes=False,
+    )  # fmt: skip
+    monkeypatch.setattr(module, "THIS_STUDY", study)
 
 
 @pytest.fixture
 def canned(monkeypatch):
     """Make the runtime study give a small result at once; return the list of what it was asked for."""
     asked = []
-
-    def give(quick, progress):
-        asked.append(quick)
-        progress("measuring")
-        return {"study": "runtime", "quick": quick, "bars": {}, "table": [], "poke": [], "left_out": ["nothing"]}
-
-    monkeypatch.setattr(runtime, "run", give)
-    monkeypatch.setattr(runtime, "draw", lambda _, figure: figure.add_subplot().plot([0, 1]))
+    replace_study(monkeypatch, "runtime", Findings({"table": []}), asked)
     return asked
-
-
-def test_a_study_writes_its_numbers_and_its_figure(run, tmp_path, monkeypatch):
-    result, said = tiny()
-
-    def measure(quick, progress):
-        progress(said[0])
-        return {**result, "quick": quick}
-
-    monkeypatch.setattr(runtime, "run", measure)
-    code, out, err = run("study", "runtime", "--quick", "--out", tmp_path / "new" / "measured")
-    assert code == 0
-    names = {path.name for path in (tmp_path / "new" / "measured").iterdir()}
-    assert names == {"runtime.json", "runtime.svg", "runtime.png"}
-    written = json.loads((tmp_path / "new" / "measured" / "runtime.json").read_text(encoding="utf-8"))
-    assert written == {**result, "quick": True}
-    assert "wrote " in out
-    assert "surface, as shipped" in out
-    assert "poking icub-forearm" in err
 
 
 @pytest.mark.parametrize(
@@ -94,26 +79,49 @@ def test_a_folder_that_cannot_be_written_to_is_one_sentence(run, tmp_path, canne
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_each_study_is_found_by_its_name(run, tmp_path, monkeypatch, name):
-    study = import_module(f"skincal.studies.{STUDIES[name][0]}")
-    monkeypatch.setattr(study, "run", lambda quick, _: {"study": name, "quick": quick})
-    monkeypatch.setattr(study, "summary", lambda result: [f"measured {result['study']}"])
-    monkeypatch.setattr(study, "draw", lambda _, figure: figure.add_subplot().plot([0, 1]))
-    code, out, _ = run("study", name, "--quick", "--out", tmp_path)
-    assert code == 0
+def test_each_study_is_found_by_its_name_and_writes_its_numbers_and_its_figure(run, tmp_path, monkeypatch, name):
+    asked = []
+    replace_study(monkeypatch, name, Findings({"numbers": [1]}, {"one": (1.0, "<=", 2.0)}), asked)
+    folder = tmp_path / "new" / "measured"
+    code, out, err = run("study", name, "--quick", "--out", folder)
+    assert (code, asked, err) == (0, [True], "measuring\n")
     assert f"measured {name}" in out
-    assert {path.name for path in tmp_path.iterdir()} == {f"{name}.{ending}" for ending in ("json", "svg", "png")}
+    assert "one: 1, limit <= 2: holds" in out
+    assert "wrote " in out
+    assert {path.name for path in folder.iterdir()} == {f"{name}.{ending}" for ending in ("json", "svg", "png")}
+    written = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    assert list(written) == ["study", "quick", "numbers", "bars"]
+    assert (written["study"], written["quick"], written["numbers"]) == (name, True, [1])
 
 
 @pytest.mark.parametrize("misses", [[], ["distances between three modules"]])
 @pytest.mark.parametrize("options", [["--json"], ["--out", "measured"]])
-def test_a_case_that_does_not_hold_ends_the_study_with_exit_code_1(run, tmp_path, monkeypatch, canned, misses, options):
+def test_a_case_that_does_not_hold_ends_the_study_with_exit_code_1(run, tmp_path, monkeypatch, misses, options):
     monkeypatch.chdir(tmp_path)
-    result = {**runtime.run(True, canned.append), "misses": misses}
-    monkeypatch.setattr(runtime, "run", lambda *_: result)
+    replace_study(monkeypatch, "runtime", Findings({"misses": misses}), [])
     code, out, _ = run("study", "runtime", *options)
     assert code == (1 if misses else 0)
-    assert "wrote " in out or json.loads(out) == result
+    assert "wrote " in out or json.loads(out) == {"study": "runtime", "quick": False, "misses": misses}
+
+
+def test_a_study_without_its_package_says_what_to_type_before_anything_is_made(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("skincal.studies.find_spec", lambda _: None)
+    code, out, err = run("study", "stability", "--out", tmp_path / "measured")
+    assert (code, out) == (2, "")
+    assert err == f"skincal: {approved('study.needs_package', study='stability', package='mpmath')}\n"
+    assert not (tmp_path / "measured").exists()
+
+
+def test_only_the_study_that_needs_80_digits_loads_them():
+    script = (
+        "import sys\n"
+        "from skincal.studies import STUDIES, load_study\n"
+        "import skincal.cli\n"
+        "for name in STUDIES.keys() - {'stability'}: load_study(name)\n"
+        "print('LOADED', 'mpmath' in sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "LOADED False\n"
 
 
 def test_the_studies_are_listed_without_being_loaded():

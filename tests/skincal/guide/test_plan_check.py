@@ -15,8 +15,8 @@ from skincal.modules.pose import ModuleModel
 from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.session.snapshot import snapshot_of
 from skincal.simulation.example_parts import forearm
+from skincal.studies.error_numbers import error_numbers
 from skincal.studies.independent_simulator import NOISY_RIG, simulate_session
-from skincal.studies.unmodelled import error_numbers
 from skincal.taxels.result import Method
 from skincal.words.verdict_words import off_plan_sentence
 from tests.approved import approved

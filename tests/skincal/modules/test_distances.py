@@ -22,7 +22,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.simulation.contacts import simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
-from skincal.studies.unmodelled import inside_95_ellipsoid
+from skincal.studies.error_numbers import inside_95_ellipsoid
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from skincal.words.layout_words import distance_sentences

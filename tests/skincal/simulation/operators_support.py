@@ -12,7 +12,7 @@ from skincal.session.session import Session
 from skincal.simulation.example_parts import ExamplePart
 from skincal.simulation.operator import OPERATORS
 from skincal.simulation.poking_strategies import Conditions, MeantPokes, displaced_rig, errors_of, poke_by_hand
-from skincal.studies.unmodelled import CHI2_95, in_known_directions
+from skincal.studies.error_numbers import CHI2_95, in_known_directions
 from skincal.taxels.result import Method
 
 FAR = 0.003

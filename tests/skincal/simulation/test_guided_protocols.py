@@ -24,7 +24,7 @@ from skincal.simulation.device import DeviceSettings, DeviceTimeline
 from skincal.simulation.operator import GuidedOperator, Habits
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
-from skincal.studies.unmodelled import inside_95_ellipsoid
+from skincal.studies.error_numbers import inside_95_ellipsoid
 from skincal.taxels.result import Method
 from tests.skincal.simulation.orchestra_support import SKINS, WRENCHES, Brought, Orchestra, pairs_of_each, reading
 

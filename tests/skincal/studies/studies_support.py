@@ -1,25 +1,50 @@
-"""A runtime study so small that several tests can share it."""
+"""Each study so small that several tests can share it, in this process."""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
-from skincal.studies import runtime
+from skincal.simulation.poking_strategies import Conditions
+from skincal.studies import load_study
+from skincal.studies.guidance_study import GuidanceSizes
+from skincal.studies.paper import PaperSizes
+from skincal.studies.robot import RobotSizes
 from skincal.studies.runtime import PartPlan, RuntimeSizes
+from skincal.studies.stability_cases import CaseSizes
+from skincal.studies.tip_study import TipSizes
+from skincal.studies.unmodelled import UnmodelledSizes
 
 FOREARM = "icub-forearm"
-TINY = RuntimeSizes(
-    small=PartPlan(FOREARM, 2, 1, (300,), (1,), budget_s=0.02),
-    large=PartPlan(FOREARM, 1, 1, (1_000,), (), (24,), budget_s=0.02),
-    per_taxel=2,
-    live_pokes=3,
-    live_per_taxel=(2,),
-)
+STABILITY_CASES = (
+    "axes within 1e-3 rad", "axes within 1e-9 rad", "one axis, many forces", "one axis, read many times",
+    "surface, axes within 1e-9 rad", "module, two pokes", "module on a sheet, 7 arm poses", "module on a sheet, shared errors",
+)  # fmt: skip
+SIZES: dict[str, Any] = {
+    "stability": CaseSizes(contacts=6, grid=4, many=300, only=frozenset(STABILITY_CASES)),
+    "guidance": GuidanceSizes(
+        seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
+        modules_seeds=1, long=40, cases={"drift 0.25 N": Conditions(drift=0.25)},
+    ),
+    "paper": PaperSizes(seeds=2, share=0.15, safety=1, good=1, counts=(42, 252), courses=2, steps=(28, 84)),
+    "runtime": RuntimeSizes(
+        small=PartPlan(FOREARM, 2, 1, (300,), (1,), budget_s=0.02),
+        large=PartPlan(FOREARM, 1, 1, (1_000,), (), (24,), budget_s=0.02),
+        per_taxel=2,
+        live_pokes=3,
+        live_per_taxel=(2,),
+    ),
+    "robot": RobotSizes(("arm",), {"all": 1}, max_pokes=10, displaced_mm=(), are_whole=False),
+    "tip": TipSizes(
+        seeds=1, pokes_per_taxel=1, counts=(42, 84), cases=(("good", None), ("good", 1.0), ("corrected", 1.0))
+    ),
+    "unmodelled": UnmodelledSizes(seeds=1, cases=("nothing", "gaussian"), sheet_seeds=0),
+}  # fmt: skip
 
 
-@lru_cache
-def tiny() -> tuple[dict[str, Any], list[str]]:
-    """Return the study's result and what it said on the way."""
+@cache
+def small(name: str) -> tuple[dict[str, Any], list[str]]:
+    """Return a study's result and what it said on the way."""
     said: list[str] = []
-    return runtime.run(True, said.append, TINY), said
+    return replace(load_study(name), in_processes=False).run(True, said.append, SIZES[name]), said

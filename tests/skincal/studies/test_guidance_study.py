@@ -1,35 +1,18 @@
 """The guidance study itself: small, whole, and what its JSON says."""
 
-import json
-from dataclasses import replace
-from functools import cache, partial
-
 import numpy as np
 import pytest
 
-from skincal.plotting import render
 from skincal.simulation.example_parts import forearm
 from skincal.simulation.poking_strategies import Conditions
 from skincal.studies import guidance_study
-from skincal.studies.guidance_study import QUICK_SIZES
-
-TINY = replace(
-    QUICK_SIZES, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
-    modules_seeds=1, long=40,
-)  # fmt: skip
-
-
-@cache
-def result():
-    said = []
-    return guidance_study.run(True, said.append, TINY), said
+from tests.skincal.studies.studies_support import small
 
 
 def test_it_says_what_each_way_takes():
-    found, said = result()
+    found, said = small("guidance")
     assert set(found["pokes_to_5mm"]) == {"guided", *guidance_study.STRATEGIES} == set(found["pokes_to_3mm"])
-    assert len(said) == len(found["table"]) == len(guidance_study.summary(found)) - len(found["bars"])
-    json.dumps(found, allow_nan=False)
+    assert len(said) == len(found["table"])
     for row in found["table"]:
         assert len(row["pokes"]) == len(row["mean_mm"]) == len(row["p95_mm"])
         assert row["pokes"][-1] == row["limit"]
@@ -42,16 +25,11 @@ def test_it_says_what_each_way_takes():
     # Nobody gets to 5 mm within 40 pokes: null, and no number that was not measured.
     assert found["pokes_to_5mm"]["random"] is None
     assert not found["bars"]["guided_pokes_to_5mm"]["holds"]
-    assert any("not reached" in line for line in guidance_study.summary(found))
+    assert any("not reached" in line for line in guidance_study.THIS_STUDY.summary(found))
 
 
 def test_a_process_makes_its_part_once():
     assert forearm() is forearm()
-
-
-def test_the_figure_is_drawn():
-    found, _ = result()
-    assert all(len(data) > 10_000 for data in render(partial(guidance_study.draw, found), (12.0, 7.0), ("svg", "png"), 100))
 
 
 def test_an_interval_holds_the_median_and_is_null_where_it_is_not_reached():

@@ -1,7 +1,6 @@
 """The study of a robot that pokes: its limits from known rows, and one short session."""
 
-from copy import deepcopy
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +15,15 @@ from skincal.physics.layouts import make_robot
 from skincal.physics.session import RobotSession, make_client
 from skincal.robot.target_lines import Judged, PokeTarget
 from skincal.studies import robot
+from skincal.studies.error_numbers import mean_over_seeds
+from skincal.studies.harness import check_limits
 from skincal.taxels.result import Method
-
-
-@cache
-def short_session(rig: str) -> dict[str, Any]:
-    pytest.importorskip("mujoco")
-    return robot.run_session(robot.Task(rig, "all", 3, 5))
+from tests.skincal.studies.studies_support import SIZES, small
 
 
 def test_a_robot_with_all_imperfections_pokes_and_its_pokes_count() -> None:
-    session = short_session("arm")
+    pytest.importorskip("mujoco")
+    (session,) = small("robot")[0]["robot"]
     assert session["pokes"] > 0
     assert session["accepted"] >= 0.6
     assert session["taxels"] == 84
@@ -35,10 +32,15 @@ def test_a_robot_with_all_imperfections_pokes_and_its_pokes_count() -> None:
 
 
 def test_equal_seeds_give_equal_sessions() -> None:
-    sessions = [robot.run_session(robot.Task("arm", "all", 3, 5)), deepcopy(short_session("arm"))]
-    for own in (own for session in sessions for own in session["methods"].values()):
-        del own["poke_ms"], own["solve_ms"]
-    np.testing.assert_equal(*sessions)
+    pytest.importorskip("mujoco")
+    (row,) = small("robot")[0]["robot"]
+    session = robot.run_session(robot.Task("arm", "all", 1, SIZES["robot"].max_pokes))
+    for name in ("pokes", "accepted", "no_taxel", "minutes"):
+        assert session[name] == row[name]
+    for method, own in session["methods"].items():
+        means = mean_over_seeds([own])
+        for name in ("mean_mm", "inside", "predicted_mm", "missing"):
+            assert means[name] == row["methods"][method][name]
 
 
 def rows(
@@ -63,7 +65,7 @@ def rows(
     ],
 )
 def test_limits_fail_where_a_number_is_wrong(wrong: dict[str, float], failing: set[str]) -> None:
-    bars = robot.check_limits(robot.robot_limits(rows(**wrong)))
+    bars = check_limits(robot.robot_limits(rows(**wrong)))
     assert {name for name, bar in bars.items() if not bar["holds"]} == failing
 
 
@@ -73,7 +75,7 @@ def test_without_mujoco_the_study_says_what_to_install(monkeypatch: pytest.Monke
 
     monkeypatch.setattr("skincal.physics.engine.import_module", missing)
     with pytest.raises(InputError, match=r"pip install 'skincal\[physics\]'"):
-        robot.run(True, print)
+        replace(robot.THIS_STUDY, in_processes=False).run(True, print)
 
 
 def test_a_part_that_is_pressed_onto_a_fixed_tip_is_calibrated(tmp_path: Path) -> None:

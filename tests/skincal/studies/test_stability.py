@@ -1,7 +1,5 @@
 """The stability study of taxels: its reference answers, that it can fail, and that the shipped solvers hold."""
 
-import json
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import matplotlib.figure
@@ -21,16 +19,15 @@ from skincal.studies.stability_cases import (
     Readings,
     arm_poses,
     cone,
-    module_cases,
     perturbed,
     sheet,
     simulate_presses,
     taxel_cases,
     unit,
 )
-from skincal.studies.stability_corrections import added_cases
 from skincal.taxels.result import PER_TAXEL
 from tests.skincal.poke_script import same_estimates, small_scene
+from tests.skincal.studies.studies_support import STABILITY_CASES, small
 
 TINY = CaseSizes(contacts=6, grid=4, many=300)
 CASES = {case.name: case for case in taxel_cases(TINY)}
@@ -241,20 +238,16 @@ def test_normal_equations_fail_on_near_parallel_axes():
     assert shares["normal equations"] > 100 > 1 > shares["QR, rows as they come"]
 
 
-@pytest.fixture(scope="module")
-def result():
+@pytest.fixture(name="result")
+def result_of_a_few_cases():
     """A study of a few cases; `tests/long` has it of all."""
-    names = (*SOME[:3], SOME[8], "one axis, read many times", "module, two pokes", "module on a sheet, 7 arm poses",
-             "module on a sheet, shared errors")  # fmt: skip
-    cases = [case for every in (taxel_cases, module_cases, added_cases) for case in every(TINY) if case.name in names]
-    said = []
-    result = stability.run(quick=True, progress=said.append, sizes=TINY, cases=cases)
+    result, said = small("stability")
     assert said[0].startswith("tolerance")
-    assert len(said) == 1 + len(cases) == 1 + len(names)
+    assert len(said) == 1 + len(STABILITY_CASES)
     return result
 
 
-def test_the_result_is_json_and_agrees_with_itself(result):
+def test_the_result_agrees_with_itself(result):
     cases = result["cases"]
     assert len({case["name"] for case in cases}) == len(cases)
     assert {case["solver"] for case in cases} == {"free", "surface", "modules", "added"}
@@ -263,15 +256,14 @@ def test_the_result_is_json_and_agrees_with_itself(result):
     for case in cases:
         assert case["holds"] == (case["error"] <= case["bound"] and case["same_bits"])
         assert case["error_over_bound"] == pytest.approx(case["error"] / case["bound"])
-    assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
 def test_a_study_names_the_cases_that_miss_their_bound(monkeypatch):
-    cases = [case for case in added_cases(TINY) if case.name.startswith("distances")]
-    monkeypatch.setattr(stability, "processes", lambda: ThreadPoolExecutor(1))
+    name = "distances between three modules"
     monkeypatch.setattr(stability, "tolerance", lambda change, _: 1e-9 * change)
-    result = stability.run(True, lambda _: None, sizes=replace(TINY, draws=1), cases=cases)
-    assert f"{cases[0].name}: places" in result["misses"]
+    study = replace(stability.THIS_STUDY, in_processes=False)
+    result = study.run(True, lambda _: None, replace(TINY, draws=1, only=frozenset([name])))
+    assert f"{name}: places" in result["misses"]
     assert result["held"] + len(result["misses"]) == len(result["cases"])
 
 
@@ -279,7 +271,7 @@ def test_the_summary_names_misses_and_the_figure_every_family(result):
     broken = list(result["cases"])
     broken[3] = {**broken[3], "holds": False, "error_over_bound": reference.ERROR_OF_FAILED_SOLVER_M}
     result = {**result, "cases": broken, "held": len(broken) - 1}
-    lines = stability.summary(result)
+    lines = stability.describe(result)
     assert lines[0].startswith(f"{len(broken) - 1} of {len(broken)} cases hold")
     assert next(line for line in lines if line.startswith("MISSES")).startswith(f"MISSES: {broken[3]['name']}")
     figure = matplotlib.figure.Figure(layout="constrained")
@@ -291,7 +283,7 @@ def test_the_summary_names_misses_and_the_figure_every_family(result):
 
 def test_a_summary_needs_no_case_of_every_solver(result):
     some = {**result, "cases": [case for case in result["cases"] if case["solver"] == "free"], "alternatives": []}
-    assert any(line.startswith("free: ") for line in stability.summary(some))
+    assert any(line.startswith("free: ") for line in stability.describe(some))
 
 
 def stiff_pokes(first, count, weights, rng, mesh):

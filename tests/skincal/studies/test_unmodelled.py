@@ -2,21 +2,19 @@
 
 import json
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
 
 from skincal.guide.verdict import Check, is_believed
-from skincal.plotting import render
 from skincal.rig.correction_fit import NOISE_FACTORS, LandmarkAgreement
 from skincal.studies import unmodelled as study
-from skincal.studies.benchmarking import check_limits
+from skincal.studies.error_numbers import error_numbers, in_known_directions, inside_95_ellipsoid
+from skincal.studies.harness import check_limits
 from skincal.studies.unmodelled import (
+    _row,
     believed_shares,
-    error_numbers,
-    in_known_directions,
-    inside_95_ellipsoid,
     off_by_factor,
     run_session,
     sheet_limits,
@@ -27,6 +25,7 @@ from skincal.studies.unmodelled import (
     unmodelled_lines,
 )
 from skincal.taxels.result import Estimate, Method, State
+from tests.skincal.studies.studies_support import small
 
 NAMES = {method.value for method in Method}
 GOOD = {
@@ -43,7 +42,7 @@ def session(case, seed=1):
 def rows_of(*sessions):
     """Row of sessions in which every method and number of landmark pokes has the same numbers."""
     found = [{count: dict.fromkeys(NAMES, each) for count in (0, 21, 70)} for each in sessions]
-    return unmodelled(len(found), ["nothing"], each=lambda *_: found)[0]
+    return _row("nothing", found, 1)
 
 
 def test_the_95_percent_ellipsoid_has_full_flat_and_linear_forms():
@@ -182,24 +181,17 @@ def test_a_limit_fails_by_its_own_case_and_number(row, names):
     assert failing(row) == names
 
 
-def test_the_study_gives_rows_limits_lines_and_a_figure():
-    messages = []
-    found = study.run(True, messages.append, 1, ["nothing", "gaussian"])
-    json.dumps(found, allow_nan=False)
+def test_the_study_gives_rows_limits_and_lines():
+    found, messages = small("unmodelled")
     row = found["unmodelled"][0]
     assert [each["case"] for each in found["unmodelled"]] == ["nothing", "gaussian"]
     assert row["uncorrected"] == row["methods"]["0"]["modules"]["mean"] > 4 * row["21"]
     assert row["21"] == session("nothing")[21]["modules"]["mean"]
-    assert (row["sessions"][0]["seed"], row["sessions"][0]["70"]["mean"], row["sessions"][0]["0"]["ratio"]) == (
-        1,
-        row["70"],
-        None,
-    )
+    own = row["sessions"][0]
+    assert (own["seed"], own["70"]["mean"], own["0"]["ratio"]) == (1, row["70"], None)
     assert "unmodelled_inside_as_modelled" in found["bars"]
     assert "unmodelled_inside_worst" not in found["bars"], "none of its cases is among them"
-    assert all(any(line.strip() == message for line in study.summary(found)) for message in messages)
-    (picture,) = render(partial(study.draw, found), (12.0, 7.0), ("svg",), 100)
-    assert b"gaussian" in picture
+    assert all(any(line.strip() == message for line in study.describe(found)) for message in messages)
     (other,) = unmodelled(1, ["gaussian"], first=1001)
     assert other["sessions"][0]["seed"] == 1001
     assert other["sessions"][0]["0"]["mean"] != session("gaussian")[0]["modules"]["mean"]
