@@ -52,8 +52,7 @@ def _draw(session: Session, method: str, path: Path) -> Path:
     choose_offscreen()
     from app.scene3d.offscreen import picture
 
-    part = session.scene.part
-    picture(part.scene, part.surface, part.laid, session.results.snapshot, Method(method), path)
+    picture(session.scene.part, session.results.snapshot, Method(method), path)
     return path
 
 

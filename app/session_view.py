@@ -37,12 +37,11 @@ from app.panels.taxel_map import MapCard, TaxelMap, quarter_turns
 from app.panels.widgets import POSITION_FILES, theme_colours, with_ending
 from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
-from app.session.controller import Controller, Tick
+from app.session.controller import Controller
 from app.sound.cues import CueMemory, due_cue
 from app.state.memo import Memo
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.view_state import ViewState, focused_channel
-from app.text.demo_text import simulated_words
 from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORT_WORK, REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
@@ -52,11 +51,9 @@ from app.theme import WIDGET_GAP_PX
 from skincal.files.formats import ExportOptions
 from skincal.following.review import Review
 from skincal.following.session_guide import ModulesEnough
-from skincal.guide.press_coaching import max_angle_error
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, Redo, Undo
 from skincal.model.errors import InputError
-from skincal.model.scene import Scene
 from skincal.part.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
@@ -154,8 +151,7 @@ class Workspace(QWidget):
         self.now.show_state(state)
         is_changed = before is None or (before.revision, before.method) != (state.revision, state.method)
         self.card.show_state(state, is_changed=is_changed)
-        room = 0.0 if state.guidance is None else max_angle_error(state.guidance)
-        self.view.show_moment(state.snapshot, state.live, state.method, state.selected, state.target, room, state.tip)
+        self.view.show_state(state)
         self._show_tab()
 
     def current_panel(self) -> Panel | None:
@@ -209,11 +205,11 @@ class SessionView(QObject):
     ) -> None:
         super().__init__(parent)
         self._controller, self._commands, self._documents, self._settings = controller, commands, documents, settings
-        self._tick: Tick | None = None
+        self._moment: ViewState | None = None  # Of the newest tick, without the selection and what follows from it
         self._clock_offset_s = time.time() - time.monotonic()
         self._cues = CueMemory()
         self._rig = RigReview()
-        self._may, self._diversity, self._scene = Memo[Allowed](), Memo[AxisDiversity | None](), Memo[Scene]()
+        self._may, self._diversity = Memo[Allowed](), Memo[AxisDiversity | None]()
         self._has_ended = False  # The verdict of the demonstration was opened
         self._history: HistoryDialog | None = None
         self._thresholds: ThresholdsDialog | None = None
@@ -269,8 +265,8 @@ class SessionView(QObject):
         """The method that is shown and that the guide serves."""
         return self.guided.method
 
-    def _take_tick(self, tick: Tick) -> None:
-        self._tick = tick
+    def _take_tick(self, moment: ViewState) -> None:
+        self._moment = moment
         self.show()
 
     def follow_again(self) -> None:
@@ -279,10 +275,10 @@ class SessionView(QObject):
 
     def show(self) -> None:
         """Show the newest tick with the present selection."""
-        tick, before = self._tick, self.state
-        if tick is None:
+        moment, before = self._moment, self.state
+        if moment is None:
             return
-        self.state = state = self.view_state(tick)
+        self.state = state = self._completed(moment)
         self._play_cue(state)
         self._announce_modules(state)
         if state.may.ends and self._controller.demo and not self._has_ended:
@@ -299,52 +295,37 @@ class SessionView(QObject):
 
     def refresh_allowed(self) -> None:
         """Enable the commands for another selection."""
-        if self._tick is not None and self.state is not None:
-            self.state = replace(self.state, may=self._allowed(self._tick))
+        if self.state is not None:
+            self.state = replace(self.state, may=self._allowed(self.state))
             self._commands.update_actions()
 
-    def _allowed(self, tick: Tick) -> Allowed:
-        snapshot, running, offers = tick.snapshot, self._controller.running, self._rig.offers(tick.snapshot)
-        chosen = running, self._pokes.selected(), self.selected, self.guided.guidance, offers
+    def _allowed(self, moment: ViewState) -> Allowed:
+        snapshot, offers = moment.snapshot, self._rig.offers(moment.snapshot)
+        chosen = moment.running, self._pokes.selected(), self.selected, moment.guidance, offers
         return self._may.get((snapshot.generation, *chosen), lambda: allowed(snapshot, *chosen))
 
-    def view_state(self, tick: Tick) -> ViewState:
-        """Collect everything that the panels and the 3D view show at one tick."""
-        snapshot, controller = tick.snapshot, self._controller
-        channel, thresholds = focused_channel(self.selected, self.guided.guidance), snapshot.decisions.thresholds
-        return ViewState(
-            snapshot=snapshot,
-            live=tick.live,
-            scene=self._scene.get((thresholds,), lambda: replace(self.workspace.part.scene, contacts=thresholds)),
-            names=self.workspace.names,
-            method=self.method,
-            selected=self.selected,
-            running=controller.running,
-            now_ns=tick.now_ns,
-            behind_s=tick.behind_s,
+    def _completed(self, moment: ViewState) -> ViewState:
+        """Add the selection and what follows from it to the state of a tick."""
+        snapshot, channel = moment.snapshot, focused_channel(self.selected, moment.guidance)
+        return replace(
+            moment,
             clock_offset=self._clock_offset_s,
-            guidance=self.guided.guidance,
+            selected=self.selected,
             diversity=self._diversity.get(
-                (snapshot.generation, self.method, channel, self.guided.guidance),
+                (snapshot.generation, moment.method, channel, moment.guidance),
                 lambda: None if channel is None else self.guided.guide.axis_diversity(channel),
             ),
-            coaching=self.guided.coach.coaching,
             review=self._rig.in_use(snapshot),
             offers=self._rig.offers(snapshot),
-            unsolved=tick.unsolved,
-            tip=self.guided.tip,
-            robot_halted=self.guided.is_halted,
-            simulated=simulated_words(controller.pace, controller.running) if controller.simulated else "",
-            costs=self.guided.guide.costs,
             eye=self.workspace.view.eye(),
-            may=self._allowed(tick),
+            may=self._allowed(moment),
         )
 
     def _take_review(self, review: Review | None) -> None:
         """Show the results of landmark pokes; announce an available correction once."""
         self._rig.review = review
         self.show()
-        news = None if self._tick is None else self._rig.news(self._tick.snapshot)
+        news = None if self._moment is None else self._rig.news(self._moment.snapshot)
         if news is not None:
             self.said.emit(Message(offer_news(news), found=True))
 
@@ -393,7 +374,8 @@ class SessionView(QObject):
         self._act_and_follow(self.guided.guide.skip_landmarks())
 
     def check_again(self) -> None:
-        again = None if self._tick is None else self.guided.guide.check_again(self._tick.snapshot, self._tick.live.pose)
+        moment = self._moment
+        again = None if moment is None else self.guided.guide.check_again(moment.snapshot, moment.live.pose)
         if again is None:
             self.said.emit(Message(NOTHING_TO_CHECK))
         else:
@@ -474,7 +456,7 @@ class SessionView(QObject):
     def ask_verdict(self) -> None:
         """Show the verdict; it leads on to the file."""
         state, parent = self.state, self.workspace.window()
-        if state is None or self._tick is None or state.guidance is None:
+        if state is None or state.guidance is None:
             return
         found = None if state.review is None else state.review.rig
         verdict = self.guided.guide.verdict(state.snapshot, state.method, found)
@@ -513,9 +495,8 @@ class SessionView(QObject):
 
         def verdict_of(method: Method) -> str:
             # Pokes may come while the dialog is open; the positions of the newest are sent.
-            tick = self._tick
-            assert tick is not None
-            return verdict_sentence(self.guided.guide.verdict(tick.snapshot, method, rig))
+            assert self._moment is not None
+            return verdict_sentence(self.guided.guide.verdict(self._moment.snapshot, method, rig))
 
         address = str(settings.value("apply/address", "")) or offered_port(link.address for link in self._controller.links)
         dialog = ApplyDialog(self.workspace.methods, self.method, verdict_of, address, self.workspace.window())

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.scene3d.camera import CameraPose
 from app.scene3d.lines import DRAWN_TOOL_LENGTH_M, cone_rim
+from app.state.camera_pose import CameraPose
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.press_coaching import PokeError

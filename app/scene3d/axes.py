@@ -9,7 +9,8 @@ import pyvista as pv
 
 from app.scene3d.lines import DRAWN_TOOL_LENGTH_M
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, Segments
-from app.scene3d.scene_state import SceneColours, StaticScene, View3DState
+from app.scene3d.scene_state import SceneColours, StaticScene
+from app.state.view_state import ViewState
 from skincal.contacts.outcome import Contact, Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.guide.press_coaching import PRESSING_PHASES
@@ -36,7 +37,7 @@ class AxesLayer(Layer):
     def set_colours(self, colours: SceneColours) -> None:
         self.colours, self._past_key, self._axis = colours, None, None
 
-    def show(self, state: View3DState) -> bool:
+    def show(self, state: ViewState) -> bool:
         changed = self._show_current(state)
         key = (state.snapshot.generation, state.method, state.selected)
         if key == self._past_key:
@@ -45,14 +46,14 @@ class AxesLayer(Layer):
         self._show_past(state)
         return True
 
-    def _show_current(self, state: View3DState) -> bool:
-        progress = None if state.live is None else state.live.progress
-        axis = b"" if progress is None else _key(progress)
+    def _show_current(self, state: ViewState) -> bool:
+        progress = state.live.progress
+        axis = _key(progress)
         if axis == self._axis:
             return False
         self._axis = axis
         ends = at = NO_POINTS
-        if progress is not None and axis:
+        if axis:
             direction = progress.force / np.linalg.norm(progress.force)
             at = contact_point(self.static.surface, progress.axis_point, direction, self._mean_place(state, progress))[None]
             ends = _span(at, direction[None])
@@ -60,12 +61,12 @@ class AxesLayer(Layer):
         self.contact.show(at, self.colours.ink)
         return True
 
-    def _mean_place(self, state: View3DState, progress: Progress) -> FloatArray:
+    def _mean_place(self, state: ViewState, progress: Progress) -> FloatArray:
         """Return the mean position of the taxels that answer; without known positions the middle of the part."""
         places = [place for c in progress.channels.tolist() if (place := self._place_of(state, c)) is not None]
         return np.mean(places, axis=0) if places else self._middle
 
-    def _show_past(self, state: View3DState) -> None:
+    def _show_past(self, state: ViewState) -> None:
         channel = state.selected
         if channel is None or channel not in self.static.row:
             self.past.show(NO_POINTS, self.colours.ink)
@@ -76,9 +77,9 @@ class AxesLayer(Layer):
         along = np.einsum("ix,ix->i", (self._middle if place is None else place) - points, directions)
         self.past.show(_span(points + directions * along[:, None], directions), self.colours.ink)
 
-    def _place_of(self, state: View3DState, channel: int) -> FloatArray | None:
+    def _place_of(self, state: ViewState, channel: int) -> FloatArray | None:
         """Return the position of a taxel by its estimate, else by the plan; `None` if neither is known."""
-        row, estimates = self.static.row.get(channel), state.estimates()
+        row, estimates = self.static.row.get(channel), state.estimates
         if row is None:
             return None
         position = estimates[row].position if row < len(estimates) else None

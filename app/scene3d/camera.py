@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, View3DState
+from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M
+from app.state.camera_pose import CameraPose
+from app.state.view_state import ViewState
 from skincal.geometry import FloatArray, cross_matrix
 from skincal.guide.guidance import Target
 from skincal.guide.press_coaching import PRESSING_PHASES
@@ -43,33 +45,6 @@ REST_DELAY_S = 1.5  # Without a target for so long, the camera returns to the fi
 LEVEL_TOLERANCE = 1e-6  # Between axes, unit
 SAME_VIEW_ANGLE, SAME_VIEW_SHIFT = float(np.radians(1.0)), 0.02
 """rad between two views, and shift over half the height of the picture, below which the camera stays."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraPose:
-    """Position and direction of a camera; link frame, metres."""
-
-    axes: FloatArray
-    """(3, 3) float, unit, rows: right and up on the screen, and back to the camera."""
-    focus: FloatArray
-    """(3,) float: the point that it looks at."""
-    distance: float
-
-    @property
-    def right(self) -> FloatArray:
-        return self.axes[0]
-
-    @property
-    def up(self) -> FloatArray:
-        return self.axes[1]
-
-    @property
-    def position(self) -> FloatArray:
-        """(3,) float, metres."""
-        return self.focus + self.distance * self.axes[2]
-
-
-PLAIN_POSE = CameraPose(np.eye(3), np.zeros(3), 1.0)  # Before the first picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -405,7 +380,7 @@ class AutoCamera:
         self.keeps_distance, self._rests_at_s = False, np.inf
         return self.framing.rest(aspect, self._min_half_height, self._lean_deg)
 
-    def advance(self, camera: vtkCamera, aspect: float, height: float, state: View3DState, now_s: float) -> bool:
+    def advance(self, camera: vtkCamera, aspect: float, height: float, state: ViewState, now_s: float) -> bool:
         """Continue a turn of the camera, or begin one; return whether the camera moved.
 
         `aspect` is the picture's width over its height; `height` is in pixels of the desktop.
@@ -415,7 +390,7 @@ class AutoCamera:
             self._is_due, self._way = target is not None, None
             self._rests_at_s = now_s + REST_DELAY_S if target is None and self.wanted else np.inf
         self._target = target
-        if state.live is not None and state.live.progress.phase in PRESSING_PHASES:
+        if state.live.progress.phase in PRESSING_PHASES:
             # After the poke an interrupted turn begins again.
             self._is_due, self._way = self._is_due or (self._way is not None and target is not None), None
             return False

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from pyvistaqt import QtInteractor
 
     from app.scene3d.scene_renderer import SceneRenderer
-    from app.scene3d.scene_state import SceneColours, StaticScene, View3DState
+    from app.scene3d.scene_state import SceneColours, StaticScene
+    from app.state.view_state import ViewState
 
     AnyCanvas: TypeAlias = "QtInteractor | RasterCanvas"
 
@@ -115,7 +116,7 @@ def release(renderer: SceneRenderer | None) -> None:
 
 
 def load(
-    canvas: Canvas, static: StaticScene, colours: SceneColours, size: tuple[int, int], state: View3DState | None
+    canvas: Canvas, static: StaticScene, colours: SceneColours, size: tuple[int, int], state: ViewState | None
 ) -> SceneRenderer | None:
     """Import the libraries and make the renderer; `None` if only the window's thread can make it.
 

@@ -9,7 +9,7 @@ import pyvista as pv
 from vtkmodules.vtkRenderingCore import vtkCellPicker
 
 from app import theme
-from app.scene3d.camera import PLAIN_POSE, CameraPose, facing, fit_from, place, pose_of
+from app.scene3d.camera import facing, fit_from, place, pose_of
 from app.scene3d.draft_state import NO_PLACES, ROBOT_STEPS, SENSOR_STEPS, DraftPicture, DraftStatic
 from app.scene3d.hints import HintsLayer
 from app.scene3d.lines import crosses, rings
@@ -19,6 +19,7 @@ from app.scene3d.robot_sides import SidesLayer, side_axes
 from app.scene3d.scene_renderer import MIN_VIEW_HALF_HEIGHT_M, SceneRenderer
 from app.scene3d.scene_state import StaticScene, rgb
 from app.scene3d.turn_handle import TurnHandleLayer
+from app.state.camera_pose import PLAIN_POSE, CameraPose
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.search import nearest_points

@@ -19,7 +19,8 @@ from vtkmodules.vtkRenderingCore import vtkPointPicker, vtkRenderer
 from app.scene3d.camera import facing
 from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, MeshActor, Segments
-from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, ColourArray, Comparison, SceneColours, StaticScene, View3DState
+from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, ColourArray, Comparison, SceneColours, StaticScene
+from app.state.view_state import ViewState
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import known_error
@@ -79,17 +80,17 @@ class EstimatesLayer(Layer):
         near = ~(facing(sides, ends[:, 0], position) < 0.0)
         self.marks.show(ends[near], np.repeat(colours[near], 2, axis=0))
 
-    def show(self, state: View3DState) -> bool:
-        key = (state.snapshot.generation, state.method, state.selected, state.difference, state.comparison is None)
+    def show(self, state: ViewState) -> bool:
+        key = (state.snapshot.generation, state.method, state.selected, self.difference, self.comparison is None)
         if key == self._key:
             return False
         self._key = key
-        estimates = state.estimates()
+        estimates = state.estimates
         rows = [row for row, e in enumerate(estimates) if e.position is not None]
         self.shown, self._hues = self.static.channels[rows], self.static.hues[rows]
         self.places = _positions([estimates[row] for row in rows])
         self._sides = self._outward(rows, estimates)
-        self._is_compared = state.comparison is not None
+        self._is_compared = self.comparison is not None
         self._marks = self._marks_of(state, estimates)
         self._show_differences(state, rows)
         self._show_alternative(state, estimates)
@@ -123,13 +124,13 @@ class EstimatesLayer(Layer):
             return np.array([np.full(3, np.nan) if normal is None else normal for normal in own]).reshape(-1, 3)
         return normals
 
-    def _show_alternative(self, state: View3DState, estimates: Sequence[Estimate]) -> None:
+    def _show_alternative(self, state: ViewState, estimates: Sequence[Estimate]) -> None:
         """Draw a line from the selected taxel to its second possible position, or along its unknown direction."""
         row = self.static.row.get(-1 if state.selected is None else state.selected, len(estimates))
         ends = _alternative(estimates[row], self.static.places[row]) if row < len(estimates) else NO_POINTS
         self.alternative.show(ends, self.colours.ink)
 
-    def _marks_of(self, state: View3DState, estimates: Sequence[Estimate]) -> tuple[FloatArray, ColourArray, FloatArray]:
+    def _marks_of(self, state: ViewState, estimates: Sequence[Estimate]) -> tuple[FloatArray, ColourArray, FloatArray]:
         row, hues, ink = self.static.row, self.static.hues, np.array(self.colours.ink, np.uint8)
         touched = [row[channel] for channel in state.snapshot.touched.tolist() if channel in row]
         selected = [row[state.selected]] if state.selected in row else []
@@ -159,10 +160,10 @@ class EstimatesLayer(Layer):
                 normals[at] = normals[at] if estimate.normal is None else estimate.normal
         return centres, normals
 
-    def _show_differences(self, state: View3DState, rows: list[int]) -> None:
+    def _show_differences(self, state: ViewState, rows: list[int]) -> None:
         found = state.snapshot.estimates
         other = next((method for method in OTHER_METHODS if method is not state.method and method in found), None)
-        others = found[other] if other is not None and state.difference else ()
+        others = found[other] if other is not None and self.difference else ()
         paired = [i for i, row in enumerate(rows) if row < len(others) and others[row].position is not None]
         there = _positions([others[rows[i]] for i in paired])
         self.differences.show(np.stack([self.places[paired], there], axis=1), self.colours.faint)
@@ -209,24 +210,22 @@ class UncertaintyLayer(Layer):
         self.lines = Segments(plotter, FRONT, 1.5)
         self._key: object = None
 
-    def show(self, state: View3DState) -> bool:
-        key = (state.snapshot.generation, state.method, state.selected, state.comparison is None)
+    def show(self, state: ViewState) -> bool:
+        key = (state.snapshot.generation, state.method, state.selected, self.comparison is None)
         if key == self._key:
             return False
         self._key = key
-        rows, estimates = self.rows(state), state.estimates()
+        rows, estimates = self.rows(state), state.estimates
         parts = [NO_POINTS, *(region(estimates[row], state.snapshot.part_size).reshape(-1, 3) for row in rows)]
         self.lines.show(np.concatenate(parts), np.repeat(self.static.hues[rows], [len(part) for part in parts[1:]], axis=0))
         return True
 
-    def rows(self, state: View3DState) -> list[int]:
+    def rows(self, state: ViewState) -> list[int]:
         """Return the rows of taxels whose uncertainty regions are drawn: not all, since many would hide the taxels."""
-        if state.comparison is not None:
+        if self.comparison is not None:
             return []
         errors = (
-            (row, known_error(e, state.snapshot.part_size))
-            for row, e in enumerate(state.estimates())
-            if e.covariance is not None
+            (row, known_error(e, state.snapshot.part_size)) for row, e in enumerate(state.estimates) if e.covariance is not None
         )
         known = {row: error for row, error in errors if error is not None}
         worst = sorted(known, key=lambda row: (-known[row], row))[:1]
@@ -294,10 +293,10 @@ class CompareLayer(Layer):
         self.dots = Dots(plotter, FRONT, DOT_PX[1], is_lit=False)
         self._shown: Comparison | None = None
 
-    def show(self, state: View3DState) -> bool:
-        if state.comparison is self._shown:
+    def show(self, state: ViewState) -> bool:  # noqa: ARG002
+        if self.comparison is self._shown:
             return False
-        self._shown = state.comparison
+        self._shown = self.comparison
         self.draw()
         return True
 

@@ -8,7 +8,8 @@ import pyvista as pv
 from app.scene3d.camera import facing
 from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, Segments
-from app.scene3d.scene_state import StaticScene, View3DState
+from app.scene3d.scene_state import StaticScene
+from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
@@ -38,9 +39,9 @@ class LandmarksLayer(Layer):
         self._normals = NO_POINTS
         self._moment: tuple[int, str] = -1, ""  # Generation of the session and name of the arm pose that are drawn
 
-    def show(self, state: View3DState) -> bool:
+    def show(self, state: ViewState) -> bool:
         snapshot = state.snapshot
-        moment = snapshot.generation, "" if state.live is None else state.live.pose
+        moment = snapshot.generation, state.live.pose
         if moment == self._moment:
             return False
         self._moment = moment

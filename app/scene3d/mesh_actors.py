@@ -15,7 +15,8 @@ import pyvista as pv
 from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
 from app.scene3d.camera import Viewpoint
-from app.scene3d.scene_state import DARK, Colour, ColourArray, SceneColours, StaticScene, View3DState
+from app.scene3d.scene_state import DARK, Colour, ColourArray, Comparison, SceneColours, StaticScene
+from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
 
 PART, FRONT = 0, 1  # Columns of the plotter's grid: the renderer of the part, and the one upon it
@@ -127,6 +128,8 @@ class Layer:
         self.colours = DARK
         self.viewpoint: Viewpoint | None = None  # `None` before the first picture
         self.labels: Sequence[Label] = ()
+        self.difference = False  # Draw a line from each estimate to another method's
+        self.comparison: Comparison | None = None  # `None` while nothing is compared
 
     def parts(self) -> Mapping[str, Sequence[MeshActor]]:
         """Return the actors by the name with which they are switched on and off."""
@@ -137,7 +140,7 @@ class Layer:
         self.colours = colours
         self.draw()
 
-    def show(self, state: View3DState) -> bool:  # noqa: ARG002
+    def show(self, state: ViewState) -> bool:  # noqa: ARG002
         """Update the meshes to a moment of the session; return whether anything changed."""
         return False
 

@@ -15,11 +15,10 @@ from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 from app.scene3d.drawing_probe import choose_offscreen
 from app.scene3d.mesh_actors import window_of
 from app.scene3d.scene_renderer import PLOTTER_SHAPE, SceneRenderer
-from app.scene3d.scene_state import LIGHT, StaticScene, View3DState
+from app.scene3d.scene_state import LIGHT, StaticScene
+from app.state.view_state import state_at_rest
 from skincal.files.atomic import write_atomically
-from skincal.mesh.lay import PlacedLayout
-from skincal.mesh.surface import Surface
-from skincal.model.scene import Scene
+from skincal.part.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 
@@ -44,16 +43,8 @@ def draw(plotter: pv.BasePlotter) -> NDArray[np.uint8]:
     return vtk_to_numpy(pixels).reshape(height, width, 4)
 
 
-def picture(
-    scene: Scene,
-    surface: Surface | None,
-    laid: PlacedLayout | None,
-    snapshot: Snapshot,
-    method: Method,
-    path: Path,
-    size: tuple[int, int] = (1280, 800),
-) -> None:
-    """Draw what the window's 3D view shows of a session, as a PNG file; `size` is in pixels.
+def picture(part: Part, snapshot: Snapshot, method: Method, path: Path, size: tuple[int, int] = (1280, 800)) -> None:
+    """Draw what the window's 3D view shows of a session on a part, as a PNG file; `size` is in pixels.
 
     Raises
     ------
@@ -63,9 +54,9 @@ def picture(
     choose_offscreen()
     channels = [estimate.channel for estimate in snapshot.estimates.get(method, ())]
     plotter = make_plotter(size)
-    renderer = SceneRenderer(plotter, StaticScene(scene, surface, laid, channels), LIGHT)
+    renderer = SceneRenderer(plotter, StaticScene(part.scene, part.surface, part.laid, channels), LIGHT)
     try:
-        renderer.show(View3DState(snapshot, None, method, None))
+        renderer.show(state_at_rest(part.scene, snapshot, method))
         renderer.fit()
         content = io.BytesIO()
         Image.fromarray(draw(plotter)[::-1, :, :3]).save(content, "png")

@@ -6,7 +6,8 @@ import numpy as np
 import pyvista as pv
 
 from app.scene3d.mesh_actors import NO_POINTS, PART, Dots, Layer, Segments
-from app.scene3d.scene_state import StaticScene, View3DState
+from app.scene3d.scene_state import StaticScene
+from app.state.view_state import ViewState
 from skincal.robot.target_lines import TipPose
 
 DRAWN_ROBOT_TOOL_LENGTH_M = 0.08  # m of the tool that are drawn
@@ -25,7 +26,7 @@ class RobotTipLayer(Layer):
         self.ball, self.tool = Dots(plotter, PART, BALL_PX), Segments(plotter, PART, LINE_PX)
         self._tip: TipPose | None = None
 
-    def show(self, state: View3DState) -> bool:
+    def show(self, state: ViewState) -> bool:
         if state.tip is self._tip:
             return False
         self._tip = state.tip

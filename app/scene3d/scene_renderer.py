@@ -22,8 +22,9 @@ from app.scene3d.landmarks import LandmarksLayer
 from app.scene3d.mesh_actors import FRONT, PART, Layer, window_of
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
 from app.scene3d.robot_tip import RobotTipLayer
-from app.scene3d.scene_state import DEFAULT_VIEW_HALF_HEIGHT_M, SceneColours, StaticScene, View3DState
+from app.scene3d.scene_state import DEFAULT_VIEW_HALF_HEIGHT_M, Comparison, SceneColours, StaticScene
 from app.scene3d.target import TargetLayer
+from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
 
 MIN_VIEW_HALF_HEIGHT_M = 0.015  # m, of the view: half a module
@@ -107,7 +108,12 @@ class SceneRenderer:
                     actor.hidden = name in names
                     actor.update_visibility()
 
-    def show(self, state: View3DState) -> bool:
+    def lay_over(self, comparison: Comparison | None, *, difference: bool) -> None:
+        """Set what `show` lays over the estimates: compared sets, or lines to another method's."""
+        for layer in self.layers:
+            layer.comparison, layer.difference = comparison, difference
+
+    def show(self, state: ViewState) -> bool:
         """Update all layers; return whether the picture changes."""
         changed = [layer.name for layer in self.layers if layer.show(state)]
         places, (middle, reach) = self._known_places(), self._known_reach
@@ -117,7 +123,7 @@ class SceneRenderer:
             self.fit()
         return not self._hidden.issuperset(changed)
 
-    def turn(self, state: View3DState, now_s: float) -> bool:
+    def turn(self, state: ViewState, now_s: float) -> bool:
         """Turn the camera to the target if needed; return whether it moved."""
         height = self.window.GetSize()[1] / self.scales()[0]
         return self.auto_camera.advance(self.camera, self.aspect(), height, state, now_s)

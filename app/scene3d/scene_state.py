@@ -1,6 +1,6 @@
 """What all layers draw from.
 
-`StaticScene` is the part and its layout, which a session does not change. `View3DState` is the content of one picture.
+`StaticScene` is the part and its layout, which a session does not change; all else comes with the `ViewState` of each tick.
 `SceneColours` are the colours of a theme.
 
 A module has a hue, light and dark follow the window. Colours are (3,) uint8, red green blue.
@@ -18,14 +18,10 @@ from numpy.typing import NDArray
 
 from app import theme
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.guidance import Target
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
-from skincal.robot.target_lines import TipPose
-from skincal.session.snapshot import LiveView, Snapshot
-from skincal.taxels.result import Estimate, Method
 
 Colour: TypeAlias = tuple[int, int, int]
 ColourArray: TypeAlias = NDArray[np.uint8]
@@ -98,31 +94,6 @@ class Comparison:
     """(n, 3) float each, by the name of their colour in `SceneColours.tints`."""
     arrows: FloatArray
     """(n, 2, 3) float: from one set to another."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View3DState:
-    """Content of one picture."""
-
-    snapshot: Snapshot
-    live: LiveView | None
-    method: Method
-    selected: int | None
-    """Channel."""
-    difference: bool = False
-    """Draw a line from each estimate to another method's."""
-    target: Target | None = None
-    """The requested poke."""
-    max_angle_error: float = 0.0
-    """rad, accepted deviation of its push; 0 to draw no cone."""
-    comparison: Comparison | None = None
-    """`None` while nothing is compared."""
-    tip: TipPose | None = None
-    """Tip of the robot that pokes; `None` without one."""
-
-    def estimates(self) -> tuple[Estimate, ...]:
-        """Return the chosen method's estimates; empty if the scene has no such method."""
-        return self.snapshot.estimates.get(self.method, ())
 
 
 class StaticScene:

@@ -13,7 +13,8 @@ import pyvista as pv
 
 from app.scene3d.lines import DRAWN_TOOL_LENGTH_M, closed, cone_rim, tangents
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, MeshActor, Segments, Solid
-from app.scene3d.scene_state import StaticScene, View3DState
+from app.scene3d.scene_state import StaticScene
+from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
 from skincal.mesh.surface import point_on_skin
@@ -51,7 +52,7 @@ class TargetLayer(Layer):
     def parts(self) -> Mapping[str, Sequence[MeshActor]]:
         return {self.name: (self.ring_outline, self.arrow_outline, self.ring, self.arrow), "cone": (self.cone,)}
 
-    def show(self, state: View3DState) -> bool:
+    def show(self, state: ViewState) -> bool:
         target = state.target
         max_angle_error = 0.0 if target is None else state.max_angle_error
         key: tuple[object, ...] = ()

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +16,11 @@ from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
 from app.scene3d.canvas import Canvas, best_canvas, load, mount, release
-from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene, View3DState
+from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene
+from app.state.camera_pose import PLAIN_POSE, CameraPose
+from app.state.view_state import ViewState
 from app.workers.threads import ThreadService
-from skincal.guide.guidance import Target
 from skincal.model.errors import InputError
-from skincal.robot.target_lines import TipPose
-from skincal.session.snapshot import LiveView, Snapshot
-from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from app.scene3d.canvas import AnyCanvas
@@ -136,7 +133,7 @@ class View3D(QWidget):
         self._choice = canvas
         self._colours = DARK
         self._static: StaticScene | None = None
-        self._state: Any = None  # `View3DState`, or the subclass's own
+        self._state: Any = None  # `ViewState`, or the subclass's own
         self._difference = False
         self._comparison: Comparison | None = None
         self._turning = True
@@ -175,24 +172,13 @@ class View3D(QWidget):
         density = self.devicePixelRatioF()
         return max(1, round(self.width() * density)), max(1, round(self.height() * density))
 
-    def show_moment(
-        self,
-        snapshot: Snapshot,
-        live: LiveView | None,
-        method: Method,
-        selected: int | None,
-        target: Target | None = None,
-        max_angle_error: float = 0.0,
-        tip: TipPose | None = None,
-    ) -> bool:
-        """Show a moment of a session; return whether the picture changes.
+    def show_state(self, state: ViewState) -> bool:
+        """Show a tick; return whether the picture changes.
 
         Asks for one picture at most, and for none when nothing changed. While the view is not built or not visible, the
-        moment is kept, and shown later.
+        state is kept, and shown later.
         """
-        self._state = View3DState(
-            snapshot, live, method, selected, self._difference, target, max_angle_error, self._comparison, tip
-        )
+        self._state = state
         return self.isVisible() and self._show_state()
 
     def set_difference(self, wanted: bool) -> None:
@@ -206,8 +192,8 @@ class View3D(QWidget):
         self._lay_over()
 
     def _lay_over(self) -> None:
-        if self._state is not None:
-            self._state = replace(self._state, difference=self._difference, comparison=self._comparison)
+        if self._renderer is not None:
+            self._renderer.lay_over(self._comparison, difference=self._difference)
             self._show_state()
 
     def set_turning(self, wanted: bool) -> None:
@@ -262,9 +248,9 @@ class View3D(QWidget):
             self._renderer.fit()
             self.request_picture()
 
-    def eye(self) -> camera.CameraPose:
+    def eye(self) -> CameraPose:
         """Return the pose of the camera; `PLAIN_POSE` before the first picture."""
-        return camera.PLAIN_POSE if self._renderer is None else camera.pose_of(self._renderer.camera)
+        return PLAIN_POSE if self._renderer is None else camera.pose_of(self._renderer.camera)
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that exist; empty while the view is not built."""
@@ -328,6 +314,7 @@ class View3D(QWidget):
         self._renderer.set_colours(self._colours)
         self._renderer.hide(self._hidden)
         self._renderer.fit()
+        self._renderer.lay_over(self._comparison, difference=self._difference)
         self.set_turning(self._turning)
         self.set_picking(self._picking)
         self._show_state()

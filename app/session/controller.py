@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,9 @@ from PySide6.QtCore import QObject, QTimer, Signal
 
 from app.session.opening import Addresses, OpenRequest, begin_session, find_scene, link_specs, open_recorded
 from app.session.recording import Recording, SessionFolder, stop_all
+from app.state.memo import Memo
 from app.state.running import Running
+from app.text.demo_text import simulated_words
 from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, empty_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService, raise_sentences
@@ -25,12 +27,13 @@ if TYPE_CHECKING:
     from skincal.following.guided_session import GuidedSession
     from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
+    from skincal.model.scene import Scene
     from skincal.part.part import Part
     from skincal.rig.correction_fit import RigAnswer
     from skincal.robot.targets import Targets
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
-    from skincal.session.snapshot import LiveView, Snapshot
+    from skincal.session.snapshot import Snapshot
     from skincal.session.undo import HistoryEntry
     from skincal.streams.links import LinkSpec
     from skincal.taxels.result import Method
@@ -76,20 +79,6 @@ def _drop(pipeline: Pipeline, storage: SessionFolder) -> None:
     storage.finish()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tick:
-    """State of the session at one tick."""
-
-    snapshot: Snapshot
-    live: LiveView
-    now_ns: int
-    """Time up to which readings were processed, host's monotonic clock, ns."""
-    behind_s: float
-    """Backlog of readings, s; 0 without one."""
-    unsolved: int = 0
-    """Taxels that still have to be solved; 0 too while that is fast."""
-
-
 class Controller(QObject):
     """Owns the open session and the one timer, and carries out the operator's commands.
 
@@ -102,7 +91,7 @@ class Controller(QObject):
 
     part_loaded = Signal(object)  # `Part`: the scene is loaded
     session_opened = Signal(object)  # `Snapshot` of the opened session
-    ticked = Signal(object)  # `Tick`
+    ticked = Signal(object)  # `ViewState` of the session, without what the view of it adds
     running_changed = Signal(object)  # `Running`
     said = Signal(object)  # `Message`
     reviewed = Signal(object)  # `Review` of sensor and arm; `None` if there is none any more
@@ -150,6 +139,7 @@ class Controller(QObject):
         self._shown_ns = self._solving_since_ns = 0
         """Time of the last picture, and since when taxels wait (0: none do); host's monotonic clock."""
         self._has_news = False  # Background work brought something that is not shown yet
+        self._scene: Memo[Scene] = Memo()  # With the thresholds in use
 
     # Opening and closing
 
@@ -426,20 +416,41 @@ class Controller(QObject):
     def _publish(self, recording: Recording, snapshot: Snapshot, now_ns: int) -> None:
         self._shown, self._shown_ns, self._has_news = snapshot, now_ns, False
         pipeline, guided = recording.pipeline, self.guided
+        if guided is None:  # Before the part is loaded
+            return
+        from app.state.view_state import ViewState
+
         session = pipeline.session
         if snapshot.decisions.landmarks:
             self._review(session, snapshot)
         reached_ns = recording.processed_ns(now_ns)
         live = pipeline.live(reached_ns)
-        if guided is not None:
-            is_recording = self.running is Running.STREAMING
-            guided.follow_session(pipeline, snapshot, now_ns, self._targets, is_recording=is_recording, seen_ns=reached_ns)
-            for sentence in reversed(guided.setup.take_news()):  # the newest message is on top
-                self.said.emit(Message(sentence, error=True))
-            guided.coach.follow_reading(live.progress, None if guided.guidance is None else guided.guidance.target)
+        is_recording = self.running is Running.STREAMING
+        guided.follow_session(pipeline, snapshot, now_ns, self._targets, is_recording=is_recording, seen_ns=reached_ns)
+        for sentence in reversed(guided.setup.take_news()):  # the newest message is on top
+            self.said.emit(Message(sentence, error=True))
+        guided.coach.follow_reading(live.progress, None if guided.guidance is None else guided.guidance.target)
         self._solving_since_ns = (self._solving_since_ns or now_ns) if session.unsolved else 0
         unsolved = session.unsolved if now_ns - self._solving_since_ns >= 1e9 * SHOW_SOLVING_AFTER_S else 0
-        self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, unsolved))
+        scene, thresholds = guided.part.scene, snapshot.decisions.thresholds
+        state = ViewState(
+            snapshot=snapshot,
+            live=live,
+            scene=self._scene.get((thresholds,), lambda: replace(scene, contacts=thresholds)),
+            names=guided.names,
+            method=guided.method,
+            running=self.running,
+            now_ns=reached_ns,
+            behind_s=(now_ns - reached_ns) * 1e-9,
+            guidance=guided.guidance,
+            coaching=guided.coach.coaching,
+            unsolved=unsolved,
+            tip=guided.tip,
+            robot_halted=guided.is_halted,
+            simulated=simulated_words(self.pace, self.running) if self.simulated else "",
+            costs=guided.guide.costs,
+        )
+        self.ticked.emit(state)
 
     def publish_again(self) -> None:
         """Publish the newest snapshot again after a change of the guide or the panels."""

@@ -103,20 +103,20 @@ def is_news(seen: Outcome | None, newest: Outcome) -> bool:
 class Allowed:
     """What the operator may do now. An empty text means that it is not possible."""
 
-    undo: str
+    undo: str = ""
     """What undo would undo."""
-    redo: str
-    exclude: tuple[Action, ...]
+    redo: str = ""
+    exclude: tuple[Action, ...] = ()
     """Actions that exclude the selected pokes, or restore them if all are excluded."""
-    exclude_text: str
-    taxel: Action | None
+    exclude_text: str = ""
+    taxel: Action | None = None
     """Action that disables the selected taxel, or enables it again."""
-    taxel_text: str
-    export: bool
-    switch_method: bool
-    space: str
+    taxel_text: str = ""
+    export: bool = False
+    switch_method: bool = False
+    space: str = ""
     """Action of the space bar."""
-    pause: str
+    pause: str = ""
     """Action of the Pause command; unlike the space bar it never opens the verdict."""
     another: bool = False
     """Another target can be requested."""

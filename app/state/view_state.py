@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from app.scene3d.camera import PLAIN_POSE, CameraPose
+from app.state.camera_pose import PLAIN_POSE, CameraPose
 from app.state.policies import Allowed, Offer
 from app.state.running import Running
 from skincal.following.review import Review
 from skincal.guide.guidance import Guidance, Target
-from skincal.guide.press_coaching import PokeError
+from skincal.guide.press_coaching import PokeError, max_angle_error
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene
@@ -69,7 +69,10 @@ def focused_channel(selected: int | None, guidance: Guidance | None) -> int | No
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewState:
-    """Everything that the panels show at one tick."""
+    """Everything that panels and the 3D view show at one tick.
+
+    The controller makes it from the session and its followers. The session's view adds the selection and what depends on it.
+    """
 
     snapshot: Snapshot
     live: LiveView
@@ -78,12 +81,12 @@ class ViewState:
     names: ChannelNames
     method: Method
     """The shown method, which the guide serves."""
-    selected: int | None
-    """Channel of the selected taxel."""
     running: Running
     now_ns: int
     """Time of the newest processed reading, host's monotonic clock."""
-    may: Allowed
+    selected: int | None = None
+    """Channel of the selected taxel."""
+    may: Allowed = field(default_factory=Allowed)
     behind_s: float = 0.0
     """Age of the newest processed reading while others wait; 0 otherwise."""
     clock_offset: float = 0.0
@@ -131,6 +134,11 @@ class ViewState:
         return None if self.guidance is None else self.guidance.target
 
     @property
+    def max_angle_error(self) -> float:
+        """rad, accepted deviation of the push from the target's; 0 while the guide is off."""
+        return 0.0 if self.guidance is None else max_angle_error(self.guidance)
+
+    @property
     def focused_channel(self) -> int | None:
         return focused_channel(self.selected, self.guidance)
 
@@ -150,3 +158,9 @@ class ViewState:
     def by_channel(self) -> Mapping[int, Estimate]:
         """Return the estimates of the shown method by channel."""
         return {estimate.channel: estimate for estimate in self.estimates}
+
+
+def state_at_rest(scene: Scene, snapshot: Snapshot, method: Method) -> ViewState:
+    """Make the state of a session without devices, for a picture of it."""
+    names = ChannelNames(scene.skin.layout)
+    return ViewState(snapshot, LiveView.at_rest(), scene, names, method, Running.OFFLINE, now_ns=0)

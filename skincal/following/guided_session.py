@@ -28,6 +28,7 @@ from skincal.robot.target_server import RobotChange
 from skincal.robot.targets import Targets
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
+from skincal.words.units import ChannelNames
 
 if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
@@ -76,6 +77,7 @@ class GuidedSession:
     """
 
     def __init__(self, part: Part, run: Run = run_at_once) -> None:
+        self.part, self.names = part, ChannelNames(part.scene.skin.layout)
         self.guide, self.coach = SessionGuide(part), PressCoach(part.surface)
         self.method = first_method(methods_of(part.scene, part.surface), part)
         """Method that is shown, whose needs the guide follows."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Outcome, Progress, Rejection
+from skincal.contacts.outcome import Contact, Outcome, PressPhase, Progress, Rejection
 from skincal.contacts.poke_counts import PokeCounts, count_pokes
 from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
@@ -178,3 +178,10 @@ class LiveView:
     """Name of the current arm pose, chosen or streamed; empty if unknown."""
     link_from_sensor: FloatArray | None = None
     """(4, 4) float of the current arm pose; `None` while unknown."""
+
+    @classmethod
+    def at_rest(cls) -> LiveView:
+        """Make the readings of no device."""
+        none, still = np.empty(0), np.zeros(3)
+        progress = Progress(PressPhase.READY, still, still, np.empty(0, dtype=np.int64), none, 0.0)
+        return cls(none, np.empty((0, 6)), none, 0.0, progress, (), 0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.scene3d.camera import CameraPose
+from app.state.camera_pose import CameraPose
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.press_coaching import PokeError, compare_to_target, smooth_wrench

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from app.state.view_state import ViewState, state_at_rest
 from skincal.contacts.outcome import Contact, Outcome, PressPhase, Progress
+from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import ContactSettings, NoiseSettings, Scene, SkinSpec
@@ -110,3 +112,25 @@ def live(at: Sequence[float] | None = None, force: Sequence[float] = (0.0, 0.0, 
             PressPhase.PRESSING, np.array(force, dtype=float), np.array(at, dtype=float), none, np.empty(0), 0.5
         )
     return LiveView(np.empty(0), np.empty((0, 6)), np.zeros(24), 0.0, progress, (), 0, "low", np.eye(4))
+
+
+def tick_of(
+    at: Snapshot,
+    view: LiveView | None = None,
+    method: Method = Method.FREE,
+    selected: int | None = None,
+    target: Target | None = None,
+    leeway: float = 0.0,
+) -> ViewState:
+    """A tick of a session as the 3D view reads it; `leeway`, rad, is the half angle of the target's cone, 0 for none."""
+    made = state_at_rest(scene(layout()), at, method)
+    return replace(made, live=view or made.live, selected=selected, guidance=target and guidance_to(target, leeway))
+
+
+def guidance_to(target: Target, leeway: float = 0.0) -> Guidance:
+    """A guide that asks for a target, whose push may be off by `leeway`, rad."""
+    none, count = np.empty(0), np.empty(0, dtype=np.int64)
+    return Guidance(
+        method=Method.SURFACE, phase=GuidePhase.OWN, target=target, channels=count, places=np.empty((0, 3)), rms=none,
+        diversity=none, own=count, needs=(), given_up={}, usable_tilt=leeway, pokes_left=1, seconds_left=None,
+    )  # fmt: skip

@@ -18,7 +18,7 @@ from skincal.following.session_guide import ModulesEnough
 from skincal.guide.guidance import Target
 from skincal.taxels.result import Method
 from tests.app.guide_support import guidance, target
-from tests.app.scene3d_support import estimate, laid
+from tests.app.scene3d_support import estimate, laid, tick_of
 from tests.app.view3d_on_screen import (
     KEPT,
     Drawn,
@@ -56,9 +56,9 @@ def view(qtbot, monkeypatch):
 def test_the_target_is_black_and_white_in_both_themes_and_leaves_no_trace(view, dark):
     view.set_dark(dark)
     at = session(1, {3: estimate(3, laid(PLAN).places[3])})
-    view.show_moment(at, None, Method.FREE, None)
+    view.show_state(tick_of(at, None, Method.FREE, None))
     without, (x, y) = picture(view).astype(int), (round(v) for v in screen_place(view, 3))
-    assert view.show_moment(at, None, Method.FREE, None, target(3))
+    assert view.show_state(tick_of(at, None, Method.FREE, None, target(3)))
     shown = picture(view).astype(int)
     differs = np.abs(shown - without).max(axis=2) > 25
     new = shown[differs]
@@ -68,10 +68,10 @@ def test_the_target_is_black_and_white_in_both_themes_and_leaves_no_trace(view, 
     for side in (np.s_[y - 60 : y, x - 5 : x + 5], np.s_[y : y + 60, x - 5 : x + 5]):
         assert differs[side].any()
     drawn = Drawn(view)
-    assert not view.show_moment(at, None, Method.FREE, None, target(3))
+    assert not view.show_state(tick_of(at, None, Method.FREE, None, target(3)))
     settle()
     assert drawn.count == 0, "the same target asks for no picture"
-    assert view.show_moment(at, None, Method.FREE, None)
+    assert view.show_state(tick_of(at, None, Method.FREE, None))
     assert np.abs(picture(view) - without).max() < 3
 
 
@@ -85,7 +85,7 @@ def ticks(view, seconds: float, live=None) -> int:
     """Show the same moment as the window's ticks do; return how often the picture changed."""
     count, at = 0, session(1)
     for _ in range(round(seconds / TICK_S)):
-        count += view.show_moment(at, live, Method.FREE, None, below())
+        count += view.show_state(tick_of(at, live, Method.FREE, None, below()))
         settle()
         CLOCK.now_s += TICK_S
     return count
@@ -222,7 +222,7 @@ def switches(bench) -> tuple[bool, bool, bool, bool]:
     session_view = bench.window.session_view
     renderer = renderer_of(session_view.workspace.view)
     (ellipses,) = (layer for layer in renderer.layers if layer.name == "uncertainty")
-    difference, guided = session_view.workspace.view._state.difference, session_view.state.guidance is not None
+    difference, guided = renderer.estimates.difference, session_view.state.guidance is not None
     shown = renderer.auto_camera.wanted, not ellipses.lines.hidden, difference, guided
     actions = bench.window.commands.actions
     assert shown == tuple(actions[name].isChecked() for name in ("turn", "uncertainty", "difference", "guide"))

@@ -37,9 +37,9 @@ from PySide6.QtWidgets import QApplication, QStackedLayout, QWidget
 from app.preflight import no_display, objection
 
 if TYPE_CHECKING:
-    from app.session.controller import Tick
     from app.sound.cues import Cue
     from app.sound.player import Output
+    from app.state.view_state import ViewState
     from app.window import Window
 
 Call: TypeAlias = Callable[..., Any]
@@ -115,7 +115,7 @@ class Measure(QObject):
             watched.removeEventFilter(self)
         return True
 
-    def on_tick(self, tick: Tick) -> None:
+    def on_tick(self, tick: ViewState) -> None:
         """Note when the tool starts and stops pressing."""
         from skincal.guide.press_coaching import PRESSING_PHASES
 

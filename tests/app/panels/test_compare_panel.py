@@ -39,7 +39,7 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.taxels.differences import ModuleDifference, Summary
 from skincal.taxels.result import Method
 from skincal.words.layout_words import left_sentences, misfit_sentence
-from tests.app.scene3d_support import box, estimate, laid, scene
+from tests.app.scene3d_support import box, estimate, laid, scene, tick_of
 from tests.app.view3d_on_screen import KEPT, make_view, renderer_of, turn
 from tests.app.view3d_on_screen import pixels as picture
 from tests.app.whole_window import OPEN_MS, Bench
@@ -368,14 +368,14 @@ def test_dots_and_arrows_appear_in_their_colours_stay_and_go(qtbot, dark, colour
     view = make_view(qtbot)
     view.set_dark(dark)
     moment = session(1, known())
-    view.show_moment(moment, None, Method.FREE, None)
+    view.show_state(tick_of(moment, None, Method.FREE, None))
     before = picture(view)
     view.set_comparison(comparison())
     after = picture(view)
     assert tinted(after, colours) > tinted(before, colours) + 400
     layer = renderer_of(view).compare
     assert (layer.dots.actor.visibility, renderer_of(view).estimates.balls.actor.visibility) == (True, False)
-    assert not view.show_moment(session(1, known()), None, Method.FREE, None)
+    assert not view.show_state(tick_of(session(1, known()), None, Method.FREE, None))
     np.testing.assert_array_equal(picture(view), after)
     points = layer.dots.mesh.GetPoints()
     view.set_comparison(replace(comparison(), arrows=comparison((0.0, 0.018, 0.0)).arrows))
@@ -387,7 +387,7 @@ def test_dots_and_arrows_appear_in_their_colours_stay_and_go(qtbot, dark, colour
 
 def test_a_difference_into_the_part_is_seen_and_the_far_side_is_left_out(qtbot):
     view = make_view(qtbot)
-    view.show_moment(session(1, {}), None, Method.FREE, None)
+    view.show_state(tick_of(session(1, {}), None, Method.FREE, None))
     view.set_comparison(comparison((0.004, 0.0, -0.01)))
     seen = tinted(picture(view))
     assert seen > 400

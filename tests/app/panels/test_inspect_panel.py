@@ -13,8 +13,8 @@ from app.panels.inspect_panel import PICTURE_LEGENDS, PLOT_SIZE_PX, AxisDiversit
 from app.panels.pokes_panel import PokesPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.top_view import CONTACT_PLOT_RADIUS_M, RIM_SINE, SHADE_POINTS_PER_SIDE, diversity_view
-from app.scene3d.camera import PLAIN_POSE
 from app.session.opening import OpenRequest
+from app.state.camera_pose import PLAIN_POSE
 from app.text.errors_text import (
     MAX_LISTED_POKES_PER_TAXEL,
     doubt_mark,

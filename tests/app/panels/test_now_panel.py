@@ -11,8 +11,8 @@ from PySide6.QtWidgets import QApplication, QSizePolicy
 
 from app.panels.now_panel import TILT_DIAL_SIZE_PX, NowPanel
 from app.panels.top_view import DIAL_RADIUS_M, axes_on, top_view
-from app.scene3d.camera import PLAIN_POSE
 from app.scene3d.lines import DRAWN_TOOL_LENGTH_M
+from app.state.camera_pose import PLAIN_POSE
 from app.state.press_coach import HintKind, LeanDirection, PressHint
 from app.state.running import Running
 from app.text.guidance_text import enough_words, hint_words, lean_words

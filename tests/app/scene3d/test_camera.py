@@ -26,12 +26,12 @@ from app.scene3d.camera import (
     pose_of,
     turned_back,
 )  # fmt: skip
-from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, View3DState
+from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M
 from skincal.contacts.outcome import PressPhase
 from skincal.mesh.surface import make_surface
 from skincal.taxels.result import Method
 from tests.app.guide_support import target
-from tests.app.scene3d_support import live, snapshot
+from tests.app.scene3d_support import live, snapshot, tick_of
 
 TICK = 1 / 30
 SIZE = (900, 600)
@@ -242,7 +242,7 @@ class Turning:
         view = replace(view, progress=replace(view.progress, phase=self.phase))
         before = self.camera.GetPosition(), self.camera.GetViewUp(), self.camera.GetFocalPoint()
         reported = self.auto_camera.advance(
-            self.camera, ASPECT, SIZE[1], View3DState(snapshot(1, {}), view, Method.FREE, None, target=self.at), self.now_s
+            self.camera, ASPECT, SIZE[1], tick_of(snapshot(1, {}), view, Method.FREE, None, target=self.at), self.now_s
         )
         self.now_s += TICK
         moved = not np.allclose(np.concatenate(before), np.concatenate([

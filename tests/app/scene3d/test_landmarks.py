@@ -13,12 +13,11 @@ from PySide6.QtWidgets import QApplication
 
 from app.scene3d.canvas import Canvas
 from app.scene3d.landmarks import MAX_LANDMARKS_WITH_NAMES, normals_of, poked_here
-from app.scene3d.scene_state import View3DState
 from skincal.guide.guidance import Target
 from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
-from tests.app.scene3d_support import box, contact, decided, live, project, snapshot
+from tests.app.scene3d_support import box, contact, decided, live, project, snapshot, tick_of
 from tests.app.view3d_on_screen import Drawn, around, canvas_of, make_view, pixels, renderer_of, settle, turn
 from tests.app.window_support import luminance
 
@@ -40,7 +39,7 @@ def session(generation, landmarks, at=None, poses=(), excluded=()):
 
 
 def show(view, at, target=None):
-    return view.show_moment(at, live(), Method.FREE, None, target)
+    return view.show_state(tick_of(at, live(), Method.FREE, None, target))
 
 
 def seen(view, place):
@@ -88,13 +87,13 @@ def test_nothing_is_drawn_where_nothing_changed_or_there_is_none(view):
     layer, drawn = renderer_of(view).landmarks, Drawn(view)
     assert not layer.marks.actor.visibility
     assert not layer.labels
-    assert not layer.show(View3DState(session(2, ()), None, Method.FREE, None))
+    assert not layer.show(tick_of(session(2, ()), None, Method.FREE, None))
     show(view, session(3, (HEAD,)))
     settle()
     count = drawn.count
     assert not show(view, session(3, (HEAD,)))
     # Streamed joints make a new snapshot of the same landmarks.
-    assert not layer.show(View3DState(session(4, (HEAD,)), None, Method.FREE, None)), "another tuple with the same landmark"
+    assert not layer.show(tick_of(session(4, (HEAD,)), None, Method.FREE, None)), "another tuple with the same landmark"
     settle()
     assert drawn.count == count
 

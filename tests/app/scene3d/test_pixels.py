@@ -17,14 +17,15 @@ from app.scene3d.camera import VIEW_SLOPE, facing, pose_of, rotate, zoom
 from app.scene3d.canvas import Canvas
 from app.scene3d.offscreen import draw
 from app.scene3d.scene_renderer import SceneRenderer
-from app.scene3d.scene_state import DARK, LIGHT, MODULE_RGB, Comparison, StaticScene, View3DState
+from app.scene3d.scene_state import DARK, LIGHT, MODULE_RGB, Comparison, StaticScene
 from app.scene3d.view import View3D
+from app.state.view_state import ViewState
 from skincal.guide.guidance import Target
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Landmark
 from skincal.taxels.result import Method
-from tests.app.scene3d_support import box, decided, estimate, laid, layout, project, scene, snapshot
+from tests.app.scene3d_support import box, decided, estimate, guidance_to, laid, layout, project, scene, snapshot, tick_of
 from tests.app.view3d_on_screen import KEPT, make_plotter, pixels, renderer_of, turn, view_of
 from tests.app.window_support import contrast
 
@@ -46,8 +47,9 @@ class Pictures:
         self.renderer = SceneRenderer(self.plotter, StaticScene(scene(PLAN), surface, laid(PLAN), range(24)), DARK)
         self.renderer.fit()
 
-    def of(self, frame: View3DState) -> np.ndarray:
+    def of(self, frame: ViewState, compared: Comparison | None = None) -> np.ndarray:
         """(480, 640, 3) int, first row lowest: the picture of a moment."""
+        self.renderer.lay_over(compared, difference=False)
         self.renderer.show(frame)
         return draw(self.plotter)[..., :3].astype(int)
 
@@ -73,13 +75,11 @@ def pictures():
         yield made
 
 
-def moment(method: Method) -> View3DState:
+def moment(method: Method) -> ViewState:
     """An estimate of every taxel, by one method only."""
     known = {channel: estimate(channel, PLACES[channel], method) for channel in range(24)}
     made = snapshot(1, {}, {})
-    return View3DState(
-        decided(replace(made, estimates={method: tuple(known.values())}), landmarks=(SCREW,)), None, method, None
-    )
+    return tick_of(decided(replace(made, estimates={method: tuple(known.values())}), landmarks=(SCREW,)), None, method, None)
 
 
 def asked_for() -> Target:
@@ -95,7 +95,7 @@ def comparison() -> Comparison:
 
 @pytest.mark.parametrize("method", list(Method))
 def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures, method):
-    frame = replace(moment(method), target=asked_for())
+    frame = replace(moment(method), guidance=guidance_to(asked_for()))
     shown = pictures.of(frame)
     away = np.linalg.norm(PLACES - PLACES[CENTRE_CHANNEL], axis=1)
     for channel in np.flatnonzero(away > 7e-3):  # what is nearer lies under the target's ring and arrow
@@ -108,7 +108,7 @@ def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures,
     cross = pictures.around(shown, SCREW.place)
     assert (np.abs(cross - DARK.ink).max(axis=1) < 25).sum() > 5
 
-    compared = pictures.of(replace(frame, comparison=comparison(), target=None))
+    compared = pictures.of(replace(frame, guidance=None), comparison())
     for channel in range(24):
         for tint, place in (("from", PLACES[channel]), ("to", PLACES[channel] - 8e-3 * UP)):
             dot = pictures.around(compared, place, 1)
@@ -168,7 +168,7 @@ def test_as_many_balls_are_seen_as_taxels_face_the_camera_however_deep_they_lie(
     for turned in (0.0, 70.0, 200.0):
         view.reset_camera()
         turn(view, turned, 0.3 * turned)
-        view.show_moment(shown, None, method, None, target)
+        view.show_state(tick_of(shown, None, method, None, target))
         picture, pose = pixels(view).astype(float), pose_of(renderer_of(view).camera)
         cosines = facing(out, places, pose.position)
         size = 3.2e-3 * view.height() / (2 * VIEW_SLOPE * pose.distance)
@@ -194,7 +194,7 @@ def test_what_is_brought_before_a_flat_part_seen_straight_from_afar_is_not_cut_o
         rotate(camera, -FIRST_LEAN_DEG[0], -FIRST_LEAN_DEG[1])
         zoom(camera, 0.05)
         dots = Comparison({"to": PLACES}, np.full((24, 2, 3), np.nan))
-        compared = pictures.of(replace(moment(Method.FREE), comparison=dots))
+        compared = pictures.of(moment(Method.FREE), dots)
         for place in PLACES:
             assert (np.abs(pictures.around(compared, place, 1) - DARK.tints["to"]).max(axis=1) < 60).sum() >= 5
 
@@ -203,7 +203,7 @@ def test_no_layer_asks_for_a_polygon_offset(pictures):
     """VTK has one switch of it for all layers, and with it reads a ball's depth before that is written."""
     from vtkmodules.vtkRenderingCore import vtkMapper
 
-    pictures.of(replace(moment(Method.FREE), target=asked_for(), comparison=comparison()))
+    pictures.of(replace(moment(Method.FREE), guidance=guidance_to(asked_for())), comparison())
     assert vtkMapper.GetResolveCoincidentTopology() == 0
 
 
@@ -213,7 +213,7 @@ def test_the_lines_of_axes_and_scale_are_seen(pictures, look, zoom):
     pictures.renderer.set_colours(look)
     camera = pictures.renderer.camera
     camera.SetPosition(*(np.array(camera.GetFocalPoint()) + np.subtract(camera.GetPosition(), camera.GetFocalPoint()) / zoom))
-    shown = pictures.of(View3DState(snapshot(1, {}), None, Method.FREE, None))
+    shown = pictures.of(tick_of(snapshot(1, {}), None, Method.FREE, None))
     hints = next(layer for layer in pictures.renderer.layers if layer.name == "hints")
     ends = project(pictures.renderer.renderer, hints.lines.mesh.points)[:, :2].reshape(-1, 2, 2)
     for start, end in ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 8]:

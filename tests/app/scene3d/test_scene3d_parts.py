@@ -164,11 +164,13 @@ sys.path[:0] = {path!r}
 from tests.app.scene3d_support import box, estimate, laid, layout, scene, snapshot
 from app.scene3d.offscreen import picture
 from skincal.palette import METHODS
+from skincal.part.part import Part
 from skincal.taxels.result import Method
 plan = layout()
 session = snapshot(1, {{3: estimate(3, (-0.018, 0.02, 0.01))}})
 surface = box() if {surface} else None
-picture(scene(plan), surface, laid(plan), session, Method.FREE, Path({out!r}), (400, 300))
+part = Part(scene(plan), surface, laid(plan), plan.channels, ())
+picture(part, session, Method.FREE, Path({out!r}), (400, 300))
 print([n for n in ("PySide6", "pyvistaqt") if n in sys.modules])
 """
 

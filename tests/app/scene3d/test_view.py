@@ -20,13 +20,13 @@ from app.scene3d.axes import MAX_DRAWN_FORCE_AXES
 from app.scene3d.camera import pose_of
 from app.scene3d.canvas import Canvas
 from app.scene3d.estimates import UNKNOWN_DEPTH_HALF_LENGTH_M
-from app.scene3d.scene_state import DARK, LIGHT, MODULE_RGB, StaticScene, View3DState
+from app.scene3d.scene_state import DARK, LIGHT, MODULE_RGB, StaticScene
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark
 from skincal.taxels.result import Estimate, Method, Rival, State
-from tests.app.scene3d_support import box, contact, decided, estimate, laid, layout, live, project, scene, snapshot
+from tests.app.scene3d_support import box, contact, decided, estimate, laid, layout, live, project, scene, snapshot, tick_of
 from tests.app.view3d_on_screen import (
     KEPT,
     Drawn,
@@ -66,9 +66,9 @@ def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
 
 
 def test_a_moved_estimate_leaves_its_place_and_appears_at_the_new_one(view):
-    view.show_moment(snapshot(1, {3: estimate(3, (-0.018, 0.005, 0.002))}), None, Method.FREE, None)
+    view.show_state(tick_of(snapshot(1, {3: estimate(3, (-0.018, 0.005, 0.002))})))
     before, old = pixels(view), screen_place(view, 3)
-    assert view.show_moment(snapshot(2, {3: estimate(3, (0.02, -0.02, 0.002))}), None, Method.FREE, None)
+    assert view.show_state(tick_of(snapshot(2, {3: estimate(3, (0.02, -0.02, 0.002))})))
     after, new = pixels(view), screen_place(view, 3)
     assert np.hypot(old[0] - new[0], old[1] - new[1]) > 60
     for place in (old, new):
@@ -83,9 +83,9 @@ def test_a_moved_estimate_leaves_its_place_and_appears_at_the_new_one(view):
 
 def test_the_axis_of_a_poke_appears_where_it_enters_and_goes_when_the_tool_lifts(view):
     session = snapshot(1, {})
-    view.show_moment(session, live(), Method.FREE, None)
+    view.show_state(tick_of(session, live(), Method.FREE, None))
     idle = pixels(view)
-    assert view.show_moment(session, live((0.0, 0.0, 0.1), (2.0, 0.0, -8.0)), Method.FREE, None)
+    assert view.show_state(tick_of(session, live((0.0, 0.0, 0.1), (2.0, 0.0, -8.0)), Method.FREE, None))
     pressing = pixels(view)
     stage = renderer_of(view)
     entry = np.array([0.1 * 2 / 8, 0.0, 0.0])
@@ -96,7 +96,7 @@ def test_the_axis_of_a_poke_appears_where_it_enters_and_goes_when_the_tool_lifts
     assert around(idle, (x, view.height() - y), 3).max() < 180
     ink = (np.abs(pressing.astype(int) - DARK.ink).max(axis=-1) < 12).sum()
     assert ink - (np.abs(idle.astype(int) - DARK.ink).max(axis=-1) < 12).sum() > 150
-    assert view.show_moment(session, live(), Method.FREE, None)
+    assert view.show_state(tick_of(session, live(), Method.FREE, None))
     np.testing.assert_array_equal(pixels(view), idle)
 
 
@@ -104,10 +104,10 @@ def test_the_other_method_shows_its_own_estimates(view):
     free = {3: estimate(3, (-0.018, 0.005, 0.01))}
     surface = {3: estimate(3, (-0.010, 0.015, 0.0), Method.SURFACE), 15: estimate(15, (0.02, 0.01, 0.0), Method.SURFACE)}
     session = snapshot(1, free, surface)
-    view.show_moment(session, None, Method.FREE, None)
+    view.show_state(tick_of(session))
     first, place = pixels(view), screen_place(view, 3)
     assert screen_place(view, 15) is None
-    assert view.show_moment(session, None, Method.SURFACE, None)
+    assert view.show_state(tick_of(session, None, Method.SURFACE, None))
     second = pixels(view)
     assert screen_place(view, 3) != place
     for channel, row in ((3, 0), (15, 1)):
@@ -125,7 +125,7 @@ def test_without_a_mesh_lines_lead_to_the_other_method_that_there_is(qtbot, show
     view = make_view(qtbot, surface=False)
     session = snapshot(1, {3: estimate(3, (-0.018, 0.005, 0.0))}, {3: estimate(3, (-0.004, 0.015, 0.0))})
     free, other = (session.estimates[method] for method in (Method.FREE, Method.SURFACE))
-    view.show_moment(replace(session, estimates={Method.FREE: free, Method.MODULES: other}), None, shown, None)
+    view.show_state(tick_of(replace(session, estimates={Method.FREE: free, Method.MODULES: other}), None, shown, None))
     before = pixels(view)
     view.set_difference(True)
     assert (pixels(view) != before).any(axis=-1).sum() > 30
@@ -133,20 +133,20 @@ def test_without_a_mesh_lines_lead_to_the_other_method_that_there_is(qtbot, show
 
 def test_a_change_makes_one_picture_and_a_hidden_view_none(view):
     session, drawn = snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), Drawn(view)
-    view.show_moment(session, live(), Method.FREE, None)
+    view.show_state(tick_of(session, live(), Method.FREE, None))
     settle()
     for pressing, pictures in ((False, 1), (False, 1), (True, 2), (True, 2)):
         moment = live((0.0, 0.0, 0.1)) if pressing else live()
-        assert view.show_moment(session, moment, Method.FREE, None) is (pictures > drawn.count)
+        assert view.show_state(tick_of(session, moment, Method.FREE, None)) is (pictures > drawn.count)
         settle()
         assert drawn.count == pictures
     for generation in range(2, 12):
-        view.show_moment(snapshot(generation, {3: estimate(3, (0.001 * generation, 0.0, 0.0))}), None, Method.FREE, 3)
+        view.show_state(tick_of(snapshot(generation, {3: estimate(3, (0.001 * generation, 0.0, 0.0))}), None, Method.FREE, 3))
     settle()
     assert drawn.count == 3, "many changes in one tick make one picture"
     view.hide()
     for generation in range(12, 16):
-        assert not view.show_moment(snapshot(generation, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
+        assert not view.show_state(tick_of(snapshot(generation, {3: estimate(3, (0.0, 0.0, 0.0))})))
         settle()
     assert drawn.count == 3
     view.show()
@@ -157,7 +157,7 @@ def test_a_change_makes_one_picture_and_a_hidden_view_none(view):
 
 def test_a_click_on_a_ball_names_its_channel(view, qtbot):
     known = {c: estimate(c, (*PLAN.places[c], 0.0005)) for c in range(24)}
-    view.show_moment(snapshot(1, known), None, Method.FREE, None)
+    view.show_state(tick_of(snapshot(1, known)))
     settle()
     for channel in (3, 8, 15, 20):
         x, y = screen_place(view, channel)
@@ -167,7 +167,7 @@ def test_a_click_on_a_ball_names_its_channel(view, qtbot):
 
 
 def test_neither_the_background_nor_a_drag_nor_the_far_side_picks(view, qtbot):
-    view.show_moment(snapshot(1, {3: estimate(3, (-0.018, 0.0, 0.001), sd=1e-5)}), None, Method.FREE, None)
+    view.show_state(tick_of(snapshot(1, {3: estimate(3, (-0.018, 0.0, 0.001), sd=1e-5)})))
     view.hide_layers(frozenset({"uncertainty"}))
     settle()
     x, y = (round(v) for v in screen_place(view, 3))
@@ -221,22 +221,24 @@ def test_only_the_worst_and_the_selected_have_an_ellipsoid(view):
     spread = {c: estimate(c, (*PLAN.places[c], 0.0), sd=1e-4 * (1 + c)) for c in range(12)}
     layer = renderer_of(view).layers[4]
     session = snapshot(1, spread)
-    assert layer.rows(View3DState(session, None, Method.FREE, None)) == [11]
-    assert layer.rows(View3DState(session, None, Method.FREE, 11)) == [11]
-    assert layer.rows(View3DState(session, None, Method.FREE, 2)) == [11, 2]
-    assert layer.rows(View3DState(session, None, Method.FREE, 20)) == [11]
-    view.show_moment(session, None, Method.FREE, None)
+    assert layer.rows(tick_of(session)) == [11]
+    assert layer.rows(tick_of(session, None, Method.FREE, 11)) == [11]
+    assert layer.rows(tick_of(session, None, Method.FREE, 2)) == [11, 2]
+    assert layer.rows(tick_of(session, None, Method.FREE, 20)) == [11]
+    view.show_state(tick_of(session))
     first = pixels(view)
-    view.show_moment(snapshot(2, {**spread, 11: estimate(11, (*PLAN.places[11], 0.0), sd=3e-3)}), None, Method.FREE, None)
+    view.show_state(
+        tick_of(snapshot(2, {**spread, 11: estimate(11, (*PLAN.places[11], 0.0), sd=3e-3)}), None, Method.FREE, None)
+    )
     assert (pixels(view) != first).any(axis=-1).sum() > 100
 
 
 def test_what_has_no_position_gets_a_mark_at_its_planned_place_and_never_a_ball(view):
-    view.show_moment(snapshot(1, {}), None, Method.FREE, None)
+    view.show_state(tick_of(snapshot(1, {})))
     nothing = pixels(view)
     blind = Estimate(4, Method.FREE, State.BLIND, 1, worst_direction=np.array([0.0, 0.0, 1.0]))
     dead = Estimate(16, Method.FREE, State.DEAD, 0)
-    assert view.show_moment(snapshot(2, {4: blind, 16: dead}), None, Method.FREE, None)
+    assert view.show_state(tick_of(snapshot(2, {4: blind, 16: dead})))
     marked = pixels(view)
     assert len(renderer_of(view).estimates.shown) == 0
     for channel in (4, 16):
@@ -258,7 +260,7 @@ def test_a_line_joins_the_selected_taxel_to_its_second_position_or_shows_where_a
         ((sure, None), (rival, [(0, 0, 0), (0.034, 0, 0)]), (blind, [shown - half, shown + half]))
     ):
         for selected in (3, 4, None):
-            view.show_moment(snapshot(generation, {3: known}), None, Method.FREE, selected)
+            view.show_state(tick_of(snapshot(generation, {3: known}), None, Method.FREE, selected))
             drawn = points_of(layer.alternative).reshape(-1, 2, 3)
             assert (len(drawn) > 0) is (selected == 3 and ends is not None)
             if len(drawn):
@@ -269,9 +271,9 @@ def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
     pokes = [contact(n, 3 if n % 2 else 9, (*PLAN.places[3], 0.0), (0.1 * n, 0.0, -8.0)) for n in range(1, 101)]
     session = snapshot(1, {3: estimate(3, (*PLAN.places[3], 0.0))}, pokes=pokes)
     axes = renderer_of(view).layers[3]
-    view.show_moment(session, None, Method.FREE, None)
+    view.show_state(tick_of(session))
     assert len(points_of(axes.past)) // 2 == 0, "nothing is selected"
-    view.show_moment(session, None, Method.FREE, 3)
+    view.show_state(tick_of(session, None, Method.FREE, 3))
     assert len(points_of(axes.past)) // 2 == MAX_DRAWN_FORCE_AXES
     ends = points_of(axes.past).reshape(-1, 2, 3).astype(float)
     through = ends[:, 1] - ends[:, 0]
@@ -288,7 +290,7 @@ def test_a_layer_that_is_switched_off_is_gone_and_comes_back_as_it_was(view, nam
     up = np.array([0.0, 0.0, 1.0])
     target = Target(None, np.array([0.0, 0.02, 0.0]), up, -up, 0.0, np.inf, 0.0)
     view.set_turning(False)
-    view.show_moment(session, live((0.0, 0.0, 0.1)), Method.FREE, 3, target, 0.2)
+    view.show_state(tick_of(session, live((0.0, 0.0, 0.1)), Method.FREE, 3, target, 0.2))
     every = pixels(view)
     view.hide_layers(frozenset((name,)))
     without = pixels(view)
@@ -298,16 +300,16 @@ def test_a_layer_that_is_switched_off_is_gone_and_comes_back_as_it_was(view, nam
         assert renderer_of(view).pick(x, view.height() - y) is None, "what is not seen is not meant"
     if name == "axes":
         drawn = Drawn(view)
-        assert not view.show_moment(session, live(), Method.FREE, 3, target, 0.2)
+        assert not view.show_state(tick_of(session, live(), Method.FREE, 3, target, 0.2))
         settle()
         assert drawn.count == 0, "a poke in progress asks for no picture"
-        view.show_moment(session, live((0.0, 0.0, 0.1)), Method.FREE, 3, target, 0.2)
+        view.show_state(tick_of(session, live((0.0, 0.0, 0.1)), Method.FREE, 3, target, 0.2))
     view.hide_layers(frozenset())
     np.testing.assert_array_equal(pixels(view), every)
 
 
 def test_the_picture_follows_theme_and_size_and_can_be_saved(view, tmp_path: Path):
-    view.show_moment(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
+    view.show_state(tick_of(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))})))
     for dark, colours in ((True, DARK), (False, LIGHT), (True, DARK)):
         view.set_dark(dark)
         assert tuple(pixels(view)[2, 2]) == colours.background
@@ -329,7 +331,7 @@ def test_the_picture_follows_theme_and_size_and_can_be_saved(view, tmp_path: Pat
 def test_sizes_follow_the_pixel_ratio_of_the_screen_and_letters_also_the_text_size(qtbot, monkeypatch, canvas):
     view = make_view(qtbot, canvas)
     known = {c: estimate(c, (*PLAN.places[c], 0.0)) for c in range(24)}
-    view.show_moment(snapshot(1, known), None, Method.FREE, 3)
+    view.show_state(tick_of(snapshot(1, known), None, Method.FREE, 3))
     view.hide_layers(frozenset(("surface",)))
 
     def spots() -> tuple[float, float]:
@@ -352,17 +354,19 @@ def test_sizes_follow_the_pixel_ratio_of_the_screen_and_letters_also_the_text_si
 
 def test_estimates_stay_in_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
     view = make_view(qtbot, surface=False, plan=False)
-    view.show_moment(snapshot(1, {3: estimate(3, (0.5, 0.4, 0.3)), 4: estimate(4, (0.52, 0.4, 0.3))}), None, Method.FREE, None)
+    view.show_state(
+        tick_of(snapshot(1, {3: estimate(3, (0.5, 0.4, 0.3)), 4: estimate(4, (0.52, 0.4, 0.3))}), None, Method.FREE, None)
+    )
     settle()
     for channel in (3, 4):
         x, y = screen_place(view, channel)
         assert 0 < x < view.width()
         assert 0 < y < view.height()
-    assert view.show_moment(snapshot(2, {}), live((0.5, 0.4, 0.3)), Method.FREE, 7)
+    assert view.show_state(tick_of(snapshot(2, {}), live((0.5, 0.4, 0.3)), Method.FREE, 7))
 
 
 def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot):
-    view.show_moment(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live((0.0, 0.0, 0.1)), Method.FREE, 3)
+    view.show_state(tick_of(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live((0.0, 0.0, 0.1)), Method.FREE, 3))
     settle()
     stage = weakref.ref(renderer_of(view))
     view.close_view()
@@ -373,7 +377,7 @@ def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot
     assert not [timer for timer in view.findChildren(QTimer) if timer.isActive()]
     assert not [thread for thread in threading.enumerate() if thread.name == "skincal-scene3d"]
     assert view.list_layers() == ()
-    assert not view.show_moment(snapshot(2, {}), None, Method.FREE, None)
+    assert not view.show_state(tick_of(snapshot(2, {})))
     view.reset_camera()
     view.set_dark(False)
     with qtbot.waitSignal(view.ready, timeout=60_000):
@@ -388,7 +392,7 @@ def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
         view.show()
     with qtbot.assertNotEmitted(view.ready):
         view.begin(StaticScene(scene(PLAN), box(), laid(PLAN), range(24)))
-        assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
+        assert not view.show_state(tick_of(snapshot(1, {})))
         view.close_view()
         settle()
     assert view.list_layers() == ()
@@ -406,7 +410,7 @@ def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, 
         view.show()
     view.begin(StaticScene(scene(PLAN), box(), laid(PLAN), range(24)))
     qtbot.waitUntil(lambda: "install libegl1" in view.findChild(QLabel).text(), timeout=30_000)
-    assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
+    assert not view.show_state(tick_of(snapshot(1, {})))
     with pytest.raises(InputError, match="no picture yet"):
         view.screenshot(Path("x.png"))
 
@@ -415,13 +419,13 @@ def test_on_a_graphics_card_the_interactor_shows_the_same_layers(qtbot):
     view = make_view(qtbot, Canvas.OPENGL)
     assert view.list_layers() == EVERY
     assert not [timer for timer in view.findChildren(QTimer) if timer.isActive()]
-    view.show_moment(snapshot(1, {15: estimate(15, (0.018, 0.0, 0.002))}), None, Method.FREE, None)
+    view.show_state(tick_of(snapshot(1, {15: estimate(15, (0.018, 0.0, 0.002))})))
     settle()
     drawn = Drawn(view)
-    assert not view.show_moment(snapshot(1, {}), None, Method.FREE, None)
+    assert not view.show_state(tick_of(snapshot(1, {})))
     settle()
     assert drawn.count == 0
-    assert view.show_moment(snapshot(2, {15: estimate(15, (0.018, 0.003, 0.002))}), None, Method.FREE, None)
+    assert view.show_state(tick_of(snapshot(2, {15: estimate(15, (0.018, 0.003, 0.002))})))
     settle()
     assert drawn.count == 1
     x, y = screen_place(view, 15)
