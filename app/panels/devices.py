@@ -89,7 +89,8 @@ class LinkCard(QFrame):
         said = f"{good}{f', {broken}' if broken else ''}" + (f"; lost:\n{lost}" if lost else whole)
         late = ""
         if unpaired and Stream.WRENCH in health.carries:
-            late = f"{count(unpaired, 'skin frame')} had no wrench at their time: it came late, in bursts, or not at all."
+            frames = count(unpaired, "skin frame")
+            late = f"{frames} had no force/torque reading at their time: it came late, in bursts, or not at all."
         read = BETWEEN.join(filter(None, (health.units, beside_words(health.beside), said)))
         self.losses.setText("\n".join(filter(None, (read, late))))
 

@@ -139,7 +139,9 @@ class PokeTable(QAbstractTableModel):
             return rejection_words(outcome) if name is None else f"at landmark {name}, where no taxel needs to answer"
         answered = ", ".join(self._names.short(int(c)) for c in outcome.channels)
         pose = f"\narm pose {outcome.pose}" if outcome.pose else ""
-        change = f"\ntare changed by {number(outcome.tare_change, 2)} N" if outcome.tare_change == outcome.tare_change else ""
+        change = (
+            f"\nsensor zero changed by {number(outcome.tare_change, 2)} N" if outcome.tare_change == outcome.tare_change else ""
+        )
         doubters = () if record.excluded else self._doubting.get(outcome.poke, ())
         doubts = "".join(f"\n{doubt_words(outcome, estimate, self._names)}" for estimate in doubters)
         return f"answered: {answered}{pose}{change}{doubts}"

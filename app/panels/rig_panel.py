@@ -109,7 +109,7 @@ class RigPanel(Panel):
             self.arm.pose_wanted.connect(lambda name: self.action_wanted.emit(SetPose(name)))
         self.setWhatsThis(
             "Pokes at landmarks, known points of the part, show errors of sensor and arm: the sensor's frame, its matrix, the "
-            "arm's poses. A correction is applied only if you choose it, and can be undone. One landmark in four is held out "
+            "arm's poses. A correction is applied only if you choose it, and can be undone. One landmark in four is left out "
             "of the fit; a correction is offered only if it lowers the error there."
         )
 

@@ -73,7 +73,7 @@ def why_words(guidance: Guidance, target: Target, dead: Collection[int], part_si
         at = guidance.closing
         why = f"Final check {at.done + 1} of {at.places}: press an early point again to see if anything moved"
         if at.suspect_poke is not None:
-            why = f"Only poke {at.suspect_poke} indicates a movement: press this point again to see if the tip slipped"
+            why = f"Only poke {at.suspect_poke} indicates a movement: press this point again to see if the tip slid"
         return f"{why}{BETWEEN}Shift+N skips"
     if guidance.landmark is not None:
         return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))

@@ -210,7 +210,7 @@ def _trouble(at: ViewState) -> Now | None:
     fault = next((link for link in at.live.links if at.look(link) in LINK_FAULTS), None)
     if fault is not None:
         name = link_name(fault)
-        how = "disconnected" if at.look(fault) is LinkStatus.LOST else "stuck"
+        how = "lost" if at.look(fault) is LinkStatus.LOST else "stuck"
         detail = link_detail(fault, at) or "Reconnecting automatically"
         return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]} {how}", f"{detail[:1].upper()}{detail[1:]}")
     return None

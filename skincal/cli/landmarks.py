@@ -387,12 +387,15 @@ def _landmark_line(session: Session) -> str:
 
 def _row_line(row: dict[str, Any]) -> str:
     from skincal.contacts.outcome import Reason
+    from skincal.words.poke_words import REASON_WORDS
 
+    reason = None if row["outcome"] == "accepted" else Reason(row["outcome"])
+    outcome = "accepted" if reason is None else REASON_WORDS[reason]
     pose = f", pose {row['pose']}" if row["pose"] else ""
-    words = f"poke {row['poke']}, {row['start_s']:.1f} s{pose}: {row['outcome']}"
+    words = f"poke {row['poke']}, {row['start_s']:.1f} s{pose}: {outcome}"
     if row["landmark"]:
         return f"{words}; at {row['landmark']}, which its axis passes at {row['miss_mm']:.1f} mm"
     near = row["nearest"]
-    if row["outcome"] == Reason.NO_TAXEL.value and near is not None:
+    if reason is Reason.NO_TAXEL and near is not None:
         return f"{words}; nearest is {near['landmark']}, at {near['miss_mm']:.0f} mm"
     return words

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from typing import Any
 
 from skincal.cli.terminal import say
+from skincal.contacts.outcome import Reason
 from skincal.files.reference import error_summary
 from skincal.following.results import SessionResults
 from skincal.geometry import FloatArray
@@ -23,6 +24,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.words.link_words import beside_words, outage_words
+from skincal.words.poke_words import REASON_WORDS
 from skincal.words.taxel_words import predicted_words, unchecked_sentence
 from skincal.words.verdict_words import verdict_sentence
 
@@ -118,7 +120,7 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
 
 def poke_lines(counts: Mapping[str, Any]) -> list[str]:
     """Return the text for `poke_counts`."""
-    rejected = ", ".join(f"{reason}: {count}" for reason, count in counts["rejected"].items())
+    rejected = ", ".join(f"{REASON_WORDS[Reason(key)]}: {count}" for key, count in counts["rejected"].items())
     pokes = "1 poke" if counts["pokes"] == 1 else f"{counts['pokes']} pokes"
     line = f"{pokes}: {counts['accepted']} accepted, {sum(counts['rejected'].values())} rejected"
     line += f" ({rejected})" if rejected else ""

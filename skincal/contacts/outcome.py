@@ -18,7 +18,7 @@ NOT_STORED = {"stored": False}
 
 
 class Reason(Enum):
-    """Reason why a poke does not count. The operator reads the value; the journal stores the name."""
+    """Reason why a poke does not count. The value is its key in JSON; the journal stores the name. Words: `REASON_WORDS`."""
 
     TOO_SOFT = "too soft"
     TOO_HARD = "too hard"

@@ -68,28 +68,28 @@ class GuideSettings:
 
 
 class Need(Enum):
-    """A need of a taxel; the value is a short text."""
+    """A need of a taxel; `NEED_WORDS` has its words."""
 
-    POKES = "pokes of its own"
-    ACCURACY = "a smaller predicted error"
-    SIDES = "pokes from other sides"
-    BALANCE = "pokes on its other half"
-    DEPTH = "pokes that balance its depth"
-    SETTLED = "one more poke, since the last one moved it"
-    DECISION = "a poke that tells two places apart"
-    TOUCH = "a poke on it, or touched neighbours on all its sides"
+    POKES = "pokes"
+    ACCURACY = "accuracy"
+    SIDES = "sides"
+    BALANCE = "balance"
+    DEPTH = "depth"
+    SETTLED = "settled"
+    DECISION = "decision"
+    TOUCH = "touch"
 
 
 class Why(Enum):
-    """Reason why a taxel is not finished; the value is a short text."""
+    """Reason why a taxel is not finished; `WHY_WORDS` has its words."""
 
-    DEAD = "not used"
-    NEVER_FIRED = "never answered where it is expected"
-    OUT_OF_REACH = "skipped from every side"
-    TILT = "the tilt that the hand manages does not spread its axes enough"
-    AMBIGUOUS = "two places fit its pokes"
-    NOT_CONVERGED = "did not converge after many pokes"
-    NOT_POKED_ENOUGH = "not poked enough yet"
+    DEAD = "dead"
+    NEVER_FIRED = "never fired"
+    OUT_OF_REACH = "out of reach"
+    TILT = "tilt"
+    AMBIGUOUS = "ambiguous"
+    NOT_CONVERGED = "not converged"
+    NOT_POKED_ENOUGH = "not poked enough"
 
 
 @dataclass(frozen=True, slots=True)

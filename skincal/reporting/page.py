@@ -162,7 +162,7 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     """Yield (check, result, verdict), also for checks that were not possible."""
     check, landmarks = facts.verdict.check, facts.verdict.landmarks
     said = AGREES if check.agrees else AGAINST
-    yield "Held-out pokes", check_words(facts.verdict), said if check.has_enough or not check.believed else OPEN
+    yield "Test pokes", check_words(facts.verdict), said if check.has_enough or not check.believed else OPEN
     said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
     yield "Landmarks", agreement_words(landmarks), said
     closings = facts.verdict.closings
@@ -367,7 +367,11 @@ def _devices(facts: SessionFacts) -> ReportSection:
         beside = "" if of is None else beside_words(of.beside)
         rows.append((link.name, link.address, carries, *told, lost, beside or DASH))
     unpaired = facts.results.pipeline.totals().unpaired
-    said = f"{plural(unpaired, 'skin frame')} found no wrench." if unpaired else "Every skin frame found its wrench."
+    said = (
+        f"{plural(unpaired, 'skin frame')} had no force/torque reading."
+        if unpaired
+        else "Every skin frame had a force/torque reading."
+    )
     headings = ("Link", "Address", "Carries", "Format", "Readings", "Lost", "Other readings")
     return ReportSection("Devices", (said,), tables=(ReportTable(headings, rows),))
 

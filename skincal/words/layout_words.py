@@ -105,7 +105,7 @@ DISTANCE_USE_WORDS = {
     "USED": "used",
     "UNKNOWN": "one of its modules is not determined",
     "OFF": "pokes and other distances contradict it",
-    "NO_BETTER": "it does not improve the prediction of held-out pokes",
+    "NO_BETTER": "it does not improve the prediction of test pokes",
 }
 
 

@@ -33,7 +33,7 @@ def closing_sentence(closing: Closing) -> str:
         place = closing.place if closing.at is ClosingPlaces.LANDMARKS else f"taxel {closing.place}"
         return (
             f"Only poke {closing.poke} at {place} indicates that {what} moved by {moved} since the start ({where}; noise "
-            f"explains up to {limit}). The tip may have slipped: press {place} again, or repeat the final check."
+            f"explains up to {limit}). The tip may have slid: press {place} again, or repeat the final check."
         )
     if not closing.has_moved:
         return f"Nothing has moved since the start: {moved} at {where} (noise explains up to {limit})."

@@ -47,7 +47,7 @@ THRESHOLD_GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
         "still_change": ThresholdWords(
             "The force varies by", UNITS["1"], "Maximum standard deviation of the force over that time."
         ),
-        "slide_max": ThresholdWords("The axis travels", UNITS["m"], "Maximum movement of the contact over that time."),
+        "slide_max": ThresholdWords("The axis slides by", UNITS["m"], "Maximum movement of the contact over that time."),
         "pitch_max": ThresholdWords(
             "Pitch of the axis",
             UNITS["m"],
@@ -72,7 +72,9 @@ THRESHOLD_GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
         ),
     },
     "Hands off": {
-        "quiet_s": ThresholdWords("Quiet for", UNITS["s"], "Around each poke, to zero the sensor: 10 skin readings at 50 Hz."),
+        "quiet_s": ThresholdWords(
+            "Hands-off pause of", UNITS["s"], "Around each poke, to zero the sensor: 10 skin readings at 50 Hz."
+        ),
         "tare_change_max": ThresholdWords(
             "The zero changes by", UNITS["N"], "Maximum change from before to after a poke; more is drift or a second touch."
         ),

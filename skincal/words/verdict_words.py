@@ -80,7 +80,7 @@ def _doubts(verdict: Verdict) -> list[str]:
     check, landmarks = verdict.check, verdict.landmarks
     found, against = list[str](), list[str]()
     if verdict.frame_in_doubt:
-        found.append("the frame of the wrench is not settled")
+        found.append("the frame of the force/torque readings is not settled")
     if verdict.has_moved:
         found.append("something has moved since the start")
     elif not verdict.frame_in_doubt:
@@ -107,8 +107,8 @@ def _skin_words(verdict: Verdict) -> str:
     check = verdict.check
     if verdict.frame_in_doubt:
         return (
-            f"The wrench's messages name the frame {verdict.frame_in_doubt}, and what they mean is not settled: "
-            "do not use the positions before it is."
+            f"The messages of the force/torque sensor name the frame {verdict.frame_in_doubt}, and what they mean is not "
+            "settled: do not use the positions before it is."
         )
     if verdict.has_moved or not check.believed:
         return ""
@@ -192,7 +192,7 @@ def agreement_words(landmarks: LandmarkAgreement | None) -> str:
         return f"not checked: needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} landmarks"
     how = "sensor and arm corrected without them" if landmarks.corrected else "sensor and arm not corrected"
     how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
-    words = f"errors of {plural(landmarks.pokes, 'check poke')} are {landmarks.ratio:.1f} x the expected size ({how})"
+    words = f"errors of {plural(landmarks.pokes, 'landmark poke')} are {landmarks.ratio:.1f} x the expected size ({how})"
     if landmarks.agrees:
         return words
     return f"{words}: too large. Check the positions of the landmarks, the sensor and the arm."

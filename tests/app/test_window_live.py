@@ -129,7 +129,7 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
     bench.until(lambda: len(bench.accepted()) >= 1)
     pokes = len(bench.snapshot.pokes)
     os.kill(bench.device_pid(), signal.SIGKILL)
-    bench.until(lambda: bench.window.session_view.workspace.now.headline.text().endswith("disconnected"), 5000)
+    bench.until(lambda: bench.window.session_view.workspace.now.headline.text().endswith(" lost"), 5000)
     bench.until(lambda: [name for name, _ in bench.player.played].count("LOST") >= 2)
     bench.until(lambda: any(approved("start.process_killed") in m.text for m in bench.messages), 5000)
     assert bench.window.messages.isVisible()

@@ -150,4 +150,4 @@ def _denied(port: str) -> str:
 
 
 def _vanished(port: str) -> str:
-    return f"{port} vanished; plug the device in again, then it is read again."
+    return f"{port} was lost; plug the device in again, then it is read again."

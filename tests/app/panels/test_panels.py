@@ -244,8 +244,8 @@ def test_devices_show_rate_losses_and_faults(qtbot):
     assert approved("now.checksum_count", count=3) in card.losses.text()
     assert approved("now.frames_without_wrench", count=2) in card.losses.text()
     good = pixels(card.sign)
-    card = show(link(state=LinkState.LOST, text="/dev/ttyUSB0 vanished; plug it in again."), 100.2)
-    assert card.detail.text() == "/dev/ttyUSB0 vanished; plug it in again."
+    card = show(link(state=LinkState.LOST, text="/dev/ttyUSB0 was lost; plug it in again."), 100.2)
+    assert card.detail.text() == "/dev/ttyUSB0 was lost; plug it in again."
     assert changed(good, pixels(card.sign)) > 50
     assert show(link(losses={}), 100.3).losses.text().split("\n")[0].endswith("good, none lost")
     lost = show(link(state=LinkState.LOST, losses={}), 100.4)

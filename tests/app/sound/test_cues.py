@@ -146,7 +146,7 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         Cue.REJECTED: "rejected: tip slid",
         Cue.DONE: f"taxel newly finished: {NAMES.short(2)}",
         Cue.ENOUGH: approved("guide.enough", count=24),
-        Cue.LOST: "Skin disconnected",
+        Cue.LOST: "Skin lost",
     }
     assert set(said) == set(Cue)
     cues, line = due_cue(CueMemory(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]

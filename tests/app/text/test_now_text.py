@@ -219,18 +219,18 @@ def test_what_is_said_while_pressing():
 
 
 def test_trouble_goes_before_phases():
-    lost = (link(state=LinkState.LOST, text="/dev/x vanished; plug it in."),)
+    lost = (link(state=LinkState.LOST, text="/dev/x was lost; plug it in."),)
     now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.READY, links=lost)))
     assert (now.tone, now.headline, now.detail) == (
         Tone.BAD,
-        "Force/torque sensor disconnected",
-        "/dev/x vanished; plug it in.",
+        "Force/torque sensor lost",
+        "/dev/x was lost; plug it in.",
     )
     paused, _ = now_line(NowMemory(), frame(view=reading(PressPhase.PRESSING, 5.0), running=Running.PAUSED))
     assert paused.headline == "Paused"
     fresh = session(2, pokes=[touch(1)])
     now, _ = now_line(NowMemory(), frame(fresh, reading(PressPhase.READY, links=lost)))
-    assert now.headline == "Force/torque sensor disconnected"
+    assert now.headline == "Force/torque sensor lost"
     waiting = (link(last_host_ns=0), link("skin"))
     now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=waiting), now_s=100.1))
     assert now.headline == "Waiting for sensor"
