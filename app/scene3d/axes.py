@@ -12,9 +12,10 @@ from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, Segment
 from app.scene3d.scene_state import SceneColours, StaticScene
 from app.state.view_state import ViewState
 from skincal.contacts.outcome import Contact, Progress
-from skincal.geometry import FloatArray, axis_point, move_wrench
+from skincal.geometry import FloatArray
 from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.mesh.surface import contact_point
+from skincal.pokes import Pokes
 from skincal.session.snapshot import Snapshot
 
 MAX_DRAWN_FORCE_AXES = 30  # Axes of the selected taxel: more are a tangle, and the newest count most
@@ -72,8 +73,8 @@ class AxesLayer(Layer):
             self.past.show(NO_POINTS, self.colours.ink)
             return
         place = self._place_of(state, channel)
-        lines = np.array([_axis_of(contact) for contact in _contacts_of(state.snapshot, channel)]).reshape(-1, 2, 3)
-        points, directions = lines[:, 0], lines[:, 1]
+        pokes = Pokes.collect(_contacts_of(state.snapshot, channel))
+        points, directions = pokes.axis_point, pokes.direction
         along = np.einsum("ix,ix->i", (self._middle if place is None else place) - points, directions)
         self.past.show(_span(points + directions * along[:, None], directions), self.colours.ink)
 
@@ -95,12 +96,6 @@ def _key(progress: Progress) -> bytes:
 def _span(at: FloatArray, directions: FloatArray) -> FloatArray:
     """Return the drawn parts of force axes through points, (n, 2, 3) float, metres."""
     return np.stack([at - DRAWN_TOOL_LENGTH_M * directions, at + AXIS_LENGTH_BEYOND_CONTACT_M * directions], axis=1)
-
-
-def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
-    """Return a point of the contact's force axis and its unit direction, link frame."""
-    force, moment = move_wrench(contact.link_from_sensor, contact.force, contact.moment)
-    return axis_point(force, moment), force / np.linalg.norm(force)
 
 
 def _contacts_of(snapshot: Snapshot, channel: int) -> list[Contact]:

@@ -13,7 +13,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import Origin, TaxelPositions
 from skincal.following.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
-from skincal.geometry import axis_point, move_wrench
+from skincal.pokes import Pokes
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.units import ChannelNames, cell, count, millimetres, number
@@ -112,11 +112,7 @@ def _misses(contacts: Sequence[Contact], estimate: Estimate) -> list[float] | li
     # All at once: one by one each takes 0.3 ms of the window's thread.
     if estimate.position is None or not contacts:
         return [None] * len(contacts)
-    poses = np.array([contact.link_from_sensor for contact in contacts])
-    forces, moments = (np.array([getattr(contact, name) for contact in contacts]) for name in ("force", "moment"))
-    force, moment = move_wrench(poses, forces, moments)
-    off = estimate.position - axis_point(force, moment)
-    return (np.linalg.norm(np.cross(force, off), axis=1) / np.linalg.norm(force, axis=1)).tolist()
+    return Pokes.collect(contacts).miss(estimate.position).tolist()
 
 
 def taxel_pokes(snapshot: Snapshot, estimate: Estimate) -> tuple[TaxelPoke, ...]:

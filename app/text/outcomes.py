@@ -5,7 +5,6 @@ A sentence says what happened, then the deciding number with its limit, then wha
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,8 +14,8 @@ import numpy as np
 from app.state.policies import GOOD_RMS, Mark
 from app.state.view_state import LinkStatus, ViewState, link_status
 from skincal.contacts.outcome import Contact, Outcome, Rejection
-from skincal.geometry import move_wrench, pitch
 from skincal.model.readings import LinkAnswer, LinkHealth
+from skincal.pokes import Pokes
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import predicted_error
@@ -108,7 +107,7 @@ def force_of(contact: Contact) -> float:
 
 def pitch_of(contact: Contact) -> float:
     """Magnitude of the wrench pitch (eq. 3), metres."""
-    return abs(float(pitch(contact.force, contact.moment)))
+    return abs(float(Pokes.collect([contact]).pitch[0]))
 
 
 def tilt_of(contact: Contact, estimates: Mapping[int, Estimate]) -> float | None:
@@ -120,10 +119,7 @@ def tilt_of(contact: Contact, estimates: Mapping[int, Estimate]) -> float | None
     estimate = None if peak is None else estimates.get(peak)
     if estimate is None or estimate.normal is None:
         return None
-    force, _ = move_wrench(contact.link_from_sensor, contact.force, contact.moment)
-    cosine = -float(force @ estimate.normal) / float(np.linalg.norm(force))
-    # Rounding may give a cosine above 1.
-    return math.acos(min(1.0, max(-1.0, cosine)))
+    return float(Pokes.collect([contact]).tilt(estimate.normal)[0])
 
 
 def summary_words(estimates: Sequence[Estimate]) -> str:

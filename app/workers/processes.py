@@ -19,7 +19,7 @@ from PySide6.QtCore import QObject, Signal
 
 from app.workers.threads import LOG, ThreadService, raise_sentences
 from skincal.child_environment import protect_children
-from skincal.following.review import Review, ReviewRequest, SentReview, review_sent
+from skincal.following.review import Review, ReviewRequest, review_packed
 from skincal.session.session import Session
 from skincal.session.snapshot import PokeRecord, Snapshot
 
@@ -294,9 +294,9 @@ def import_job(request: ImportRequest, progress: Progress) -> Imported:
     return import_recording(request, progress.tell_share)
 
 
-def review_job(sent: SentReview, progress: Progress) -> Review | None:
+def review_job(request: ReviewRequest, progress: Progress) -> Review | None:
     """Review sensor and arm; `None` if a newer request stopped the work."""
-    return review_sent(sent, progress.is_wanted)
+    return review_packed(request, progress.is_wanted)
 
 
 class ReviewClient(QObject):
@@ -341,7 +341,7 @@ class ReviewClient(QObject):
 
     def _ask(self, request_id: int, request: ReviewRequest) -> Review | None:
         with raise_sentences("Sensor and arm are no longer checked", "Open the session again."):
-            review: Review | None = self._process.ask(request_id, review_job, SentReview.pack(request))
+            review: Review | None = self._process.ask(request_id, review_job, request.packed())
         # The window compares corrections by identity.
         return review and replace(review, used=request.used)
 

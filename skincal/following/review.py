@@ -9,11 +9,13 @@ import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.contacts.skin_pokes import SkinPokes
 from skincal.geometry import FloatArray, IntArray
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
@@ -60,23 +62,42 @@ class Review:
     """Corrections in use at the request, `Decisions.corrections` itself. It is void for a session that uses others."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReviewRequest:
-    """Input of a review of the rig."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ReviewRequest(RigRequest):
+    """Input of a review of the rig: of its correction, of the frame's check, and of the taxels under both."""
 
-    rig: RigRequest
-    landmarks: tuple[Landmark, ...]
+    known_landmarks: tuple[Landmark, ...]
     channels: tuple[int, ...]
     used: Mapping[str, UsedCorrection]
     frame_in_question: str = ""
     """Frame of the wrench's messages that may explain a wrong sensor frame; empty for none."""
+    mesh_sha256: str | None = None
+    """Of the part's mesh; `None` without one."""
 
     @staticmethod
     def from_session(session: Session) -> ReviewRequest:
         """Make a request with the session's present state."""
-        decisions = session.decisions
-        asked = session.rig_request(), decisions.landmarks, session.channels, decisions.corrections
-        return ReviewRequest(*asked, frame_in_question(session.wrench_frames))
+        of, decisions = session.rig_request(), session.decisions
+        return ReviewRequest(
+            scene=of.scene,
+            surface=of.surface,
+            contacts=of.contacts,
+            landmarks=of.landmarks,
+            dead=of.dead,
+            known_landmarks=decisions.landmarks,
+            channels=session.channels,
+            used=decisions.corrections,
+            frame_in_question=frame_in_question(session.wrench_frames),
+            mesh_sha256=None if of.surface is None else of.surface.sha256,
+        )
+
+    def packed(self) -> ReviewRequest:
+        """Make the request ready for another process: contacts as arrays, and no mesh, since reading it there is quicker."""
+        return replace(self, contacts=SkinPokes.collect(self.contacts), surface=None)
+
+    def load_part(self) -> tuple[Surface | None, ModuleModel | None]:
+        """Load mesh and modules; `InputError` if the mesh is gone or has changed."""
+        return _load_part(pickle.dumps((self.mesh_sha256, self.scene)))
 
 
 def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: None) -> tuple[FrameDiagnosis | None, RigAnswer]:
@@ -84,12 +105,12 @@ def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: N
 
     `between` is called every tenth of a second or so, and may raise to give up.
     """
-    pokes, known = request.rig.landmarks, {landmark.name: landmark for landmark in request.landmarks}
-    frame = diagnose(pokes, landmark_normals([known[name] for name in pokes.name.tolist()], request.rig.surface))
+    pokes, known = request.landmarks, {landmark.name: landmark for landmark in request.known_landmarks}
+    frame = diagnose(pokes, landmark_normals([known[name] for name in pokes.name.tolist()], request.surface))
     if frame is not None:
         frame = replace(frame, wrench_frame=request.frame_in_question)
     between()
-    return frame, correct_rig(request.rig, between)
+    return frame, correct_rig(request, between)
 
 
 def review_rig(request: ReviewRequest, between: Callable[[], None] = lambda: None, model: ModuleModel | None = None) -> Review:
@@ -100,20 +121,20 @@ def review_rig(request: ReviewRequest, between: Callable[[], None] = lambda: Non
     between : as for `diagnose_rig`
     model : of the scene's modules; made if it is missing
     """
-    of = request.rig
+    pokes = request.landmarks
     frame, rig = diagnose_rig(request, between)
     between()
     found, is_corrected = rig.correction if rig.used else None, RIG in request.used
-    after = [found.corrected(contact) for contact in of.contacts] if found is not None and not is_corrected else None
+    after = [found.corrected(contact) for contact in request.contacts] if found is not None and not is_corrected else None
     if model is None and (is_corrected or after is not None):
-        model = _model_of(of.scene, of.surface)
+        model = _model_of(request.scene, request.surface)
     return Review(
-        pokes=of.landmarks,
-        reported=dict(zip(of.landmarks.number.tolist(), of.landmarks.landmark_miss.tolist(), strict=True)),
+        pokes=pokes,
+        reported=dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True)),
         frame=frame,
         rig=rig,
         channels=np.array(request.channels, dtype=np.int64),
-        before=_places(request, of.contacts, model) if is_corrected else {},
+        before=_places(request, request.contacts, model) if is_corrected else {},
         after={} if after is None else _places(request, after, model),
         used=request.used,
     )
@@ -125,81 +146,31 @@ def _model_of(scene: Scene, surface: Surface | None) -> ModuleModel | None:
 
 
 def _places(request: ReviewRequest, contacts: Sequence[Contact], model: ModuleModel | None) -> dict[Method, FloatArray]:
-    scene, surface, unknown = request.rig.scene, request.rig.surface, np.full(3, np.nan)
+    scene, surface, unknown = request.scene, request.surface, np.full(3, np.nan)
     methods = methods_of(scene, surface)
-    solved = estimate_taxels(contacts, request.channels, methods, scene.noise, surface, request.rig.dead, model=model)
+    solved = estimate_taxels(contacts, request.channels, methods, scene.noise, surface, request.dead, model=model)
     return {
         method: np.array([unknown if e.position is None else e.position for e in found.values()]).reshape(-1, 3)
         for method, found in solved.items()
     }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SentReview:
-    """A request on its way to another process. Arrays: ten thousand pickled contacts would hold Python's lock for 0.3 s.
-
-    The mesh is not sent, since reading it there is quicker.
-    """
-
-    request: ReviewRequest
-    """Without contacts and mesh."""
-    mesh_sha256: str | None
-    values: FloatArray
-    """(n, 27) float, SI, of the contacts: poke, how many channels, start, end, force, moment, pose row by row, tare change."""
-    answers: FloatArray
-    """(2, m) float: channels and responses of all contacts."""
-    poses: tuple[str, ...]
-
-    @staticmethod
-    def pack(request: ReviewRequest) -> SentReview:
-        """Pack a request."""
-        contacts, surface = request.rig.contacts, request.rig.surface
-        values = [
-            [c.poke, len(c.channels), c.start_s, c.end_s, *c.force, *c.moment, *c.link_from_sensor.ravel(), c.tare_change]
-            for c in contacts
-        ]
-        answers = [np.array([c.channels, c.responses], dtype=np.float64) for c in contacts]
-        return SentReview(
-            replace(request, rig=replace(request.rig, contacts=(), surface=None)),
-            None if surface is None else surface.sha256,
-            np.array(values, dtype=np.float64).reshape(-1, 27),
-            np.concatenate([np.empty((2, 0)), *answers], axis=1),
-            tuple(contact.pose for contact in contacts),
-        )
-
-    def contacts(self) -> list[Contact]:
-        """Unpack the contacts."""
-        found, end = list[Contact](), 0
-        for row, pose in zip(self.values, self.poses, strict=True):
-            start, end = end, end + int(row[1])
-            channels, responses = self.answers[:, start:end]
-            own = row[4:7], row[7:10], channels.astype(np.int64), responses, row[10:26].reshape(4, 4)
-            found.append(Contact(int(row[0]), float(row[2]), float(row[3]), *own, pose, float(row[26]), final=True))
-        return found
-
-    def loaded(self) -> tuple[Surface | None, ModuleModel | None]:
-        """Load mesh and modules, once for all reviews of a part; `InputError` if the mesh is gone or has changed."""
-        scene = self.request.rig.scene
-        key = pickle.dumps((self.mesh_sha256, scene.surface, scene.skin, scene.distances))
-        if key not in _loaded:
-            surface, _ = load_scene_surface(scene)
-            if surface is not None and scene.surface is not None and surface.sha256 != self.mesh_sha256:
-                raise InputError(f"{scene.surface.path}: the mesh changed since the session was opened; open it again.")
-            _loaded.clear()
-            _loaded[key] = surface, _model_of(scene, surface)
-        return _loaded[key]
-
-
-_loaded: dict[bytes, tuple[Surface | None, ModuleModel | None]] = {}
-"""Mesh and modules of the newest part that this process has reviewed."""
+@lru_cache(maxsize=1)
+def _load_part(pickled: bytes) -> tuple[Surface | None, ModuleModel | None]:
+    """Load mesh and modules of a pickled scene, once for all reviews of a part. The mesh has the SHA-256 in front of it."""
+    mesh_sha256, scene = pickle.loads(pickled)
+    surface, _ = load_scene_surface(scene)
+    if surface is not None and scene.surface is not None and surface.sha256 != mesh_sha256:
+        raise InputError(f"{scene.surface.path}: the mesh changed since the session was opened; open it again.")
+    return surface, _model_of(scene, surface)
 
 
 class _GivenUpError(Exception):
     """A newer request waits."""
 
 
-def review_sent(sent: SentReview, is_wanted: Callable[[], bool]) -> Review | None:
-    """Do the review that another process requested; `None` if a newer request stopped it.
+def review_packed(request: ReviewRequest, is_wanted: Callable[[], bool]) -> Review | None:
+    """Do the review of a packed request of another process; `None` if a newer request stopped it.
 
     Parameters
     ----------
@@ -218,8 +189,7 @@ def review_sent(sent: SentReview, is_wanted: Callable[[], bool]) -> Review | Non
 
     try:
         between()
-        surface, model = sent.loaded()
-        rig = replace(sent.request.rig, contacts=sent.contacts(), surface=surface)
-        return review_rig(replace(sent.request, rig=rig), between, model)
+        surface, model = request.load_part()
+        return review_rig(replace(request, contacts=list(request.contacts), surface=surface), between, model)
     except _GivenUpError:
         return None

@@ -31,7 +31,7 @@ from skincal.guide.candidates import (
 )
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.moment import Moment
-from skincal.guide.poke_history import PokeHistory, TargetOfPoke, axis_of
+from skincal.guide.poke_history import PokeHistory, TargetOfPoke, with_axis
 from skincal.guide.progress import (
     AxisDiversity,
     ContactFacts,
@@ -205,9 +205,9 @@ class Guide:
         if self._search is not None:
             for poke in added:
                 answered = isinstance(poke, Contact)
-                axis = axis_of(poke) if answered or poke.reason is Reason.NO_TAXEL else None
-                if axis is not None:
-                    self._search.add_poke(poke.poke, axis, answered=answered)
+                pressed = with_axis(poke) if answered or poke.reason is Reason.NO_TAXEL else None
+                if pressed is not None:
+                    self._search.add_poke(pressed, answered=answered)
             self._search.count_only(contacts.keys() | rejections.keys())
         if rows or rig != self._rig:
             if rig != self._rig:

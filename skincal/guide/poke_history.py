@@ -7,17 +7,17 @@ longer once it is excluded.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice, pairwise
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
+from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Target
 from skincal.guide.progress import POKES_PER_INTERVAL_ESTIMATE, GuideSettings
 from skincal.guide.tilt_limit import TiltLimit
+from skincal.pokes import Pokes
 
 TargetOfPoke: TypeAlias = Callable[[int], Target | None]
 """Target that was shown for a poke, by its number; `None` if there was none."""
@@ -25,32 +25,10 @@ POKE_MAX_DISTANCE_FROM_TARGET_M = 0.010
 """A poke was meant for its target if its axis passes that at no more: two taxels away it is another poke."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PokeAxis:
-    """Force axis of a poke, link frame."""
-
-    direction: FloatArray
-    """(3,) float, unit, along the push."""
-    point: FloatArray
-    """(3,) float, metres, on the axis."""
-
-    def distance_to(self, place: FloatArray) -> float:
-        """Distance of the axis from a point, metres."""
-        off = np.cross(place - self.point, self.direction)
-        return float(np.sqrt(off @ off))
-
-    def tilt(self, normal: FloatArray) -> float:
-        """Angle between the push and the inward normal, rad; `normal` (3,) is outward, unit."""
-        return float(np.arccos(np.clip(-(self.direction @ normal), -1.0, 1.0)))
-
-
-def axis_of(poke: Contact | Rejection) -> PokeAxis | None:
-    """Compute the force axis of a poke; `None` without a force."""
-    if poke.force is None or poke.moment is None or poke.link_from_sensor is None:
-        return None
-    force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
-    size = float(np.sqrt(force @ force))
-    return None if not size > 0 else PokeAxis(force / size, axis_point(force, moment))
+def with_axis(poke: Contact | Rejection) -> Pokes | None:
+    """Give the single poke with its force axis; `None` without a force."""
+    found = Pokes.collect([poke])
+    return found[0] if len(found) and found.force_size[0] > 0 else None
 
 
 class PokePosition(NamedTuple):
@@ -182,8 +160,7 @@ class PokeHistory:
         np.add.at(sums[:, 3], owner, responses)
         with np.errstate(invalid="ignore"):
             offsets = sums[:, :3] / sums[:, 3:] - answer_offsets[peaks]
-        poses, forces = (np.array([getattr(contact, name) for contact in contacts]) for name in ("link_from_sensor", "force"))
-        pushes, _ = move_wrench(poses, forces, np.zeros_like(forces))
+        pushes = Pokes.collect(contacts).link_force
         cosines = -np.sum(pushes * normals[peaks], axis=1) / np.sqrt(np.sum(pushes * pushes, axis=1))
         tilts = np.where(peaks >= 0, np.arccos(np.clip(cosines, -1.0, 1.0)), np.nan)
         for contact, *values in zip(contacts, peaks.tolist(), offsets, tilts.tolist(), strict=True):
@@ -195,7 +172,7 @@ class PokeHistory:
         for poke in added:
             target, is_contact = target_of(poke.poke), isinstance(poke, Contact)
             slid = isinstance(poke, Rejection) and poke.reason is Reason.SLID
-            axis = axis_of(poke) if slid or target is not None else None
+            axis = with_axis(poke) if slid or target is not None else None
             if isinstance(poke, Contact):
                 peak = poke.strongest_channel
                 self._assign_row(
@@ -203,10 +180,10 @@ class PokeHistory:
                 )
             elif slid and axis is not None:
                 self._add_slide(poke, axis, target, normals)
-            if target is None or axis is None or not axis.distance_to(target.place) <= POKE_MAX_DISTANCE_FROM_TARGET_M:
+            if target is None or axis is None or not axis.miss(target.place) <= POKE_MAX_DISTANCE_FROM_TARGET_M:
                 continue
             if is_contact or slid:
-                self.tilt.compare_aim(target.tilt, axis.tilt(target.normal))
+                self.tilt.compare_aim(target.tilt, float(axis.tilt(target.normal)))
             complete = isinstance(poke, Contact) or poke.reason is Reason.NO_TAXEL
             if complete and target.channel is not None and target.channel not in poke.channels:
                 self._assign_row(self._missed_rows, poke.poke, target.channel)
@@ -216,7 +193,7 @@ class PokeHistory:
         if row >= 0:
             row_of[poke] = row
 
-    def _add_slide(self, poke: Rejection, axis: PokeAxis, target: Target | None, normals: FloatArray) -> None:
+    def _add_slide(self, poke: Rejection, axis: Pokes, target: Target | None, normals: FloatArray) -> None:
         rows = self.rows(poke.channels)
         known = [normals[row] for row in rows[rows >= 0].tolist() if np.isfinite(normals[row]).all()]
         if not known and target is not None:

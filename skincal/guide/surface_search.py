@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, orthonormal_pair
-from skincal.guide.poke_history import PokeAxis
 from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import Surface
+from skincal.pokes import Pokes
 
 SEARCH_PLACE_SPACING_M = 0.008
 """Between neighbouring places: a tip is felt within it, and taxels are hardly farther apart."""
@@ -46,12 +46,12 @@ class SurfaceSearch:
         """Copy the places, none of them poked or skipped."""
         return SurfaceSearch(self._surface, self.places, self.normals)
 
-    def add_poke(self, number: int, axis: PokeAxis, *, answered: bool) -> None:
-        """Record a poke at the surface point nearest to its force axis, on the side that faces the push."""
-        root = np.vstack([orthonormal_pair(axis.direction[None])[0], np.zeros(3)])
-        found = nearest_in_metric(self._surface, root[None], (root @ axis.point)[None], axis.direction[None])
+    def add_poke(self, poke: Pokes, *, answered: bool) -> None:
+        """Record a single poke at the surface point nearest to its force axis, on the side that faces the push."""
+        root = np.vstack([orthonormal_pair(poke.direction[None])[0], np.zeros(3)])
+        found = nearest_in_metric(self._surface, root[None], (root @ poke.axis_point)[None], poke.direction[None])
         if found.triangles[0] >= 0:
-            self._pokes[number] = found.points[0], answered
+            self._pokes[int(poke.number)] = found.points[0], answered
 
     def count_only(self, numbers: Collection[int]) -> None:
         """Keep only the pokes in `numbers`: the others were undone."""

@@ -215,12 +215,12 @@ class LinkedModules:
 
     def gains(self, rows: _Rows) -> FloatArray:
         """Compute (b,) the gain in log likelihood of the held-out pokes of each module by the distances."""
-        pokes = _Pokes.of_modules(self.fitted)
+        pokes = _HeldOutPokes.of_modules(self.fitted)
         left, known = pokes.priors_without_folds(self.prior, self._factors)
         outs = [pokes.select((pokes.folds == fold) & known[fold, pokes.of]) for fold in range(HELD_OUT_FOLDS)]
         return np.sum([self._gains_of(prior, rows, out) for prior, out in zip(left, outs, strict=True)], axis=0)
 
-    def _gains_of(self, prior: _Prior, rows: _Rows, out: _Pokes) -> FloatArray:
+    def _gains_of(self, prior: _Prior, rows: _Rows, out: _HeldOutPokes) -> FloatArray:
         """Compute `gains` by the pokes `out`, predicted from `prior`, the other pokes of their modules."""
         update, of, slopes = _Update(prior, rows), out.of, out.slopes
         covariances = prior.covariances[of]
@@ -239,7 +239,7 @@ class LinkedModules:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pokes:
+class _HeldOutPokes:
     """m pokes of b modules, as `FittedModule` has them, in folds."""
 
     of: IntArray
@@ -252,7 +252,7 @@ class _Pokes:
     shared: FloatArray
 
     @classmethod
-    def of_modules(cls, fitted: Sequence[FittedModule]) -> _Pokes:
+    def of_modules(cls, fitted: Sequence[FittedModule]) -> _HeldOutPokes:
         counts = [len(own.trust) for own in fitted]
         return cls(
             np.repeat(np.arange(len(fitted)), counts),
@@ -260,8 +260,8 @@ class _Pokes:
             *(np.concatenate(each) for each in zip(*((m.slopes, m.misses, m.trust, m.shared) for m in fitted), strict=True)),
         )
 
-    def select(self, rows: NDArray[np.bool_]) -> _Pokes:
-        return _Pokes(*(getattr(self, name)[rows] for name in self.__slots__))
+    def select(self, rows: NDArray[np.bool_]) -> _HeldOutPokes:
+        return _HeldOutPokes(*(getattr(self, name)[rows] for name in self.__slots__))
 
     def priors_without_folds(self, prior: _Prior, factors: FloatArray) -> tuple[list[_Prior], NDArray[np.bool_]]:
         """Compute the prior without each fold's pokes, and (folds, b) whether the others determine a module.

@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import Arm, FloatArray, IntArray, axis_point, move_wrench
+from skincal.geometry import Arm, FloatArray, IntArray
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
@@ -32,6 +32,7 @@ from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, rigid_points
 from skincal.modules.pose import rotations
+from skincal.pokes import Pokes
 from skincal.rig.channel_order import channel_orders
 from skincal.rig.frame_check import STANDARD_GRAVITY
 
@@ -142,20 +143,19 @@ class SetupDiagnosis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pokes:
-    """n pokes under a hypothesis."""
+class _TaxelEvidence:
+    """n pokes on the skin under a hypothesis, and the taxels that answered them."""
 
-    force: FloatArray
-    """(n, 3) float, N, sensor frame."""
-    moment: FloatArray
-    """(n, 3) float, N m."""
-    poses: FloatArray
-    """(n, 4, 4) float: link_from_sensor."""
+    pokes: Pokes
     places: FloatArray
     """(n, 3) float, m: planned centre of the taxels that answered."""
     normals: FloatArray
     """(n, 3) float, unit, outward."""
     shift_sd: float = SENSOR_MOUNT_SHIFT_SD_M
+
+    def with_pokes(self, **changes: FloatArray) -> _TaxelEvidence:
+        """Change arrays of the pokes."""
+        return replace(self, pokes=replace(self.pokes, **changes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,7 +225,7 @@ def _orders(layout: Layout) -> list[tuple[float, Mistake, IntArray]]:
     return [(_prior(len(found)), Mistake(MistakeKind.CHANNELS, 0.0, names=(what, how)), order) for what, how, order in found]
 
 
-def _at_places(asked: _Pokes, used: Sequence[Contact], laid: PlacedLayout, order: IntArray) -> _Pokes:
+def _at_places(asked: _TaxelEvidence, used: Sequence[Contact], laid: PlacedLayout, order: IntArray) -> _TaxelEvidence:
     """Give each channel the planned place of channel `order` (channels,)."""
     places, normals = _planned(used, replace(laid, places=laid.places[order], normals=laid.normals[order]))
     return replace(asked, places=places, normals=normals)
@@ -240,8 +240,9 @@ def _explains(mistake: Mistake, judged: _Judged, used: Sequence[Contact], scene:
     layout = scene.skin.layout
     if layout is None or (scene.arm is not None and mistake.kind not in OF_LAYOUT):
         return True
-    lines = [(each.strongest_channel, *_force_axis(each)) for each in used]
-    apart = [_axis_distance(one[1:], other[1:]) for one, other in combinations(lines, 2) if one[0] == other[0]]
+    pokes, channels = Pokes.collect(used), [each.strongest_channel for each in used]
+    pairs = [(one, other) for one, other in combinations(range(len(used)), 2) if channels[one] == channels[other]]
+    apart = [_axis_distance(pokes[one], pokes[other]) for one, other in pairs]
     if scene.arm is not None and len(apart) < MIN_PAIRS_FOR_OWN_ERROR:
         return True
     own = float(np.median(apart)) if apart else 0.0
@@ -249,30 +250,18 @@ def _explains(mistake: Mistake, judged: _Judged, used: Sequence[Contact], scene:
     return float(np.median(judged.misses)) <= most
 
 
-def _force_axis(contact: Contact) -> tuple[FloatArray, FloatArray]:
-    """Compute a point of the force axis, m, and its unit direction, link frame."""
-    force, moment = move_wrench(contact.link_from_sensor, contact.force, contact.moment)
-    return axis_point(force, moment), force / np.linalg.norm(force)
-
-
-def _axis_distance(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> float:
-    """Compute the smallest distance of two lines, m."""
-    between, across = other[0] - one[0], np.cross(one[1], other[1])
+def _axis_distance(one: Pokes, other: Pokes) -> float:
+    """Compute the smallest distance of two force axes, m."""
+    between, across = other.axis_point - one.axis_point, np.cross(one.direction, other.direction)
     size = float(np.linalg.norm(across))
     if size < PARALLEL_MAX_SINE:
-        return float(np.linalg.norm(np.cross(one[1], between)))
+        return float(np.linalg.norm(np.cross(one.direction, between)))
     return abs(float(between @ across)) / size
 
 
-def _as_described(used: Sequence[Contact], laid: PlacedLayout) -> _Pokes:
+def _as_described(used: Sequence[Contact], laid: PlacedLayout) -> _TaxelEvidence:
     places, normals = _planned(used, laid)
-    return _Pokes(
-        np.array([each.force for each in used]),
-        np.array([each.moment for each in used]),
-        np.array([each.link_from_sensor for each in used]),
-        places,
-        normals,
-    )
+    return _TaxelEvidence(Pokes.collect(used), places, normals)
 
 
 def _planned(used: Sequence[Contact], laid: PlacedLayout) -> tuple[FloatArray, FloatArray]:
@@ -284,20 +273,18 @@ def _planned(used: Sequence[Contact], laid: PlacedLayout) -> tuple[FloatArray, F
     return np.array(places), np.array([laid.normals[each.strongest_channel] for each in used])
 
 
-def _judge(every: Sequence[_Pokes]) -> list[_Judged]:
+def _judge(every: Sequence[_TaxelEvidence]) -> list[_Judged]:
     """Compute the cost of h hypotheses, each with the best common shift of the skin."""
-    poses = np.array([pokes.poses for pokes in every])
-    force, moment = (
-        np.einsum("hnij,hnj->hni", poses[..., :3, :3], np.array([getattr(pokes, name) for pokes in every]))
-        for name in ("force", "moment")
-    )
+    poses = np.array([each.pokes.link_from_sensor for each in every])
+    forces, moments = np.array([each.pokes.force for each in every]), np.array([each.pokes.moment for each in every])
+    force, moment = (np.einsum("hnij,hnj->hni", poses[..., :3, :3], values) for values in (forces, moments))
     squares = np.sum(force * force, axis=2, keepdims=True)
     push = force / np.sqrt(squares)
     axis_points = poses[..., :3, 3] + np.cross(force, moment) / squares
     across = np.eye(3) - push[..., :, None] * push[..., None, :]
-    misses = np.einsum("hnij,hnj->hni", across, np.array([pokes.places for pokes in every]) - axis_points)
-    shift_sds = np.array([pokes.shift_sd for pokes in every])
-    outward = np.sum(push * np.array([pokes.normals for pokes in every]), axis=2) > 0
+    misses = np.einsum("hnij,hnj->hni", across, np.array([each.places for each in every]) - axis_points)
+    shift_sds = np.array([each.shift_sd for each in every])
+    outward = np.sum(push * np.array([each.normals for each in every]), axis=2) > 0
     best = np.full(len(every), np.inf)
     sizes, shifts = np.zeros(misses.shape[:2]), np.zeros((len(every), 3))
     # A large shift and some slips make two minima: one is found from no shift, the other from that of least squares.
@@ -329,7 +316,7 @@ def _judge(every: Sequence[_Pokes]) -> list[_Judged]:
     return [_Judged(*row) for row in zip(best.tolist(), reported, sizes, shifts, strict=True)]
 
 
-_Hypotheses: TypeAlias = Iterator[tuple[float, Mistake, _Pokes]]
+_Hypotheses: TypeAlias = Iterator[tuple[float, Mistake, _TaxelEvidence]]
 """Prior cost, mistake, and the pokes if it is put right."""
 
 
@@ -338,7 +325,7 @@ def _prior(choices: int) -> float:
     return 2.0 * math.log(choices)
 
 
-def _hypotheses(asked: _Pokes, used: Sequence[Contact], scene: Scene, laid: PlacedLayout) -> _Hypotheses:
+def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, laid: PlacedLayout) -> _Hypotheses:
     assert scene.skin.layout is not None
     yield from _sensors(asked)
     yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, 0.0), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)
@@ -349,7 +336,7 @@ def _hypotheses(asked: _Pokes, used: Sequence[Contact], scene: Scene, laid: Plac
     yield from _modules(asked, used, scene.skin.layout, laid)
 
 
-def _sensors(asked: _Pokes) -> _Hypotheses:
+def _sensors(asked: _TaxelEvidence) -> _Hypotheses:
     """Try other axes and units of the sensor, and a turned flange."""
     for order, signs, scale in product(permutations(range(3)), product((1.0, -1.0), repeat=3), MOMENT_SCALES):
         axes = np.array(signs)[:, None] * np.eye(3)[list(order)]
@@ -361,20 +348,20 @@ def _sensors(asked: _Pokes) -> _Hypotheses:
         yield (
             prior,
             Mistake(kind, 0.0, axes=axes, scale=scale),
-            replace(asked, force=asked.force @ axes.T, moment=scale * asked.moment @ axes.T),
+            asked.with_pokes(force=asked.pokes.force @ axes.T, moment=scale * asked.pokes.moment @ axes.T),
         )
     for axis, degrees in product(range(3), range(MIN_TURN_DEG, 361 - MIN_TURN_DEG, TURN_STEP_DEG)):
         if degrees % 90:
             turn = rotations(np.radians(degrees) * np.eye(3)[axis][None])[0]
-            wrench = replace(asked, force=asked.force @ turn.T, moment=asked.moment @ turn.T)
+            wrench = asked.with_pokes(force=asked.pokes.force @ turn.T, moment=asked.pokes.moment @ turn.T)
             signed = float(degrees if degrees < 180 else degrees - 360)
             yield _prior(60), Mistake(MistakeKind.FLANGE, 0.0, names=("xyz"[axis],), degrees=signed), wrench
 
 
 def distances_from_sensor(contacts: Sequence[Contact], frame: WrenchFrame) -> tuple[float, float]:
     """Compute how far the force axes pass from the sensor (median, m), as reported, and with moments about the sensor."""
-    force, moment = (np.array([getattr(each, name) for each in contacts]) for name in ("force", "moment"))
-    squares = np.sum(force * force, axis=1)
+    pokes = Pokes.collect(contacts)
+    force, moment, squares = pokes.force, pokes.moment, np.sum(pokes.force * pokes.force, axis=1)
     about_sensor = moment - np.cross(frame.sensor_from_frame[:3, 3], force)
     far, near = (float(np.median(np.linalg.norm(np.cross(force, each), axis=1) / squares)) for each in (moment, about_sensor))
     return far, near
@@ -396,7 +383,7 @@ def frame_in_doubt(frames: Sequence[WrenchFrame], contacts: Sequence[Contact]) -
     return next((each.name for each in frames if not each.is_settled or is_point_doubted(contacts, each)), "")
 
 
-def _wrench_frames(asked: _Pokes, scene: Scene, frames: Sequence[WrenchFrame]) -> _Hypotheses:
+def _wrench_frames(asked: _TaxelEvidence, scene: Scene, frames: Sequence[WrenchFrame]) -> _Hypotheses:
     """Try other points of the moments than the origin of the only frame, and that the messages name a wrong frame.
 
     Drivers that turn the axes alone keep the moments about the sensor, or about another point that is fixed to it.
@@ -411,13 +398,13 @@ def _wrench_frames(asked: _Pokes, scene: Scene, frames: Sequence[WrenchFrame]) -
         if np.linalg.norm(place - point) >= OTHER_POINT_MIN_SHIFT_M
     }
     for name, place in others.items():
-        moment = asked.moment + np.cross(place - point, asked.force)
+        moment = asked.pokes.moment + np.cross(place - point, asked.pokes.force)
         prior = 0.0 if name == frame.sensor else _prior(len(others))
-        yield prior, Mistake(MistakeKind.WRENCH_POINT, 0.0, names=(frame.name, name)), replace(asked, moment=moment)
+        yield prior, Mistake(MistakeKind.WRENCH_POINT, 0.0, names=(frame.name, name)), asked.with_pokes(moment=moment)
     if frame.turn >= np.radians(MIN_TURN_DEG):
-        moment = (asked.moment - np.cross(point, asked.force)) @ turn
+        moment = (asked.pokes.moment - np.cross(point, asked.pokes.force)) @ turn
         label = Mistake(MistakeKind.WRENCH_LABEL, 0.0, names=(frame.name, frame.sensor))
-        yield 0.0, label, replace(asked, force=asked.force @ turn, moment=moment)
+        yield 0.0, label, asked.with_pokes(force=asked.pokes.force @ turn, moment=moment)
 
 
 def _angles(used: Sequence[Contact], arm: ArmSpec) -> FloatArray | None:
@@ -444,11 +431,11 @@ def _refined(angles: FloatArray, pose: FloatArray, arm: Arm | UrdfChain) -> Floa
     return angles
 
 
-def _with_angles(asked: _Pokes, arm: Arm | UrdfChain, angles: FloatArray) -> _Pokes:
-    return replace(asked, poses=np.array([arm.link_from_sensor(row) for row in angles]))
+def _with_angles(asked: _TaxelEvidence, arm: Arm | UrdfChain, angles: FloatArray) -> _TaxelEvidence:
+    return asked.with_pokes(link_from_sensor=np.array([arm.link_from_sensor(row) for row in angles]))
 
 
-def _joints(asked: _Pokes, angles: FloatArray, arm: Arm | UrdfChain) -> _Hypotheses:
+def _joints(asked: _TaxelEvidence, angles: FloatArray, arm: Arm | UrdfChain) -> _Hypotheses:
     """Try exchanged columns of the joint stream, other units, and inverted joints."""
     names = [joint.name for joint in arm.moving] if isinstance(arm, UrdfChain) else [f"column {each}" for each in arm.joints]
     count = len(names)
@@ -464,7 +451,7 @@ def _joints(asked: _Pokes, angles: FloatArray, arm: Arm | UrdfChain) -> _Hypothe
         yield _prior(8 * count), Mistake(MistakeKind.JOINT_SIGN, 0.0, names=(name,)), _with_angles(asked, arm, signs * angles)
 
 
-def _robots(asked: _Pokes, angles: FloatArray, robot: RobotSpec, link: str) -> _Hypotheses:
+def _robots(asked: _TaxelEvidence, angles: FloatArray, robot: RobotSpec, link: str) -> _Hypotheses:
     """Try other angles of the fixed joints, and the other arm."""
     chain = robot.chain
     fixed = list(chain.fixed)
@@ -505,7 +492,7 @@ def other_side(name: str) -> str:
     return "" if other == name else other
 
 
-def _modules(asked: _Pokes, used: Sequence[Contact], layout: Layout, laid: PlacedLayout) -> _Hypotheses:
+def _modules(asked: _TaxelEvidence, used: Sequence[Contact], layout: Layout, laid: PlacedLayout) -> _Hypotheses:
     """Try to exchange two modules with the same taxels, both of them touched."""
     touched = {int(layout.module_of[each.strongest_channel]) for each in used}
     pairs = [
@@ -524,7 +511,7 @@ def _modules(asked: _Pokes, used: Sequence[Contact], layout: Layout, laid: Place
 
 
 def _layouts(
-    asked: _Pokes, used: Sequence[Contact], layout: Layout, anchor: Anchor | None, surface: Surface | None
+    asked: _TaxelEvidence, used: Sequence[Contact], layout: Layout, anchor: Anchor | None, surface: Surface | None
 ) -> _Hypotheses:
     """Try the layout mirrored, and turned by quarters, about its anchor."""
     if anchor is None:

@@ -17,13 +17,15 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, cross_matrix, crossed, mean_rows, orthonormal_pair
+from skincal.geometry import FloatArray, cross_matrix, mean_rows, orthonormal_pair
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
+from skincal.pokes import Pokes
 from skincal.taxels.noise import row_precision
 
 TIP_FRAME_MIN_POKES = 12
@@ -52,6 +54,35 @@ class TipState(Enum):
     USED = "used"
     WRONG_UNIT = "wrong unit"
     DISAGREES = "disagrees"
+
+
+@dataclass(frozen=True, eq=False)
+class TipPokes(Pokes):
+    """Pokes whose tip a robot or a tracker reports."""
+
+    tip: FloatArray
+    """(n, 3) float, metres, fixed frame."""
+
+    @staticmethod
+    def of_contacts(contacts: Sequence[Contact]) -> TipPokes:
+        """Collect contacts, which all have a tip position."""
+        pokes, tips = Pokes.collect(contacts), np.array([contact.tip for contact in contacts], dtype=np.float64)
+        return TipPokes(pokes.number, pokes.force, pokes.moment, pokes.link_from_sensor, pokes.pose, tips.reshape(-1, 3))
+
+    @cached_property
+    def pairs(self) -> FloatArray:
+        """(n, 2, 3) float: E."""
+        return orthonormal_pair(self.direction)
+
+    @cached_property
+    def offsets(self) -> FloatArray:
+        """(n, 2) float, metres: E (a - o), with o the sensor's origin."""
+        return (self.pairs @ (self.axis_point - self.sensor)[:, :, None])[:, :, 0]
+
+    @cached_property
+    def turned(self) -> FloatArray:
+        """(n, 2, 3) float: E L, rows for a shift in the sensor's frame."""
+        return self.pairs @ self.link_from_sensor[:, :3, :3]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,13 +115,11 @@ class TipFrame:
         """rad, rms over the axes of its rotation."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3.0))
 
-    def places(self, contacts: Sequence[Contact]) -> tuple[FloatArray, FloatArray]:
-        """Compute the tips of contacts, (n, 3), metres, link frame, and (n, 3, 6) their gradients by the six unknowns."""
-        poses = np.array([contact.link_from_sensor for contact in contacts])
-        tips = np.array([contact.tip for contact in contacts], dtype=np.float64)
-        there = tips @ self.rotation.T + self.shift
-        gradients = np.concatenate([-cross_matrix(there - self.centre), np.broadcast_to(np.eye(3), (len(tips), 3, 3))], axis=2)
-        return (poses[:, :3, :3] @ there[:, :, None])[:, :, 0] + poses[:, :3, 3], poses[:, :3, :3] @ gradients
+    def places(self, pokes: TipPokes) -> tuple[FloatArray, FloatArray]:
+        """Compute the tips of pokes, (n, 3), metres, link frame, and (n, 3, 6) their gradients by the six unknowns."""
+        turns, there = pokes.link_from_sensor[:, :3, :3], pokes.tip @ self.rotation.T + self.shift
+        gradients = np.concatenate([-cross_matrix(there - self.centre), np.broadcast_to(np.eye(3), (len(pokes), 3, 3))], axis=2)
+        return (turns @ there[:, :, None])[:, :, 0] + pokes.sensor, turns @ gradients
 
 
 def pokes_of_fit(count: int) -> int:
@@ -99,38 +128,6 @@ def pokes_of_fit(count: int) -> int:
     while used and int(used * REFIT_AT_POKE_COUNT_RATIO) <= count:
         used = int(used * REFIT_AT_POKE_COUNT_RATIO)
     return used
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TipAxes:
-    """Force axes of n contacts, link frame."""
-
-    tips: FloatArray
-    poses: FloatArray
-    pairs: FloatArray
-    """(n, 2, 3) float: E."""
-    offsets: FloatArray
-    """(n, 2) float, metres: E (a - o), with o the sensor's origin."""
-    turned: FloatArray
-    """(n, 2, 3) float: E L, rows for a shift in the sensor's frame."""
-    nearest: FloatArray
-    forces: FloatArray
-
-    @classmethod
-    def from_contacts(cls, contacts: Sequence[Contact]) -> TipAxes:
-        poses = np.array([contact.link_from_sensor for contact in contacts])
-        turns, origins = poses[:, :3, :3], poses[:, :3, 3]
-        forces, moments = (np.array([getattr(contact, name) for contact in contacts]) for name in ("force", "moment"))
-        size = np.linalg.norm(forces, axis=1)
-        push = (turns @ forces[:, :, None])[:, :, 0] / size[:, None]
-        moment = (turns @ moments[:, :, None])[:, :, 0] / size[:, None] + crossed(origins, push)
-        nearest, pairs = crossed(push, moment), orthonormal_pair(push)
-        offsets = (pairs @ (nearest - origins)[:, :, None])[:, :, 0]
-        tips = np.array([contact.tip for contact in contacts], dtype=np.float64)
-        return cls(tips, poses, pairs, offsets, pairs @ turns, nearest, size)
-
-    def select(self, rows: slice) -> TipAxes:
-        return TipAxes(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
 def fit_tip_frame(contacts: Sequence[Contact], noise: NoiseSettings) -> TipFrame:
@@ -144,20 +141,20 @@ def fit_tip_frame(contacts: Sequence[Contact], noise: NoiseSettings) -> TipFrame
     none = TipFrame(TipState.FEW_POKES, len(contacts), np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), np.inf)
     if len(contacts) < TIP_FRAME_MIN_POKES:
         return none
-    axes = TipAxes.from_contacts(contacts)
-    ratio = _spread(axes.nearest) / max(_spread(axes.tips), 1e-9)
+    pokes = TipPokes.of_contacts(contacts)
+    ratio = _spread(pokes.axis_point) / max(_spread(pokes.tip), 1e-9)
     if not 1.0 / WRONG_UNIT_IF_SPREAD_RATIO_ABOVE < ratio < WRONG_UNIT_IF_SPREAD_RATIO_ABOVE:
         return TipFrame(TipState.WRONG_UNIT, len(contacts), np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), np.inf, ratio)
-    turns, shifts = _start_poses(axes.select(slice(None, None, -(-len(contacts) // POKES_IN_FIRST_FRAME_GUESS_MAX))))
-    costs = [float(np.median(np.abs(_misses(axes, turn, shift)))) for turn, shift in zip(turns, shifts, strict=True)]
+    turns, shifts = _start_poses(pokes[:: -(-len(contacts) // POKES_IN_FIRST_FRAME_GUESS_MAX)])
+    costs = [float(np.median(np.abs(_misses(pokes, turn, shift)))) for turn, shift in zip(turns, shifts, strict=True)]
     best = int(np.argmin(costs))
-    fit = _Fit.at(axes, turns[best], shifts[best], TIP_SD_MAX_M**2, noise)
+    fit = _Fit.at(pokes, turns[best], shifts[best], TIP_SD_MAX_M**2, noise)
     for _ in range(FIT_STEPS):
-        fit = fit.next(axes, noise)
+        fit = fit.next(pokes, noise)
     state, sd = TipState.USED, float(np.sqrt(fit.variance))
     if sd > TIP_SD_MAX_M:
         state = TipState.DISAGREES
-    elif _across_sd(axes, fit.covariance) > TIP_FRAME_SHIFT_MAX_SD_M or _has_rival(axes, fit, turns, shifts):
+    elif _across_sd(pokes, fit.covariance) > TIP_FRAME_SHIFT_MAX_SD_M or _has_rival(pokes, fit, turns, shifts):
         state = TipState.AMBIGUOUS
     return TipFrame(state, len(contacts), fit.turn, fit.shift, fit.centre + fit.shift, fit.covariance, sd, ratio)
 
@@ -167,21 +164,21 @@ def _spread(points: FloatArray) -> float:
     return float(np.linalg.norm(points - mean_rows(points))) / len(points) ** 0.5
 
 
-def _misses(axes: TipAxes, turn: FloatArray, shift: FloatArray) -> FloatArray:
+def _misses(pokes: TipPokes, turn: FloatArray, shift: FloatArray) -> FloatArray:
     """Compute (n, 2) E (x - a), metres."""
-    there = axes.tips @ turn.T + shift
-    return (axes.turned @ there[:, :, None])[:, :, 0] - axes.offsets
+    there = pokes.tip @ turn.T + shift
+    return (pokes.turned @ there[:, :, None])[:, :, 0] - pokes.offsets
 
 
-def _start_poses(axes: TipAxes) -> tuple[FloatArray, FloatArray]:
+def _start_poses(pokes: TipPokes) -> tuple[FloatArray, FloatArray]:
     """Fit the frame from each of 24 rotations without weights: (24, 3, 3) and (24, 3), metres."""
     turns: FloatArray = np.array([made for made in _signed_permutations() if np.linalg.det(made) > 0])
     shifts = np.zeros((len(turns), 3))
-    rows = axes.turned.reshape(-1, 3)
+    rows = pokes.turned.reshape(-1, 3)
     for step in range(START_STEPS):
-        turned = axes.tips @ turns.transpose(0, 2, 1)
-        misses = np.einsum("nij,bnj->bni", axes.turned, turned + shifts[:, None]) - axes.offsets
-        slopes = axes.turned[None] @ -cross_matrix(turned - turned.mean(axis=1, keepdims=True))
+        turned = pokes.tip @ turns.transpose(0, 2, 1)
+        misses = np.einsum("nij,bnj->bni", pokes.turned, turned + shifts[:, None]) - pokes.offsets
+        slopes = pokes.turned[None] @ -cross_matrix(turned - turned.mean(axis=1, keepdims=True))
         for b in range(len(turns)):
             if step == 0:  # the place first: far off, a rotation would go astray
                 shifts[b] -= np.linalg.lstsq(rows, misses[b].ravel(), rcond=1e-9)[0]
@@ -220,45 +217,45 @@ class _Fit:
     """(6,) float: the Gauss-Newton step."""
 
     @classmethod
-    def at(cls, axes: TipAxes, turn: FloatArray, shift: FloatArray, variance: float, noise: NoiseSettings) -> _Fit:
-        count, turned = len(axes.tips), axes.tips @ turn.T
+    def at(cls, pokes: TipPokes, turn: FloatArray, shift: FloatArray, variance: float, noise: NoiseSettings) -> _Fit:
+        count, turned = len(pokes.tip), pokes.tip @ turn.T
         centre: FloatArray = turned.mean(axis=0)
-        lever = (axes.poses[:, :3, :3] @ (turned + shift)[:, :, None])[:, :, 0]
-        misses = _misses(axes, turn, shift)
-        precision = row_precision(axes.pairs, lever, axes.forces, np.full(count, variance), noise)
+        lever = (pokes.link_from_sensor[:, :3, :3] @ (turned + shift)[:, :, None])[:, :, 0]
+        misses = _misses(pokes, turn, shift)
+        precision = row_precision(pokes.pairs, lever, pokes.force_size, np.full(count, variance), noise)
         squares = np.einsum("ni,nij,nj->n", misses, precision, misses)
         trust = np.minimum(1.0, HUBER_THRESHOLD_SDS / np.sqrt(np.maximum(squares, 1e-12)))
-        slopes = np.concatenate([axes.turned @ -cross_matrix(turned - centre), axes.turned], axis=2)
+        slopes = np.concatenate([pokes.turned @ -cross_matrix(turned - centre), pokes.turned], axis=2)
         weights = precision * trust[:, None, None]
         information = np.einsum("nik,nij,njl->kl", slopes, weights, slopes)
         covariance = np.asarray(np.linalg.pinv(information, hermitian=True, rcond=1e-12), dtype=np.float64)
         move = -covariance @ np.einsum("nik,nij,nj->k", slopes, weights, misses)
-        sensor = np.linalg.inv(row_precision(axes.pairs, lever, axes.forces, np.zeros(count), noise))
+        sensor = np.linalg.inv(row_precision(pokes.pairs, lever, pokes.force_size, np.zeros(count), noise))
         freedom = (2.0 * count - 6.0) / (2.0 * count)
         seen = np.sum(misses**2, axis=1) / freedom - np.trace(sensor, axis1=1, axis2=2)
         variance = max(float(trust @ seen / trust.sum()) / 2.0, TIP_SD_MIN_M**2)
         return cls(turn, shift, variance, centre, weights, covariance, move)
 
-    def next(self, axes: TipAxes, noise: NoiseSettings) -> _Fit:
+    def next(self, pokes: TipPokes, noise: NoiseSettings) -> _Fit:
         """Give the equations after the Gauss-Newton step."""
-        return _Fit.at(axes, *_move_frame(self.turn, self.shift, self.centre, self.move), self.variance, noise)
+        return _Fit.at(pokes, *_move_frame(self.turn, self.shift, self.centre, self.move), self.variance, noise)
 
 
-def _across_sd(axes: TipAxes, covariance: FloatArray) -> float:
+def _across_sd(pokes: TipPokes, covariance: FloatArray) -> float:
     """Compute the sd, m, of the frame's position in its worst direction across the mean push."""
-    across = np.einsum("nij,nik->jk", axes.turned, axes.turned) / len(axes.tips)
+    across = np.einsum("nij,nik->jk", pokes.turned, pokes.turned) / len(pokes.tip)
     directions = np.linalg.eigh(across)[1][:, 1:]
     return float(np.sqrt(np.linalg.eigvalsh(directions.T @ covariance[3:, 3:] @ directions)[-1]))
 
 
-def _has_rival(axes: TipAxes, best: _Fit, turns: FloatArray, shifts: FloatArray) -> bool:
+def _has_rival(pokes: TipPokes, best: _Fit, turns: FloatArray, shifts: FloatArray) -> bool:
     """Whether one of the other poses, which differs from the best, fits about as well."""
 
     def chi2(turn: FloatArray, shift: FloatArray) -> float:
-        misses = _misses(axes, turn, shift)
+        misses = _misses(pokes, turn, shift)
         return float(np.einsum("ni,nij,nj->", misses, best.weights, misses))
 
-    least, centre = chi2(best.turn, best.shift), axes.tips.mean(axis=0)
+    least, centre = chi2(best.turn, best.shift), pokes.tip.mean(axis=0)
     for turn, shift in zip(turns, shifts, strict=True):
         angle = np.arccos(np.clip((np.trace(turn @ best.turn.T) - 1.0) / 2.0, -1.0, 1.0))
         apart = np.linalg.norm((turn - best.turn) @ centre + shift - best.shift)

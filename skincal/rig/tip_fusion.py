@@ -31,7 +31,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
-from skincal.rig.tip_frame import TipAxes, TipFrame
+from skincal.rig.tip_frame import TipFrame, TipPokes
 from skincal.solver.tables import NEIGHBOURS_SHARE_ONE_OFFSET_FROM
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import offset_square, row_precision
@@ -58,14 +58,15 @@ class TipFusion:
         some = [contact for contact in contacts if contact.tip is not None]
         if not some:
             return list(contacts)
-        axes, (places, gradients) = TipAxes.from_contacts(some), self._frame.places(some)
-        lever = places - axes.poses[:, :3, 3]
-        misses = (axes.pairs @ (places - axes.nearest)[:, :, None])[:, :, 0]
-        sensor = np.linalg.inv(row_precision(axes.pairs, lever, axes.forces, np.zeros(len(some)), self._noise))
-        slopes = axes.pairs @ gradients
+        pokes = TipPokes.of_contacts(some)
+        places, gradients = self._frame.places(pokes)
+        lever = places - pokes.sensor
+        misses = (pokes.pairs @ (places - pokes.axis_point)[:, :, None])[:, :, 0]
+        sensor = np.linalg.inv(row_precision(pokes.pairs, lever, pokes.force_size, np.zeros(len(some)), self._noise))
+        slopes = pokes.pairs @ gradients
         tip = self._frame.tip_sd**2 * np.eye(2) + slopes @ self._frame.covariance @ slopes.transpose(0, 2, 1)
         pulled = np.linalg.solve(sensor + tip, misses[:, :, None])
-        shifts = (axes.pairs.transpose(0, 2, 1) @ sensor @ pulled)[:, :, 0]
+        shifts = (pokes.pairs.transpose(0, 2, 1) @ sensor @ pulled)[:, :, 0]
         for row in np.flatnonzero(np.sum(misses * pulled[:, :, 0], axis=1) < CHI2_2DOF_QUANTILE_9999).tolist():
             contact = some[row]
             shift = contact.link_from_sensor[:3, :3].T @ shifts[row]

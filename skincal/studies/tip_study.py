@@ -19,7 +19,7 @@ from skincal.modules.pose import rotations
 from skincal.palette import BLACK, BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
 from skincal.rig.correction_fit import RigRequest, correct_rig
-from skincal.rig.tip_frame import TipState
+from skincal.rig.tip_frame import TipPokes, TipState
 from skincal.session.session import Session
 from skincal.simulation.contacts import add_tips, poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.example_parts import ExamplePart, forearm
@@ -101,7 +101,7 @@ def run_session(task: Task) -> dict[int, dict[str, dict[str, Any]]]:
         found[count] = {name: error_numbers(estimates, places) for name, estimates in own.items()}
         frame = snapshot.tip_frame
         if frame is not None and frame.state is TipState.USED:
-            tips, _ = frame.places(contacts[:done])
+            tips, _ = frame.places(TipPokes.of_contacts(contacts[:done]))
             found[count][MEAN_TIP] = _mean_tips(contacts[:done], tips, session.channels, places)
     return found
 

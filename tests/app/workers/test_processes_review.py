@@ -211,7 +211,7 @@ def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     # A landmark poke that is reported again.
     session.add(replace(session.outcome(1), end_s=9.0))
     client.follow_session(session.snapshot())
-    assert [len(request.rig.landmarks) for request in asked] == [1, 2, 2, 2, 2]
+    assert [len(request.landmarks) for request in asked] == [1, 2, 2, 2, 2]
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
     client.follow_session(session.snapshot())
     assert [RIG in request.used for request in asked] == [False] * 5 + [True]
@@ -232,16 +232,16 @@ def test_pokes_on_the_skin_are_sent_by_tens_and_one_that_is_taken_out_at_once(se
         assert len(asked) == 1, number
         session.add(on_skin(session, number))
         client.follow_session(session.snapshot())
-    assert [poke.poke for poke in asked[-1].rig.contacts] == list(range(11, 11 + SKIN_POKES_PER_RIG_REVIEW))
+    assert [poke.poke for poke in asked[-1].contacts] == list(range(11, 11 + SKIN_POKES_PER_RIG_REVIEW))
     session.add(replace(on_skin(session, 11), final=True))
     client.follow_session(session.snapshot())
     assert len(asked) == 2, "with the tare after it, it tells nearly the same"
     session.act(Exclude(12))
     client.follow_session(session.snapshot())
-    assert (len(asked), len(asked[-1].rig.contacts)) == (3, SKIN_POKES_PER_RIG_REVIEW - 1)
+    assert (len(asked), len(asked[-1].contacts)) == (3, SKIN_POKES_PER_RIG_REVIEW - 1)
     session.act(Undo())
     client.follow_session(session.snapshot())
-    assert (len(asked), len(asked[-1].rig.contacts)) == (4, SKIN_POKES_PER_RIG_REVIEW)
+    assert (len(asked), len(asked[-1].contacts)) == (4, SKIN_POKES_PER_RIG_REVIEW)
 
 
 def test_one_review_at_a_time_and_the_newest_next(session, client, processes, heard, monkeypatch):
@@ -255,7 +255,7 @@ def test_one_review_at_a_time_and_the_newest_next(session, client, processes, he
     done(None)
     (_, (newest, finish)) = waiting
     assert newest[0] == tickets[-1]
-    assert newest[-1].rig.landmarks.number.tolist() == [1, 2, 3]
+    assert newest[-1].landmarks.number.tolist() == [1, 2, 3]
     finish(None)
     assert len(waiting) == 2
     assert heard.reviews == []

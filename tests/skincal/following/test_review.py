@@ -8,7 +8,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.following import review
-from skincal.following.review import ReviewRequest, SentReview, review_rig, review_sent
+from skincal.following.review import ReviewRequest, review_packed, review_rig
 from skincal.methods import estimate_taxels
 from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Undo
 from skincal.model.errors import InputError
@@ -20,6 +20,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
+from skincal.taxels.contact_table import ContactTable
 from skincal.words.rig_words import frame_sentence
 from tests.approved import approved_pattern
 from tests.build import session_of
@@ -89,7 +90,7 @@ def assert_is_of(session, answer):
 
 def sent(session):
     """A request as it arrives in the other process."""
-    return pickle.loads(pickle.dumps(SentReview.pack(ReviewRequest.from_session(session))))
+    return pickle.loads(pickle.dumps(ReviewRequest.from_session(session).packed()))
 
 
 CHANGES = {
@@ -112,7 +113,7 @@ def test_a_review_is_what_the_session_itself_finds_here_and_in_another_process(s
     here = review_rig(ReviewRequest.from_session(session))
     assert here.used is session.decisions.corrections
     assert_is_of(session, here)
-    assert_is_of(session, pickle.loads(pickle.dumps(review_sent(sent(session), lambda: True))))
+    assert_is_of(session, pickle.loads(pickle.dumps(review_packed(sent(session), lambda: True))))
 
 
 def test_places_before_come_with_a_correction_in_use_and_those_after_without_one(session):
@@ -151,35 +152,49 @@ def test_too_few_landmark_pokes_offer_nothing(poked):
 def test_every_bit_of_a_contact_arrives(session):
     session.add(replace(session.outcome(3), poke=9000, pose="another", final=True))
     there = sent(session)
-    for one, other in zip(session.rig_request().contacts, there.contacts(), strict=True):
+    for one, other in zip(session.rig_request().contacts, there.contacts, strict=True):
         assert (one.poke, one.pose, one.start_s, one.end_s) == (other.poke, other.pose, other.start_s, other.end_s)
         for name in ("force", "moment", "channels", "responses", "link_from_sensor"):
             first, second = getattr(one, name), getattr(other, name)
             assert (first.dtype, first.tobytes()) == (second.dtype, second.tobytes())
-    empty = SentReview.pack(replace(there.request, rig=replace(there.request.rig, contacts=())))
-    assert empty.contacts() == []
-    assert isinstance(there.contacts()[0], Contact)
+    assert isinstance(there.contacts[-1], Contact)
+    empty = replace(there, contacts=()).packed()
+    assert list(pickle.loads(pickle.dumps(empty)).contacts) == []
 
 
-def test_a_mesh_that_changed_or_is_gone_is_said_and_a_part_without_one_needs_none(session, tmp_path, monkeypatch):
-    monkeypatch.setattr(review, "_loaded", {})
+def test_answers_at_the_end_of_the_range_are_known_in_the_other_process(poked):
+    """They were lost on the way: there each of two counted by its reading."""
+    rig, contacts, landmarks = poked
+    several = next(contact for contact in contacts if len(contact.channels) > 2)
+    clipped = [replace(each, clipped=each.channels[:2]) if each is several else each for each in contacts]
+    request = sent(session_of(clipped, rig.scene, rig.surface, landmarks))
+    found = {contact.poke: contact.clipped for contact in request.contacts}
+    assert found.pop(several.poke).tolist() == several.channels[:2].tolist()
+    assert set(found.values()) == {None}
+    there = ContactTable(request.contacts).evidence(several.channels.tolist())
+    assert np.array_equal(there.unranked, ContactTable(clipped).evidence(several.channels.tolist()).unranked)
+    assert there.unranked.sum() == 2
+
+
+def test_a_mesh_that_changed_or_is_gone_is_said_and_a_part_without_one_needs_none(session, tmp_path):
+    review._load_part.cache_clear()
     there = sent(session)
     for sha256 in ("0" * 64, None):
         with pytest.raises(InputError, match=approved_pattern("mesh.changed_after_opening")):
-            replace(there, mesh_sha256=sha256).loaded()
+            replace(there, mesh_sha256=sha256).load_part()
     scene, surface = scene_and_surface()
-    assert there.loaded()[0].sha256 == surface.sha256
-    assert sent(session).loaded() is there.loaded(), "read once"
-    plain = SentReview.pack(ReviewRequest.from_session(Session(small_scene(), None)))
-    assert plain.loaded()[0] is None
+    assert there.load_part()[0].sha256 == surface.sha256
+    assert sent(session).load_part() is there.load_part(), "read once"
+    plain = ReviewRequest.from_session(Session(small_scene(), None)).packed()
+    assert plain.load_part()[0] is None
     gone = replace(scene, surface=SurfaceSpec(tmp_path / "gone.ply", 1.0, np.eye(4)))
     with pytest.raises(InputError, match=r"gone\.ply"):
-        SentReview.pack(ReviewRequest.from_session(Session(gone, None))).loaded()
+        ReviewRequest.from_session(Session(gone, None)).packed().load_part()
 
 
 def test_work_gives_way_to_a_newer_request_unless_it_took_long(session, monkeypatch):
-    assert review_sent(sent(session), lambda: False) is None
+    assert review_packed(sent(session), lambda: False) is None
     steps = iter([True, True, False])
-    assert review_sent(sent(session), lambda: next(steps)) is None, "in the middle"
+    assert review_packed(sent(session), lambda: next(steps)) is None, "in the middle"
     monkeypatch.setattr(review, "FINISH_REVIEW_IF_RUNNING_FOR_S", 0.0)
-    assert_is_of(session, review_sent(sent(session), lambda: False))
+    assert_is_of(session, review_packed(sent(session), lambda: False))

@@ -10,7 +10,7 @@ from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide.believed_positions import PlannedPlaces
 from skincal.guide.candidates import answer_offsets, find_answering
 from skincal.guide.guide import Guide
-from skincal.guide.poke_history import PokeHistory, axis_of
+from skincal.guide.poke_history import PokeHistory, with_axis
 from skincal.guide.progress import GuideSettings, Need, Why
 from skincal.model.actions import Exclude, Restore
 from skincal.simulation.simulated_rig import tangents
@@ -95,10 +95,10 @@ def rejected(**changes):
 def test_an_axis_is_that_of_the_wrench_in_the_link_frame():
     bench = steady()
     bench.poke_taxel(10)
-    axis, (place, normal) = axis_of(bench.contacts[1]), bench.true(int(PLAN.channels[10]))
-    assert axis.distance_to(place) < 0.006
+    axis, (place, normal) = with_axis(bench.contacts[1]), bench.true(int(PLAN.channels[10]))
+    assert axis.miss(place) < 0.006
     assert axis.tilt(normal) < np.radians(5.0)
-    assert axis_of(rejected(force=None)) is axis_of(rejected(force=np.zeros(3))) is None
+    assert with_axis(rejected(force=None)) is with_axis(rejected(force=np.zeros(3))) is None
 
 
 def test_a_taxel_that_never_answers_is_given_up_after_three_pokes_at_it():

@@ -10,9 +10,9 @@ from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide.believed_positions import plan_without_positions
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
-from skincal.guide.poke_history import PokeAxis
 from skincal.guide.surface_search import MAX_UNPOKED_DISTANCE_M, SEARCH_PLACE_SPACING_M, SurfaceSearch, spread_over
 from skincal.mesh.search import nearest_points
+from skincal.pokes import Pokes
 from skincal.session.session import Session
 from skincal.simulation.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
 from skincal.taxels.result import Method
@@ -32,7 +32,11 @@ def test_the_search_goes_far_from_all_pokes_and_around_those_that_were_answered(
     search = SurfaceSearch(PART.surface)
 
     def poke(number, index, answered):
-        search.add_poke(number, PokeAxis(-search.normals[index], search.places[index]), answered=answered)
+        force = -8.0 * search.normals[index]
+        pushed = Pokes(
+            np.array([number]), force[None], np.cross(search.places[index], force)[None], np.eye(4)[None], np.array([""])
+        )
+        search.add_poke(pushed[0], answered=answered)
         search.count_only(range(number + 1))
         return search.next_place(search.places[index])
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from skincal.geometry import inverse_pose
 from skincal.model.actions import Exclude, Restore
-from skincal.rig.tip_frame import TipState, fit_tip_frame, pokes_of_fit
+from skincal.rig.tip_frame import TipPokes, TipState, fit_tip_frame, pokes_of_fit
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.session import Session
 from skincal.simulation.contacts import add_tips, simulate_contacts, unguided
@@ -165,7 +165,7 @@ def test_an_axis_between_two_equal_measurements_goes_half_way():
     contacts = contacts_with_tips(0.001)
     frame = replace(fit_tip_frame(contacts, NOISE), covariance=np.zeros((6, 6)))
     (contact, *_) = contacts
-    (place,), _ = frame.places([contact])
+    (place,), _ = frame.places(TipPokes.of_contacts([contact]))
     pushed = contact.link_from_sensor[:3, :3] @ contact.force
     sizes = []
     for sd in (1e-9, 0.001, 10.0):
