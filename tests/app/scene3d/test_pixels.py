@@ -1,6 +1,7 @@
-"""What software OpenGL must show on any processor: `check.py` runs this file under several sets of its instructions.
+"""What software OpenGL must show on any processor: `check.py` runs what is marked under several sets of its instructions.
 
-Mesa compiles its shaders for the processor it finds, or for what `GALLIUM_OVERRIDE_CPU_CAPS` says of it.
+Mesa compiles its shaders for the processor it finds, or for what `GALLIUM_OVERRIDE_CPU_CAPS` says of it. Every shader is in a
+marked test; the free method has balls at all depths, so the other methods, which have the same shaders, run once.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ from tests.app.scene3d_support import box, decided, estimate, guidance_to, laid,
 from tests.app.view3d_on_screen import KEPT, make_plotter, pixels, renderer_of, turn, view_of
 from tests.app.window_support import contrast
 
-pytestmark = pytest.mark.pixels
-
+METHODS = [
+    pytest.param(method, marks=pytest.mark.pixels) if method is Method.FREE else pytest.param(method) for method in Method
+]
 PLAN = layout()
 UP = np.array([0.0, 0.0, 1.0])
 LEANING = np.array([np.sin(0.2), 0.0, np.cos(0.2)])
@@ -93,7 +95,7 @@ def comparison() -> Comparison:
     return Comparison({"from": PLACES, "to": below}, np.stack([PLACES, below], axis=1))
 
 
-@pytest.mark.parametrize("method", list(Method))
+@pytest.mark.parametrize("method", METHODS)
 def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures, method):
     frame = replace(moment(method), guidance=guidance_to(asked_for()))
     shown = pictures.of(frame)
@@ -153,7 +155,7 @@ def spots(picture: np.ndarray, hue: np.ndarray, least: float) -> int:
 
 
 @pytest.mark.parametrize("canvas", list(Canvas))
-@pytest.mark.parametrize("method", list(Method))
+@pytest.mark.parametrize("method", METHODS)
 def test_as_many_balls_are_seen_as_taxels_face_the_camera_however_deep_they_lie(qtbot, method, canvas):
     view = view_of_ball(qtbot, canvas)
     out = around_the_ball()
@@ -186,6 +188,7 @@ def unit_of(ways: np.ndarray) -> np.ndarray:
     return ways / np.linalg.norm(ways, axis=-1, keepdims=True)
 
 
+@pytest.mark.pixels
 def test_what_is_brought_before_a_flat_part_seen_straight_from_afar_is_not_cut_off():
     with closing(Pictures(None)) as pictures:
         from app.scene3d.scene_renderer import FIRST_LEAN_DEG
@@ -208,7 +211,7 @@ def test_no_layer_asks_for_a_polygon_offset(pictures):
 
 
 @pytest.mark.parametrize("zoom", [1.0, 6.0], ids=["beside the part", "on the part"])
-@pytest.mark.parametrize("look", [DARK, LIGHT], ids=["dark", "light"])
+@pytest.mark.parametrize("look", [pytest.param(DARK, marks=pytest.mark.pixels), LIGHT], ids=["dark", "light"])
 def test_the_lines_of_axes_and_scale_are_seen(pictures, look, zoom):
     pictures.renderer.set_colours(look)
     camera = pictures.renderer.camera

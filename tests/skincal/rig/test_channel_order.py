@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from skincal.following.results import SessionResults
+from skincal.part.part import load_part
+from skincal.rig.setup_check import check_setup
 from skincal.session.replay import load
 from skincal.taxels.result import Method
 from skincal.words.setup_words import setup_sentences
-from tests.skincal.soldered_board import Board, errors, import_board, layout_text, poke
+from tests.skincal.soldered_board import Board, errors, import_board, layout_text, poke, write_rig
 
 BOARD = Board(rows=6, columns=8, pokes_each=2, pitch=0.012)
 ALL = np.arange(48)
@@ -31,13 +35,49 @@ def frames():
     return poke(BOARD)
 
 
+@pytest.fixture(scope="module")
+def right(frames, tmp_path_factory):
+    """The contacts of a board whose order is right, and its snapshot; its sentences are none."""
+    folder = tmp_path_factory.mktemp("right")
+    snapshot = import_board(folder, frames, frames.plain, layout=True)
+    return snapshot, sentences(folder)
+
+
 def sentences(folder):
     return setup_sentences(SessionResults(load(folder / "s")).setup)
 
 
+def brought_by(order, contacts):
+    """The contacts as a table has them whose column k is that of taxel `order[k]`."""
+    columns, made = np.argsort(order), []
+    for contact in contacts:
+        channels = columns[contact.channels]
+        rows = np.argsort(channels)
+        made.append(replace(contact, channels=channels[rows], responses=contact.responses[rows]))
+    return made
+
+
+def said_of(contacts, frames, folder, **layout):
+    """What is said of contacts under a layout."""
+    one = replace(frames, times=frames.times[:1], wrench=frames.wrench[:1])
+    scene, _ = write_rig(folder, one, frames.plain[:1], layout=True, **layout)
+    part = load_part(scene)
+    return setup_sentences(check_setup(contacts, part.scene, part.laid, part.surface))
+
+
 @pytest.mark.parametrize(("order", "what", "remedy"), ORDERS.values(), ids=ORDERS)
-def test_an_exchange_is_named_and_its_remedy_gives_right_positions(frames, tmp_path, order, what, remedy):
-    """Column k of the table has taxel `order[k]`; line k of the layout is that of taxel k until it is corrected."""
+def test_an_exchange_is_named_and_nothing_is_said_of_its_remedy(right, frames, tmp_path, order, what, remedy):
+    """Line k of the layout is that of taxel k until it is corrected."""
+    contacts = brought_by(order, right[0].contacts)
+    said = said_of(contacts, frames, tmp_path / "a")
+    assert len(said) == 1
+    assert what in said[0]
+    assert remedy in said[0]
+    assert said_of(contacts, frames, tmp_path / "b", file=layout_text(BOARD, order)) == ()
+
+
+def test_an_exchange_in_a_table_is_named_and_its_remedy_gives_right_positions(frames, tmp_path):
+    order, what, remedy = ORDERS["half columns"]
     import_board(tmp_path / "a", frames, frames.plain[:, order], layout=True)
     said = sentences(tmp_path / "a")
     assert len(said) == 1
@@ -49,20 +89,18 @@ def test_an_exchange_is_named_and_its_remedy_gives_right_positions(frames, tmp_p
         assert np.linalg.norm(each.position - BOARD.places[order[each.channel]]) < 0.0005
 
 
-def test_exchanged_halves_of_two_modules_are_their_first_channels(frames, tmp_path):
-    order = np.roll(ALL, 24)
-    import_board(tmp_path / "a", frames, frames.plain[:, order], layout=True, file=layout_text(BOARD, blocks=2))
-    assert any("first_channel" in each for each in sentences(tmp_path / "a"))
+def test_exchanged_halves_of_two_modules_are_their_first_channels(right, frames, tmp_path):
+    contacts = brought_by(np.roll(ALL, 24), right[0].contacts)
+    assert any("first_channel" in each for each in said_of(contacts, frames, tmp_path, file=layout_text(BOARD, blocks=2)))
 
 
-def test_no_change_is_advised_that_leaves_taxels_far_from_their_places(frames, tmp_path):
+def test_no_change_is_advised_that_leaves_taxels_far_from_their_places(right, frames, tmp_path):
     """No hypothesis explains an arbitrary order: nothing is advised."""
     order = np.random.default_rng(7).permutation(48)
-    import_board(tmp_path, frames, frames.plain[:, order], layout=True)
-    assert sentences(tmp_path) == ()
+    assert said_of(brought_by(order, right[0].contacts), frames, tmp_path) == ()
 
 
-def test_a_right_order_is_not_doubted(frames, tmp_path):
-    snapshot = import_board(tmp_path, frames, frames.plain, layout=True)
-    assert sentences(tmp_path) == ()
+def test_a_right_order_is_not_doubted(right):
+    snapshot, said = right
+    assert said == ()
     assert errors(snapshot, BOARD)[:, 0].mean() < 0.0008

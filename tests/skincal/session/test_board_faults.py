@@ -49,8 +49,9 @@ def drifting(frames, kind):
     return np.round(frames.rest + frames.answers + frames.noise + drift)
 
 
-@pytest.mark.parametrize("layout", [False, True])
-@pytest.mark.parametrize("kind", ["up", "fast", "down", "half", "settling"])
+@pytest.mark.parametrize(
+    ("kind", "layout"), [("up", True), ("fast", False), ("down", False), ("half", True), ("settling", False)]
+)
 def test_rest_values_that_drift_are_a_line_between_two_rests(frames, tmp_path, capsys, kind, layout):
     snapshot = import_board(tmp_path, frames, drifting(frames, kind), layout=layout)
     assert len(snapshot.contacts) == 50
@@ -124,8 +125,7 @@ def test_clear_answers_below_the_threshold_lead_to_a_threshold_that_counts_them(
     assert errors(snapshot, BOARD)[:, 0].mean() < EXPECTED_ERROR_M
 
 
-@pytest.mark.parametrize("layout", [False, True])
-@pytest.mark.parametrize("share", [0.25, 0.6])
+@pytest.mark.parametrize(("share", "layout"), [(0.25, True), (0.6, False)])
 def test_a_matrix_without_diodes_is_recognised_and_its_threshold_separates_the_ghosts(tmp_path, capsys, share, layout):
     board = Board(rows=5, columns=6, pokes_each=2)
     frames = poke(board)
@@ -210,8 +210,10 @@ def test_a_quiet_channel_of_a_coarse_board_that_nothing_presses_is_not_called_st
     assert not snapshot.dead
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize(("rows", "pitch", "reach", "top"), [(5, 0.008, 0.0055, 160.0), (6, 0.006, 0.004, 170.0)])
+@pytest.mark.parametrize(
+    ("rows", "pitch", "reach", "top", "seed"),
+    [(5, 0.008, 0.0055, 160.0, 1), (5, 0.008, 0.0055, 160.0, 2), (6, 0.006, 0.004, 170.0, 3)],
+)
 def test_the_expected_error_covers_answers_that_end_at_the_range_together(tmp_path, capsys, rows, pitch, reach, top, seed):
     """Pressed taxels would answer with up to 600 counts, and the board's converter ends at a tenth of that above rest."""
     board = Board(rows=rows, columns=rows, pitch=pitch, reach=reach, pokes_each=6)

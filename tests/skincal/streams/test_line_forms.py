@@ -13,6 +13,7 @@ import pytest
 from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import load_scene
 from skincal.session.pipeline import Pipeline
+from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.streams.decoders.delimited import HEX_AFTER_DECIMALS, MAY_BE_HEX, TextDecoder
 from skincal.streams.decoders.line_forms import LINE_FORMS, last_clean_line, nearest_form, read_line
 from skincal.streams.intake import LinkIntake
@@ -250,7 +251,16 @@ def wrench_line(row):
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_a_skin_of_each_form_is_placed(scene, name):
+def test_the_frames_of_a_poked_skin_are_read_in_each_form(name):
+    frames = readings()[1][::5]
+    decoder = LinkDecoder("auto", WIDTH, SKIN)
+    sent = ((FORMS[name](k, frame).encode(), k * 10**9 // RATE_HZ) for k, frame in enumerate(frames))
+    found = values(batch for raw, host_ns in sent for _, batch in decoder.feed(raw, host_ns))
+    assert_same(found, frames, name)
+
+
+@pytest.mark.parametrize("name", ["plain", "labels in any order", "decimal comma", "rows, title"])
+def test_a_skin_whose_frames_are_read_is_placed(scene, name):
     wrench, skin = readings()
     placed = place_taxels(scene, map(wrench_line, wrench), (FORMS[name](k, row) for k, row in enumerate(skin)))
     found = errors(placed)
