@@ -18,7 +18,7 @@ from skincal.taxels.result import Method
 from tests.skincal.poke_script import small_scene
 
 CHANNELS = 16
-RATE = 50.0
+RATE = 25.0
 POKE_S = 1.6
 """s from poke to poke."""
 START_S = 1_714_556_400
@@ -52,7 +52,7 @@ def poked_rows(rest: float = 200.0) -> Rows:
     rng = np.random.default_rng(8)
     order = [(channel, tilt) for tilt in TILTS for channel in range(CHANNELS)]
     times = np.arange(int((1.0 + POKE_S * len(order)) * RATE)) / RATE
-    noise = np.repeat([0.01, 0.0003], 3)
+    noise = np.repeat([0.005, 0.00015], 3)
     wrench = np.array([3, -2, 9, 0.1, -0.2, 0.05]) + rng.normal(0, noise, (len(times), 6))
     skin = rest + rng.normal(0, 0.7, (len(times), CHANNELS))
     for k, (channel, tilt) in enumerate(order):

@@ -148,7 +148,7 @@ def test_a_comment_between_names_and_rows_names_units_too(tmp_path):
 def test_units_in_names_are_stronger_than_comments_and_two_units_of_moments_are_refused(tmp_path):
     names = ("t_s", *(f"{axis} [{'N' if axis[0] == 'f' else 'Nm'}]" for axis in AXES))
     place(tmp_path, replace(W, names=names, before="# torque of the motor in Nmm\n"))
-    place(tmp_path, replace(W, before="# N = 2610 rows\n"))
+    place(tmp_path, replace(W, before=f"# N = {N} rows\n"))
     table = replace(IN_NMM, before="# torque in Nmm, limit in Nm\n")
     with pytest.raises(InputError, match=r"name nmm and nm, and the names of the columns no unit.*mx \[Nm\]"):
         place(tmp_path, table)
@@ -181,7 +181,7 @@ def labview(table, units=(), separator="\t", decimal=".", begin="12:00:00.123456
     more = {
         "": "", "Channels": str(k), "Samples": each(str(N)), "Date": each("2024/05/01"), "Time": each(begin),
         "Y_Unit_Label": separator.join(units), "X_Dimension": each("Time"), "X0": each("0.0000000000000000E+0"),
-        "Delta_X": each("0.020000"), "***End_of_Header***": "",
+        "Delta_X": each("0.040000"), "***End_of_Header***": "",
     }  # fmt: skip
     head = [f"{key}{separator}{value}" for part in (facts, more) for key, value in part.items()]
     text = "".join(f"{line}\n" for line in head)

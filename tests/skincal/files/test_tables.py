@@ -75,7 +75,7 @@ def plotjuggler(empty: str = "") -> Table:
 
 
 COUNTS = "Counts per Unit Force: 1000000.0\nTorque Units: N-m\nCounts per Unit Torque: 1000000.0\n"
-MAKER = f'Start Time: 5/1/24 9:40 AM\nRDT Sample Rate: 50\n"PLEASE NOTE: the rate, as it was read"\nForce Units: N\n{COUNTS}'
+MAKER = f'Start Time: 5/1/24 9:40 AM\nRDT Sample Rate: 25\n"PLEASE NOTE: the rate, as it was read"\nForce Units: N\n{COUNTS}'
 
 
 def maker_program(counts: bool = True) -> Table:
@@ -228,7 +228,7 @@ def test_one_table_holds_wrench_and_skin(tmp_path, empty):
         done = import_tables(place, place)
         assert done.losses == {"wrench": {}, "skin": {}}
         assert (done.accepted, np.nanmax(done.errors_mm) < MAX_ERROR_MM) == (POKES, True)
-        assert f"wrench: {rows} lines in 52.2 s, 50 a second." in done.findings
+        assert f"wrench: {rows} lines in 52.2 s, 25 a second." in done.findings
     said = f"wrench: {rows} rows of the table without its values: not counted as lost."
     assert said in done.findings
 
@@ -237,7 +237,7 @@ def test_one_table_of_other_columns_gives_the_family_of_the_scenes_number(tmp_pa
     n = len(ROWS.times)
     more = {
         "j0_deg": ["12.5"] * n, "temp1": ["31"] * n, "temp2": ["32"] * n, "state": ["idle"] * n, "battery": ["3.7"] * n,
-        "loop count": [str(k) for k in range(n)], "millis": [str(20 * k) for k in range(n)],
+        "loop count": [str(k) for k in range(n)], "millis": [str(40 * k) for k in range(n)],
     }  # fmt: skip
     place = one_table(("t_s", *AXES, *TAXEL_NAMES, *more), tuple(more.values())).write(tmp_path / "all.csv")
     done = import_tables(place, place)
@@ -380,7 +380,7 @@ def test_a_number_that_is_missing_at_an_end_is_asked_for(tmp_path, keep, missing
 
 
 def test_a_column_more_in_a_table_without_names_is_no_taxel(tmp_path):
-    clock = [str(20 * k) for k in range(len(ROWS.times))]
+    clock = [str(40 * k) for k in range(len(ROWS.times))]
     skin = Table((), [S.columns[0], clock, *S.columns[1:]])
     wrench = W.write(tmp_path / "w.csv")
     with pytest.raises(InputError, match=r"17 columns after the time.* 16 channels. Column 2 only rises, as a clock"):
