@@ -9,6 +9,7 @@ from skincal.interface.scene import Scene
 from skincal.interface.session import Session, simulate
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
+from skincal.words.units import millimetres
 
 SIMULATED_POKE_COUNT = 168
 """Two for each taxel of the paper's forearm: every taxel gets an estimate, in about half a minute of computing."""
@@ -38,7 +39,7 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
         _say(finding)
     for name in scene.methods:
         if session.truth is not None and (error := session.taxels(name).compare(session.truth)).worst_channel is not None:
-            words = f"{error.mean * 1e3:.1f} mm mean error, {error.worst * 1e3:.1f} mm largest"
+            words = f"{millimetres(error.mean)} mean error, {millimetres(error.worst)} largest"
             _say(f"{name}: {len(error.channel)} taxels, {words}")
     _say(f"calibration file: {positions}")
     _say(f"picture: {_draw(session, method, out / 'picture.png')}")

@@ -8,7 +8,6 @@ from PySide6.QtWidgets import QComboBox, QDialogButtonBox, QFormLayout, QListWid
 
 from app.dialogs.dialog import Dialog
 from app.panels.widgets import secondary_label
-from app.text.outcomes import METHOD_NAMES
 from skincal.taxels.result import Method
 
 DIALOG_MIN_WIDTH_PX = 560
@@ -23,7 +22,7 @@ class TaskDialog(Dialog):
         self.setMinimumWidth(DIALOG_MIN_WIDTH_PX)
         self.method = QComboBox()
         for method in methods:
-            self.method.addItem(METHOD_NAMES[method], method)
+            self.method.addItem(method.value, method)
         self.method.setCurrentIndex(self.method.findData(shown))
         self.form = QFormLayout()
         self.outcome = secondary_label(wrap=True)

@@ -35,7 +35,14 @@ from app.panels.widgets import (
 from app.scene3d.scene_state import DARK, LIGHT, Comparison
 from app.state.position_sets import LAYOUT_SET, default_pair, in_order, method_label, position_sets, unique_name
 from app.state.view_state import ViewState
-from app.text.compare_text import (
+from app.theme import WIDGET_GAP_PX
+from skincal.files.reference import Origin
+from skincal.geometry import FloatArray
+from skincal.model.skin import Layout
+from skincal.modules.health import PlannedNeighbours, neighbours_of
+from skincal.part.robot_places import robot_places
+from skincal.taxels.differences import ModuleDifference, repeatability, worst_rows
+from skincal.words.compare_words import (
     ARROW_SCALES,
     MODULE_HEADINGS,
     MODULE_HINTS,
@@ -50,13 +57,6 @@ from app.text.compare_text import (
     saved_words,
     spacing_words,
 )
-from app.theme import WIDGET_GAP_PX
-from skincal.files.reference import Origin
-from skincal.geometry import FloatArray
-from skincal.model.skin import Layout
-from skincal.modules.health import PlannedNeighbours, neighbours_of
-from skincal.part.robot_places import robot_places
-from skincal.taxels.differences import ModuleDifference, repeatability, worst_rows
 from skincal.words.units import TIMES, millimetres
 
 if TYPE_CHECKING:

@@ -19,7 +19,6 @@ from app.panels.plot import StillPlot
 from app.panels.widgets import compact_combo, escape_tooltip, rich_label, secondary_label, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import STATISTICS, SYMBOLS, Axis, axis_words, newest_words, quantity_words, source_words
-from app.text.outcomes import METHOD_NAMES
 from app.theme import WIDGET_GAP_PX
 from skincal.following.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.geometry import FloatArray, IntArray
@@ -232,7 +231,7 @@ class ErrorsPanel(Panel):
             # A narrow panel breaks the line between two figures, not between a name and its number.
             figures = escape(newest_words(series, method, row)).split("   ")
             words = "&nbsp;&nbsp; ".join(figure.replace(" ", "&nbsp;") for figure in figures)
-            label.setText(f"{mark} <b>{METHOD_NAMES[method]}</b>&nbsp;&nbsp;{words}")
+            label.setText(f"{mark} <b>{method.value}</b>&nbsp;&nbsp;{words}")
         self.plot.draw(series, self.axis, row, quantity_words(self.course.source))
 
     def recolour(self) -> None:

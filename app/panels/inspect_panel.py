@@ -21,7 +21,7 @@ from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
 from app.text.errors_text import MARK_POKES_WITH_TRUST_BELOW, MIN_TRUST_SHOWN_AS_FULL, TaxelPoke, rival_words, taxel_pokes
 from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, needs_words
-from app.text.outcomes import MARK_WORDS, METHOD_NAMES, find_estimate
+from app.text.outcomes import MARK_WORDS, find_estimate
 from app.theme import WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray
 from skincal.guide.progress import AxisDiversity
@@ -231,7 +231,7 @@ class InspectPanel(Panel):
         grid.setHorizontalSpacing(2 * WIDGET_GAP_PX)
         grid.setVerticalSpacing(2)
         for column, method in enumerate(self._methods, start=1):
-            grid.addWidget(secondary_label(METHOD_NAMES[method]), 0, column)
+            grid.addWidget(secondary_label(method.value), 0, column)
             grid.setColumnStretch(column, 1)
             for row, label in enumerate(self.cells[method], start=1):
                 grid.addWidget(label, row, column, Qt.AlignmentFlag.AlignTop)
@@ -285,7 +285,7 @@ class InspectPanel(Panel):
         self.use.setEnabled(True)
 
     def _list_pokes(self, pokes: tuple[TaxelPoke, ...], method: Method) -> None:
-        self.pokes_title.setText(f"Its pokes by the {METHOD_NAMES[method]} method, newest first")
+        self.pokes_title.setText(f"Its pokes by the {method.value} method, newest first")
         for widget in (self.pokes_title, self.pokes):
             widget.setVisible(bool(pokes))
         put_rows(self.pokes, [poke_cells(poke) for poke in pokes])

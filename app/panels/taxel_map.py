@@ -47,7 +47,7 @@ from app.scene3d.scene_state import StaticScene
 from app.state.policies import GOOD_RMS, Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
-from app.text.outcomes import MARK_WORDS, METHOD_NAMES, error_words, summary_words
+from app.text.outcomes import MARK_WORDS, error_words, summary_words
 from app.text_size import scaled
 from app.theme import MODULE_HUES, WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
@@ -56,7 +56,7 @@ from skincal.model.scene import Scene
 from skincal.model.skin import Layout
 from skincal.taxels.result import Method, State
 from skincal.words.poke_words import poke_count_words
-from skincal.words.units import ChannelNames, number
+from skincal.words.units import ChannelNames, millimetres, number
 
 MIN_HEIGHT_OVER_WIDTH_TO_TURN_MAP = 1.25
 """Without a laid skin, a map that is this many times higher than wide is turned by a quarter."""
@@ -90,7 +90,7 @@ ZOOM_KEYS: dict[int, float] = {
     Qt.Key.Key_Minus: 1 / ZOOM_FACTOR_PER_STEP,
     Qt.Key.Key_0: 0.0,
 }
-GOOD_MM = f"{GOOD_RMS * 1e3:.0f} mm"
+GOOD_MM = millimetres(GOOD_RMS, 0)
 LEGEND_WORDS: dict[Mark, tuple[str, str]] = {
     Mark.UNSEEN: ("\N{WHITE CIRCLE}", State.UNSEEN.value),
     Mark.BLIND: ("\N{CIRCLE WITH UPPER RIGHT QUADRANT BLACK}", State.BLIND.value),
@@ -520,7 +520,7 @@ class MapCard(QFrame):
         self.progress, self.errors, self.methods = FittedLabel(), secondary_label(wrap=True), QComboBox()
         self.pokes = ElidedLabel("muted")
         for method in methods:
-            self.methods.addItem(METHOD_NAMES[method].capitalize() + " method", method)
+            self.methods.addItem(method.value.capitalize() + " method", method)
         self.methods.setVisible(len(methods) > 1)
         self.methods.setToolTip("Method whose estimates are shown and whose needs the guide follows (V)")
         self.methods.setAccessibleName("method")

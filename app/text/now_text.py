@@ -24,7 +24,6 @@ from app.text.guidance_text import (
     why_words,
 )
 from app.text.outcomes import (
-    METHOD_NAMES,
     accepted_words,
     landed_words,
     link_detail,
@@ -167,7 +166,7 @@ def _costs(at: ViewState) -> Said | None:
     known = [(method, pokes) for method, pokes in at.costs.items() if pokes]
     if len(known) < 2 or at.snapshot.contacts:
         return None
-    each = ", ".join(f"{round_pokes(pokes)} ({METHOD_NAMES[method]})" for method, pokes in known)
+    each = ", ".join(f"{round_pokes(pokes)} ({method.value})" for method, pokes in known)
     return Said(Tone.CALM, f"Pokes needed: about {each}. V switches the method")
 
 

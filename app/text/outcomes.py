@@ -24,8 +24,6 @@ from skincal.words.poke_words import REASON_WORDS, rejection_advice, rejection_w
 from skincal.words.taxel_words import NOT_KNOWN_YET, predicted_words, state_count_words, state_sentence, taxel_error_words
 from skincal.words.units import ChannelNames, age, count, millimetres, newtons, rate
 
-METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface", Method.MODULES: "modules"}
-
 MARK_WORDS: Mapping[Mark, str] = {
     Mark.UNSEEN: State.UNSEEN.value,
     Mark.BLIND: State.BLIND.value,

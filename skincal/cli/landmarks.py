@@ -273,6 +273,7 @@ def _append(folder: Path, actions: Iterable[Action]) -> None:
 def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark | AtLandmark]) -> list[str]:
     from skincal.model.actions import AddLandmark
     from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS
+    from skincal.words.units import millimetres
 
     pokes = session.landmark_pokes
     misses: dict[int, float] = dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True))
@@ -281,7 +282,7 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
         if isinstance(action, AddLandmark):
             lines.append(f"wrote landmark {action.name}")
         else:
-            passed = f", which its axis passes at {misses[action.poke] * 1e3:.1f} mm" if action.poke in misses else ""
+            passed = f", which its axis passes at {millimetres(misses[action.poke])}" if action.poke in misses else ""
             lines.append(f"wrote poke {action.poke} at {action.name or 'no landmark'}{passed}")
     nothing = ["nothing new, nothing was written"] if session.decisions.landmarks else [_landmark_line(session)]
     points = max(MIN_LANDMARKS - len(set(pokes.name.tolist())), 0)
@@ -372,10 +373,12 @@ def _near_json(near: NearestLandmark | None) -> dict[str, Any] | None:
 
 
 def _near_words(near: NearestLandmark | None) -> str:
+    from skincal.words.units import millimetres
+
     if near is None:
         return "it pushes at no landmark"
-    beside = "" if near.other == float("inf") else f", the next at {near.other * 1e3:.0f} mm"
-    return f"its axis passes {near.name} at {near.miss * 1e3:.0f} mm{beside}"
+    beside = "" if near.other == float("inf") else f", the next at {millimetres(near.other, 0)}"
+    return f"its axis passes {near.name} at {millimetres(near.miss, 0)}{beside}"
 
 
 def _landmark_line(session: Session) -> str:

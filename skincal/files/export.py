@@ -47,6 +47,7 @@ from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import STATE_WORDS, state_count_words, state_lines, state_sentence
+from skincal.words.units import millimetres
 
 PART_BOX_MARGIN_M = 0.020
 """m. Taxels are on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
@@ -120,8 +121,8 @@ def _faults_against(taxels: PlacedTaxels, reference: ExpectedSurface, outward: F
     beyond = np.maximum(low - taxels.positions, taxels.positions - high).max(axis=1)
     yield (
         taxels.channels[beyond > 0],
-        f"more than {PART_BOX_MARGIN_M * 1e3:.0f} mm outside the box of {reference.what}, by up to "
-        f"{beyond.max(initial=0.0) * 1e3:.0f} mm more: channels {{}}; check units, frame and arm pose.",
+        f"more than {millimetres(PART_BOX_MARGIN_M, 0)} outside the box of {reference.what}, by up to "
+        f"{millimetres(beyond.max(initial=0.0), 0)} more: channels {{}}; check units, frame and arm pose.",
     )
     if outward is not None:
         inward = taxels.channels[np.sum(taxels.normals * outward, axis=1) < 0]

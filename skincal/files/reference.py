@@ -18,6 +18,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import MAX_JSON_BYTES, parse_json, read_regular
 from skincal.taxels.differences import CommonMotion, ModuleDifference, repeatability
 from skincal.taxels.result import Estimate, Method
+from skincal.words.units import millimetres
 
 TRUTH_NAME = "truth.json"
 """A simulated session has one next to its segments."""
@@ -140,7 +141,7 @@ class Comparison:
 
     def __repr__(self) -> str:
         """Mean and largest distance in a line."""
-        return f"Comparison({len(self.channel)} taxels: {self.mean * 1e3:.2f} mm mean, {self.worst * 1e3:.2f} mm at most)"
+        return f"Comparison({len(self.channel)} taxels: {millimetres(self.mean, 2)} mean, {millimetres(self.worst, 2)} at most)"
 
 
 def compare_sets(first: TaxelPositions, second: TaxelPositions) -> Comparison:

@@ -20,6 +20,7 @@ from skincal.part.layout_placing import anchor_at
 from skincal.part.mesh_units import unit_without_option
 from skincal.part.part_draft import AnchorDraft, PartDraft, save_draft
 from skincal.part.robot_mesh import with_own_mesh
+from skincal.words.units import millimetres
 
 PROPOSED_POINT = "position of the layout: the middle of the largest face away from the sensor; move it"
 UNKNOWN_SIGN = "the URDF does not say; -1 if the sensor reports the reaction force"
@@ -84,7 +85,7 @@ def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:
     if gap > ANCHOR_TO_SURFACE_MAX_M:
         most = ANCHOR_TO_SURFACE_MAX_M * 1e3
         raise InputError(
-            f"--anchor-mm is {gap * 1e3:.1f} mm from the mesh; at most {most:.0f} mm was expected: check point, frame and "
+            f"--anchor-mm is {millimetres(gap)} from the mesh; at most {most:.0f} mm was expected: check point, frame and "
             "the mesh's unit."
         )
     return AnchorDraft.from_anchor(anchor)

@@ -7,6 +7,7 @@ import numpy as np
 from skincal.geometry import FloatArray, tangent_axes
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
+from skincal.words.units import millimetres
 
 FLANGE_POINTS_MIN_TRIANGLE_HEIGHT_M = 0.002
 """m. Height of the triangle of the three points: flatter ones give no plane."""
@@ -32,7 +33,7 @@ def pose_on_flange(points: FloatArray, part_centre: FloatArray) -> FloatArray:
     height = float(np.linalg.norm(normal)) / max(longest, 1e-12)
     if height < FLANGE_POINTS_MIN_TRIANGLE_HEIGHT_M:
         raise InputError(
-            f"The three points are within {height * 1e3:.1f} mm of a line; pick them far apart around the rim of the flange."
+            f"The three points are within {millimetres(height)} of a line; pick them far apart around the rim of the flange."
         )
     area = float(normal @ normal)
     centre = a + (np.cross(normal, u) * float(v @ v) + np.cross(v, normal) * float(u @ u)) / (2.0 * area)

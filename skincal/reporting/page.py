@@ -32,6 +32,7 @@ from skincal.words.poke_words import REASON_WORDS, poke_count_words
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 from skincal.words.setup_words import setup_sentences
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words, unchecked_sentence
+from skincal.words.units import millimetres
 from skincal.words.verdict_words import agreement_words, check_words, closing_words, figures, left_words, verdict_sentence
 
 DASH = "\N{EN DASH}"
@@ -422,7 +423,7 @@ def _picture(data: bytes, kind: str, words: str) -> ReportPicture:
 
 
 def _mm_text(metres: float) -> str:
-    return f"{metres * 1e3:.2f} mm"
+    return millimetres(metres, 2)
 
 
 def _mm_cell(metres: float | None) -> str:

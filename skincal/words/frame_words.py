@@ -10,6 +10,7 @@ from skincal.contacts.outcome import Contact
 from skincal.model.errors import plural
 from skincal.model.wrench_frames import FrameKind, WrenchFrame
 from skincal.rig.setup_check import distances_from_sensor, is_point_doubted
+from skincal.words.units import millimetres
 
 TCP_FRAME = "tool0_controller"
 """Frame of Universal Robots' driver: the tool centre point that is set at the robot. No URDF has it."""
@@ -85,8 +86,8 @@ def _rigid_sentence(frame: WrenchFrame, contacts: Sequence[Contact]) -> str:
     if is_point_doubted(contacts, frame):
         far, near = distances_from_sensor(contacts, frame)
         doubt = (
-            f"by the rule the pokes pass the sensor at {far * 1e3:.0f} mm (median), with moments about the sensor at "
-            f"{near * 1e3:.0f} mm. If that is right"
+            f"by the rule the pokes pass the sensor at {millimetres(far, 0)} (median), with moments about the sensor at "
+            f"{millimetres(near, 0)}. If that is right"
         )
         other = f'If they are about {frame.name}, write about = "{frame.name}"; a layout or landmarks show which. '
     return (

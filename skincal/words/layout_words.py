@@ -10,6 +10,7 @@ import numpy as np
 from skincal.model.errors import plural
 from skincal.model.skin import KINDS, Layout, SkinKind
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
+from skincal.words.units import millimetres
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
@@ -58,7 +59,7 @@ def misfit_sentence(misfit: MisplacedModule) -> str:
         MisplacementKind.TURNED: f"is turned: change its angle_deg in the layout by {turn} degrees",
         MisplacementKind.SWAPPED: f"is at the position of module {misfit.other}: give that module its first_channel",
     }[misfit.kind]
-    off = f"{misfit.after * 1e3:.0f} mm from the layout instead of {misfit.before * 1e3:.0f} mm"
+    off = f"{millimetres(misfit.after, 0)} from the layout instead of {millimetres(misfit.before, 0)}"
     return f"Module {misfit.module} {what}. With this corrected, its taxels are {off}."
 
 
@@ -76,7 +77,9 @@ def left_sentences(mend: LayoutRepair) -> list[str]:
 def _left_sentence(left: Unrepaired) -> str:
     numbers = left.modules
     if left.kind is UnrepairedKind.STILL_OFF:
-        return f"Module {numbers[0]} is still {left.off * 1e3:.0f} mm from its planned position. Press the modules around it."
+        return (
+            f"Module {numbers[0]} is still {millimetres(left.off, 0)} from its planned position. Press the modules around it."
+        )
     if left.kind is UnrepairedKind.NO_RING:
         start, other = numbers
         return (
@@ -116,9 +119,9 @@ def distance_sentences(tried: Sequence[TriedDistance]) -> list[str]:
     said = [f"{sum(each.used for each in tried)} of {plural(len(tried), 'known distance')} between modules used."]
     for each in (each for each in tried if not each.used):
         kind, (one, other) = "taxels" if each.distance.of_taxels else "modules", each.distance.ends
-        found, told = "", f"{each.distance.length * 1e3:.1f} mm"
+        found, told = "", millimetres(each.distance.length)
         if each.found is not None and each.sd is not None:
-            found = f" (pokes give {each.found * 1e3:.1f} mm, expected within {2e3 * each.sd:.1f} mm)"
+            found = f" (pokes give {millimetres(each.found)}, expected within {2e3 * each.sd:.1f} mm)"
         said.append(
             f"The distance between {kind} {one} and {other}, {told}, is not used: {DISTANCE_USE_WORDS[each.use.name]}{found}."
         )

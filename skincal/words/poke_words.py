@@ -12,7 +12,7 @@ from skincal.model.errors import plural
 from skincal.model.readings import LinkHealth, Loss, Stream
 from skincal.model.scene import ContactSettings
 from skincal.words.link_words import link_name
-from skincal.words.units import count, grouped, number, quantity
+from skincal.words.units import count, grouped, millimetres, number, quantity
 
 REASON_WORDS: Mapping[Reason, str] = {
     Reason.TOO_SOFT: "too soft",
@@ -149,7 +149,7 @@ def missed_words(missed: MissedLandmark) -> str:
     """Format the distance of a poke from the requested landmark: `"52 mm beside wrist, top (limit 34 mm)"`."""
     if missed.behind:
         return f"not on the side of {missed.name}"
-    return f"{missed.miss * 1e3:.0f} mm from {missed.name} (limit {missed.limit * 1e3:.0f} mm)"
+    return f"{millimetres(missed.miss, 0)} from {missed.name} (limit {millimetres(missed.limit, 0)})"
 
 
 def too_short_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:

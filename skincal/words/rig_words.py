@@ -25,7 +25,7 @@ MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
 
 def closing_sentence(closing: Closing) -> str:
     """Say whether anything moved between the first pokes of a session and their repetition at its end."""
-    moved, limit = f"{closing.shift * 1e3:.1f} mm", f"{closing.limit * 1e3:.1f} mm"
+    moved, limit = millimetres(closing.shift), millimetres(closing.limit)
     across = "" if closing.observable_directions == 3 else ", measured only across the direction of the press"
     where = f"{len(closing.names)} {closing.at.value} pressed again{across}"
     what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
@@ -45,7 +45,7 @@ def closing_sentence(closing: Closing) -> str:
 
 def earlier_closings(closings: Sequence[Closing]) -> list[str]:
     """Summarise the final checks before the last one in a sentence; empty if there was only one."""
-    found = [f"{each.shift * 1e3:.1f} mm after poke {each.after}{_judged(each)}" for each in closings[:-1]]
+    found = [f"{millimetres(each.shift)} after poke {each.after}{_judged(each)}" for each in closings[:-1]]
     return [f"Earlier checks: {', '.join(found)}."] if found else []
 
 
@@ -57,7 +57,7 @@ def _judged(closing: Closing) -> str:
 
 def correction_words(used: UsedCorrection) -> str:
     """Describe a correction, with the error before and after; without a full stop, since files use it in comments."""
-    after, before = f"{used.after * 1e3:.1f} mm", f"{used.before * 1e3:.1f} mm"
+    after, before = millimetres(used.after), millimetres(used.before)
     if used.of == FRAME:
         return f"the sensor frame is corrected from {used.pokes} landmark pokes: their error falls from {before} to {after}"
     errors = f"the error at landmarks left out of the fit falls from {before} to {after}"
@@ -82,7 +82,7 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
         wanted = millimetres(answer.before * sqrt(MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT))
         first = f"Sensor and arm are not corrected: {errors}; below {wanted} a correction would be offered."
     doubted = [
-        f"Landmark poke {poke} is {answer.distances[poke] * 1e3:.0f} mm from its landmark and "
+        f"Landmark poke {poke} is {millimetres(answer.distances[poke], 0)} from its landmark and "
         + ("does not count: was it another point?" if trust <= 0 else f"counts {trust:.0%}.")
         for poke, trust in answer.trust.items()
         if trust < REPORT_LANDMARK_POKES_WITH_TRUST_BELOW
@@ -92,7 +92,7 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
 
 def frame_sentence(found: FrameDiagnosis) -> str:
     """Say whether the sensor frame is right, with the error at landmarks as reported and as corrected."""
-    reported = f"{found.miss * 1e3:.0f} mm"
+    reported = millimetres(found.miss, 0)
     if found.wrench_frame and not found.right:
         return (
             f"The landmark pokes miss their landmarks by {reported}. First settle the wrench's frame, {found.wrench_frame}: "
@@ -105,9 +105,9 @@ def frame_sentence(found: FrameDiagnosis) -> str:
         )
     slip = "."
     if found.slip is not None:
-        off = f"{found.slip.miss * 1e3:.0f} mm"
+        off = millimetres(found.slip.miss, 0)
         slip = f", but poke {found.slip.poke} misses {found.slip.name} by {off}: was it another point?"
-    passes = f"{found.corrected_miss * 1e3:.0f} mm{slip}"
+    passes = f"{millimetres(found.corrected_miss, 0)}{slip}"
     if found.right:
         # A right frame with a large error reads like a contradiction.
         whose = (

@@ -9,6 +9,7 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.rig.setup_check import Mistake, MistakeKind, SetupDiagnosis
 from skincal.words.rig_words import axes_words, moment_unit_words
+from skincal.words.units import millimetres
 
 CORRECT_SENSOR = (
     "correct the sensor's pose in the scene or its origin in the URDF, or press three landmarks and use the correction that is "
@@ -23,7 +24,7 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
     first, *others = found.mistakes
     if first.kind is MistakeKind.WRENCH_FRAME:
         return (
-            f"{found.pokes} pokes miss the taxels that answer by {first.miss * 1e3:.0f} mm (median), and it is not known in "
+            f"{found.pokes} pokes miss the taxels that answer by {millimetres(first.miss, 0)} (median), and it is not known in "
             f"which frame the wrench is: its messages name {first.names[0]}. Settle that first, then other mistakes are looked "
             "for.",
         )
@@ -31,8 +32,8 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
     misses = (
         ""
         if _is_reaction(first)
-        else f" {found.pokes} pokes miss the taxels that answer by {found.miss * 1e3:.0f} mm (median), and with this change "
-        f"by {first.miss * 1e3:.0f} mm."
+        else f" {found.pokes} pokes miss the taxels that answer by {millimetres(found.miss, 0)} (median), and with this change "
+        f"by {millimetres(first.miss, 0)}."
     )
     return (
         f"The scene does not fit the pokes: {what}. To mend it, {remedy}.{misses}",

@@ -60,18 +60,18 @@ def state_sentence(reason: StateReason | None) -> str:
     if reason is None:
         return ""
     size = reason.size
-    coarse = "" if size is None else f"{size * 1e3:.0f} mm" if size < 1.0 else "over 1 m"
+    coarse = "" if size is None else millimetres(size, 0) if size < 1.0 else "over 1 m"
     return STATE_SENTENCES[reason.cause].format(
         count=reason.count,
         mm=0.0 if size is None else size * 1e3,
         degrees=max(float(np.degrees(reason.angle)), 0.1),
         depth="is unknown" if size is None else f"is only known to {coarse}",
-        tell="do not determine its pose" if size is None else f"determine its pose only to {POSITION_MAX_SD_M * 1e3:.0f} mm",
+        tell="do not determine its pose" if size is None else f"determine its pose only to {millimetres(POSITION_MAX_SD_M, 0)}",
         left_out=f"; {reason.blind} undetermined poses are left out" if reason.blind else "",
         inner=state_sentence(reason.inner),
         text=reason.text,
-        miss_max=f"{FORCE_AXIS_MAX_MISS_M * 1e3:.0f} mm",
-        sd_max=f"{POSITION_MAX_SD_M * 1e3:.0f} mm",
+        miss_max=millimetres(FORCE_AXIS_MAX_MISS_M, 0),
+        sd_max=millimetres(POSITION_MAX_SD_M, 0),
     )
 
 
@@ -125,14 +125,14 @@ def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
     """
     if np.isnan(found.mean):
         return NOT_KNOWN_YET
-    words = f"{found.mean * 1e3:.1f} mm mean, {found.worst * 1e3:.1f} mm worst"
+    words = f"{millimetres(found.mean)} mean, {millimetres(found.worst)} worst"
     if found.unknown:
         words += f", {NOT_KNOWN_YET} for {plural(found.unknown, 'taxel')}"
     if not apart or not found.whole:
         return words
     return (
-        f"{words}: the whole skin may be shifted by {found.whole * 1e3:.1f} mm, "
-        f"single taxels relative to it by {found.among * 1e3:.1f} mm"
+        f"{words}: the whole skin may be shifted by {millimetres(found.whole)}, "
+        f"single taxels relative to it by {millimetres(found.among)}"
     )
 
 
@@ -148,7 +148,7 @@ def error_words(found: PredictedError | None, off: float | None) -> str:
         return "no taxel is estimated"
     if off is None or np.isnan(found.mean):
         return predicted_words(found)
-    return f"{predicted_words(found, apart=False)}; errors of sensor and arm may add about {off * 1e3:.1f} mm"
+    return f"{predicted_words(found, apart=False)}; errors of sensor and arm may add about {millimetres(off)}"
 
 
 def unchecked_sentence(off: float, landmark_pokes: int) -> str:
@@ -160,6 +160,6 @@ def unchecked_sentence(off: float, landmark_pokes: int) -> str:
             "more pokes narrow it down."
         )
     return (
-        f"The expected error leaves out errors of sensor and arm. They usually shift the skin by about {off * 1e3:.1f} mm. "
+        f"The expected error leaves out errors of sensor and arm. They usually shift the skin by about {millimetres(off)}. "
         f"{advice}"
     )

@@ -14,7 +14,7 @@ from skincal.taxels.result import Method
 from skincal.words.poke_words import poke_count_words
 from skincal.words.rig_words import closing_sentence, earlier_closings
 from skincal.words.taxel_words import counted_states_words, error_words, predicted_words
-from skincal.words.units import duration
+from skincal.words.units import duration, millimetres
 
 NEED_WORDS: Mapping[Need, str] = {
     Need.POKES: "own pokes",
@@ -122,7 +122,7 @@ def _skin_words(verdict: Verdict) -> str:
 def off_plan_sentence(off_plan: float) -> str:
     """Warn of taxels that answer `off_plan` metres (sd in each direction) off the plan of their modules."""
     return (
-        f"Taxels answer about {1e3 * off_plan:.1f} mm off the plan of their modules (a wrong plan, or uneven sensitivities). "
+        f"Taxels answer about {millimetres(off_plan)} off the plan of their modules (a wrong plan, or uneven sensitivities). "
         "The expected error leaves this out. "
         "Use the surface method, or the free one if there is no mesh: they do not need the plan."
     )

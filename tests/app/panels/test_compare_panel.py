@@ -18,7 +18,16 @@ from app.scene3d.scene_state import LIGHT as SCENE_LIGHT
 from app.scene3d.scene_state import Comparison
 from app.session.opening import OpenRequest
 from app.state.position_sets import LAYOUT_SET, default_pair, position_sets, unique_name
-from app.text.compare_text import (
+from skincal.files.reference import TaxelPositions
+from skincal.following.error_history import ModulesCheck
+from skincal.following.review import Review
+from skincal.model.skin import Anchor, load_layout
+from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
+from skincal.part.part import Part
+from skincal.rig.correction_fit import RigAnswer
+from skincal.taxels.differences import ModuleDifference, Summary
+from skincal.taxels.result import Method
+from skincal.words.compare_words import (
     MAX_LISTED_MODULES,
     difference_words,
     listed_modules,
@@ -29,15 +38,6 @@ from app.text.compare_text import (
     saved_words,
     spacing_words,
 )
-from skincal.files.reference import TaxelPositions
-from skincal.following.error_history import ModulesCheck
-from skincal.following.review import Review
-from skincal.model.skin import Anchor, load_layout
-from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
-from skincal.part.part import Part
-from skincal.rig.correction_fit import RigAnswer
-from skincal.taxels.differences import ModuleDifference, Summary
-from skincal.taxels.result import Method
 from skincal.words.layout_words import left_sentences, misfit_sentence
 from tests.app.scene3d_support import box, estimate, laid, scene, tick_of
 from tests.app.view3d_on_screen import KEPT, make_view, renderer_of, turn

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from app.text.outcomes import METHOD_NAMES
 from skincal.modules.health import LayoutRepair
 from skincal.taxels.differences import CommonMotion, ModuleDifference, Summary
 from skincal.taxels.result import Method
@@ -72,7 +71,7 @@ def arrow_words(pair: tuple[str, str], scale: int, *, named: bool) -> str:
 
 def spacing_words(ratios: Mapping[Method, float]) -> str:
     """Compare the spacing of neighbouring taxels with the layout; empty if all are NaN."""
-    parts = [f"{number(ratio, 2)} ({METHOD_NAMES[method]})" for method, ratio in ratios.items() if math.isfinite(ratio)]
+    parts = [f"{number(ratio, 2)} ({method.value})" for method, ratio in ratios.items() if math.isfinite(ratio)]
     return f"Spacing of neighbours, divided by that of the layout: {', '.join(parts)}." if parts else ""
 
 
@@ -83,12 +82,12 @@ def misfit_words(mend: LayoutRepair, judged: int, method: Method) -> tuple[str, 
     """
     if mend.misfits:
         many = count(len(mend.misfits), "module")
-        head = f"\N{WARNING SIGN} {many} not as planned ({METHOD_NAMES[method]}). Nothing changes until you save the layout:"
+        head = f"\N{WARNING SIGN} {many} not as planned ({method.value}). Nothing changes until you save the layout:"
         return (head, *(misfit_sentence(misfit) for misfit in mend.misfits), *left_sentences(mend))
     if not judged:
         return ()
     none = "The one well-known module does not look" if judged == 1 else f"None of {judged} modules looks"
-    return (f"{none} mirrored, turned or swapped ({METHOD_NAMES[method]}).",)
+    return (f"{none} mirrored, turned or swapped ({method.value}).",)
 
 
 def save_hint(mend: LayoutRepair) -> str:
