@@ -136,7 +136,7 @@ def test_the_state_of_a_session_in_words():
 
 def test_a_silent_link_says_when_not_how_long_so_that_nothing_moves():
     early, late = (link_words(link(last_s=100.0), round(now * 1e9)) for now in (103.0, 130.0))
-    assert early.look is LinkStatus.SILENT_BENCH
+    assert early.look is LinkStatus.SILENT
     assert early == late
 
 
@@ -146,7 +146,7 @@ def test_looks_of_links():
 
     assert look(link()) is LinkStatus.STREAMING
     assert look(link(last_s=100.0), 101.9) is LinkStatus.STREAMING
-    assert look(link(last_s=100.0), 102.1) is LinkStatus.SILENT_BENCH
+    assert look(link(last_s=100.0), 102.1) is LinkStatus.SILENT
     assert look(link(last_host_ns=0)) is LinkStatus.WAITING
     assert look(link(state=LinkState.LOST)) is LinkStatus.LOST
     assert look(link(state=LinkState.FAILED, last_host_ns=0)) is LinkStatus.LOST
