@@ -98,7 +98,9 @@ def verdict_details(verdict: Verdict) -> str:
     states = counted_states_words(verdict.states)
     error = ""
     if verdict.done == verdict.used and verdict.predicted is not None:
-        error = f"Expected error {predicted_words(verdict.predicted, apart=False)}."
+        unchecked = verdict.unchecked
+        words = error_words(verdict.predicted, unchecked) if unchecked else predicted_words(verdict.predicted, apart=False)
+        error = f"Expected error {words}."
     return " ".join(filter(None, (f"{states}." if states else "", error, _skin_words(verdict), _landmark_words(verdict))))
 
 

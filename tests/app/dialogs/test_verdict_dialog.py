@@ -82,10 +82,10 @@ def verdict(
         checked,
         landmarks,
         predicted,
-        unchecked,
         PokeCounts(252),
         552.0,
-        closings,
+        unchecked=unchecked,
+        closings=closings,
     )
 
 
@@ -234,6 +234,8 @@ def test_a_headline_says_what_is_missing_and_finished_only_of_what_was_tested():
     # By the modules method 1.5 mm are wanted of a part of the error, so the worst taxel may have a larger one.
     far = replace(verdict(), method=Method.MODULES, wanted=0.0015)
     assert approved("verdict.expected", predicted=ERRORS) in verdict_sentence(far)
+    added = approved("verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="4.7")
+    assert approved("verdict.expected", predicted=added) in verdict_sentence(verdict(unchecked=0.0047, landmarks=None))
     assert verdict_headline(replace(verdict(), done=0)) == approved("verdict.none_determined") + "."
     assert verdict_headline(verdict(used=1)) == approved("verdict.only_one") + "."
     assert [verdict(checked=Check(n, n)).is_finished for n in (9, 10)] == [False, True]
