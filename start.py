@@ -23,6 +23,7 @@ README.md describes a calibration, docs/manual.md everything else.
 
 import os
 import sys
+from functools import partial
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # noqa: PTH100, PTH120 - missing where PYTHONSAFEPATH is set
 from tools.checkout import require_python
@@ -31,4 +32,4 @@ if __name__ == "__main__":
     require_python()
     from tools import launch  # an older Python could not read it
 
-    sys.exit(launch.run(launch.start))
+    sys.exit(launch.run(partial(launch.start, __doc__)))

@@ -126,8 +126,11 @@ def test_no_module_grows_too_long() -> None:
 
 
 def modules() -> dict[str, Path]:
-    """Name and file of every module of the program."""
-    paths = (path for folder in ("app", "skincal") for path in (CHECKOUT / folder).rglob("*.py"))
+    """Name and file of every module of the program and of its tools, with the commands of the checkout."""
+    paths = [
+        *CHECKOUT.glob("*.py"),
+        *(path for folder in ("app", "skincal", "tools") for path in (CHECKOUT / folder).rglob("*.py")),
+    ]
     return {".".join(path.relative_to(CHECKOUT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
 
 

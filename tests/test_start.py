@@ -104,7 +104,9 @@ def test_an_environment_of_another_python_is_not_taken(checkout: Path) -> None:
 @pytest.mark.usefixtures("checkout")
 @pytest.mark.parametrize("word", ["-h", "--help"])
 def test_help_is_shown_before_anything_is_installed(word: str, capfd: pytest.CaptureFixture[str]) -> None:
-    assert launch.start([word]) == 0
+    import start
+
+    assert launch.start(start.__doc__, [word]) == 0
     said = capfd.readouterr().out
     assert all(
         words in said

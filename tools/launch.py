@@ -85,15 +85,16 @@ def run(command: Callable[[Sequence[str]], int]) -> int:
         return INTERRUPTED_EXIT_CODE
 
 
-def start(arguments: Sequence[str]) -> int:
-    """Install missing packages and replace this process by skincal."""
+def start(help_text: str | None, arguments: Sequence[str]) -> int:
+    """Install missing packages and replace this process by skincal.
+
+    `help_text` is printed for `--help` as long as skincal is not installed.
+    """
     extra = install.EXTRA_PACKAGES.get(arguments[0], ()) if arguments else ()
     arguments = arguments[1:] if extra else arguments
     asked = arguments[0] if arguments else ""
     if asked in ("-h", "--help") and not install.is_ready(checkout.RUN_LOCK):
-        import start as command
-
-        print(command.__doc__)
+        print(help_text)
         return 0
     fresh = install.ensure(checkout.RUN_LOCK)
     if extra:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from skincal.model.scene import Scene
     from skincal.part.part import Part
     from skincal.rig.correction_fit import RigAnswer
-    from skincal.robot.targets import Targets
+    from skincal.robot.targets import OpenTargets
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import Snapshot
@@ -113,7 +113,7 @@ class Controller(QObject):
         self._server: DeviceProcess | None = None
         self._recording: Recording | None = None
         self._reviewing: ReviewClient | None = None
-        self._targets: Targets | None = None  # Sends poke targets to a robot or the simulated operator
+        self._targets: OpenTargets | None = None  # Sends poke targets to a robot or the simulated operator
         self.running = Running.OPENING
         self.prepare: Callable[[], object] = lambda: None
         """Imports the session's views; called in the background before a part is loaded."""

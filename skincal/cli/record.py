@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from skincal.following.guided_session import RobotGuide
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
-    from skincal.robot.targets import Targets
+    from skincal.robot.targets import OpenTargets
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import ChunkQueue, Reader
 
@@ -146,7 +146,7 @@ def record(
 
 
 @contextlib.contextmanager
-def _asking(targets: str | None) -> Generator[Targets | None]:
+def _asking(targets: str | None) -> Generator[OpenTargets | None]:
     """Open the connection to a robot that pokes, and yield it; `None` without `--targets`."""
     if targets is None:
         yield None

@@ -43,6 +43,11 @@ class Link(Protocol):
     5. Whatever it learns outside the stream (a page, a type) it returns first, as a packet, so that a journal can be replayed.
     """
 
+    @property
+    def tried(self) -> tuple[int, ...]:
+        """Baud rates that a search has tried so far, each once; empty without a search."""
+        ...
+
     def read(self, timeout_s: float) -> bytes:
         """Return the available bytes, waiting at most `timeout_s` for the first; empty if none came. Raises LinkError."""
         ...

@@ -97,7 +97,7 @@ class GuidedSession:
     def handle_answers(self, pipeline: Pipeline, server: Targets, now_ns: int) -> list[str]:
         """Handle what robots said since the last call; give sentences for the operator."""
         sentences = list[str]()
-        for item in server.take():
+        for item in server.read_answers():
             if isinstance(item, str):
                 sentences.append(item)
                 continue

@@ -14,17 +14,13 @@ taxel is requested once more in a round, and not more often: a taxel out of reac
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray, orthonormal_pair
+from skincal.geometry import BoolArray, FloatArray, IntArray, orthonormal_pair
 from skincal.mesh.surface import pairs_within
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.noise import offset_square, row_precision
-
-BoolArray: TypeAlias = NDArray[np.bool_]
 
 PUSH_AZIMUTHS_TRIED = 8
 """Directions around the normal that are tried."""

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.geometry import FloatArray, IntArray, orthonormal_pair
+from skincal.geometry import BoolArray, FloatArray, IntArray, orthonormal_pair
 from skincal.guide.believed_positions import PlannedPlaces, believed_positions, planned_sheet_pokes
 from skincal.guide.candidates import (
     PUSH_AZIMUTHS_TRIED,
     PUSHES_PER_TAXEL,
-    BoolArray,
     ChoiceState,
     GainCache,
     answer_offsets,

@@ -12,8 +12,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray
-from skincal.guide.surroundings import BoolArray, Surroundings
+from skincal.geometry import BoolArray, FloatArray, IntArray
+from skincal.guide.surroundings import Surroundings
 from skincal.taxels.result import Estimate, Method, State
 
 MIN_CHECKED_POKES = 10

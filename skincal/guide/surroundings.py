@@ -9,16 +9,11 @@ anchor of their own are planes of their own.
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import BoolArray, FloatArray, IntArray
 from skincal.mesh.surface import pairs_within
 from skincal.model.skin import Layout
-
-BoolArray: TypeAlias = NDArray[np.bool_]
 
 SURROUNDING_MAX_SPACINGS = 3.0
 """Farther touched taxels say little: a sheet that is stretched by 3 % is off by half a millimetre over 3 x 5 mm."""

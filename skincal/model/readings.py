@@ -30,6 +30,8 @@ class Stream(Enum):
     """Position of the poking tip in a fixed frame, such as a robot's base; optional."""
 
 
+SESSION_START_TIME_NS = 1_000_000_000
+"""ns of the host's clock at which a session without a real clock begins (simulated or imported); 0 would mean never."""
 SENSOR_STREAMS = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
 """Streams that can be recognized by their values. A tip needs a link of its own: its three numbers could be anything."""
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, cross_matrix, crossed, tangent_axes
+from skincal.geometry import FloatArray, IntArray, cross_matrix, crossed, rotations, tangent_axes
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module, SkinKind
 
@@ -128,14 +128,6 @@ def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> MeshPoint
     from skincal.mesh.geodesics import MeshPoints, geodesics_of
 
     return geodesics_of(surface).walk(MeshPoints(poses.triangles, poses.points, poses.x), ways)
-
-
-def rotations(vectors: FloatArray) -> FloatArray:
-    """Make the rotations (n, 3, 3) about `vectors` (n, 3) by their lengths, radians (Rodrigues)."""
-    angles = np.sqrt(np.sum(vectors * vectors, axis=1))[:, None, None]
-    s = cross_matrix(vectors)
-    squared = vectors[:, :, None] * vectors[:, None] - angles**2 * np.eye(3)
-    return np.eye(3) + np.sinc(angles / np.pi) * s + 0.5 * np.sinc(angles / (2.0 * np.pi)) ** 2 * squared
 
 
 def module_pads(module: Module) -> FloatArray:

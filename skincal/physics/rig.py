@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from skincal.files.reference import truth_as_json
-from skincal.geometry import FloatArray, cross_matrix, crossed, inverse_pose, length_of
+from skincal.geometry import FloatArray, crossed, inverse_pose, length_of, rotation_by
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
-from skincal.physics.arm import TipPose, WrenchReading
 from skincal.physics.effects import BASE_TURN_PER_M, SENSOR_DELAY_S, Effects
 from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, PERIOD_S, Engine
 from skincal.physics.mjcf import TIP_RADIUS_M, RigPlan, write_mjcf
 from skincal.physics.skin import Pads
+from skincal.robot.arm import TipCentre, WrenchReading
 
 SENSOR_LAST_DIGIT_SD_N = 0.005
 """N, sd of one reading of a sensor without noise: its last digit. Readings that never change look like a frozen sensor."""
@@ -124,8 +124,8 @@ class SimulatedRobot:
     def time_s(self) -> float:
         return self.engine.time_s
 
-    def read_tip(self) -> TipPose:
-        return TipPose(*self.engine.believed_tip(self._angles))
+    def read_tip(self) -> TipCentre:
+        return TipCentre(*self.engine.believed_tip(self._angles))
 
     def read_wrench(self) -> WrenchReading | None:
         return self._wrench
@@ -140,7 +140,7 @@ class SimulatedRobot:
     def command(self, position: FloatArray, direction: FloatArray, speed_m_s: float) -> None:
         if not (np.isfinite(position).all() and np.isfinite(direction).all() and length_of(direction) > 0.5):
             raise InputError(f"the arm was given {position} and {direction}; expected a position and a unit direction.")
-        self._goal, self._speed = TipPose(position, direction / length_of(direction)), speed_m_s
+        self._goal, self._speed = TipCentre(position, direction / length_of(direction)), speed_m_s
 
     def stop(self) -> None:
         self._goal, self._speeds = self._aim, (0.0, 0.0)
@@ -221,8 +221,8 @@ class SimulatedRobot:
 
 
 def _moved_towards(
-    aim: TipPose, goal: TipPose, speed: float, before: tuple[float, float], share: float
-) -> tuple[TipPose, tuple[float, float]]:
+    aim: TipCentre, goal: TipCentre, speed: float, before: tuple[float, float], share: float
+) -> tuple[TipCentre, tuple[float, float]]:
     """Move straight and turn on the way, for one period.
 
     Parameters
@@ -252,16 +252,7 @@ def _moved_towards(
         direction = aim.direction if cosine > 0 else goal.direction
     else:
         direction = np.cos(part * angle) * aim.direction + np.sin(part * angle) * across / size
-    return TipPose(aim.position + part * way, direction), (part * distance / PERIOD_S, part * angle / PERIOD_S)
-
-
-def rotation_by(vector: FloatArray) -> FloatArray:
-    """Make the rotation (3, 3) by a rotation vector, radians (Rodrigues)."""
-    angle = length_of(vector)
-    if not angle:
-        return np.eye(3)
-    cross = cross_matrix(vector / angle)
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return TipCentre(aim.position + part * way, direction), (part * distance / PERIOD_S, part * angle / PERIOD_S)
 
 
 def soft_axes(scene: Scene, angles: FloatArray) -> list[tuple[FloatArray, FloatArray]]:

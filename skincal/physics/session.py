@@ -5,35 +5,29 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
 
 from skincal.following.guided_session import RobotGuide
 from skincal.journal.writer import JournalWriter
 from skincal.mesh.surface import Surface
-from skincal.model.readings import Chunk, LinkEvent, LinkState
+from skincal.model.readings import SESSION_START_TIME_NS, Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.physics.devices import RobotDevices
-from skincal.physics.poking_client import PokeSettings, PokingClient
 from skincal.physics.rig import SimulatedRobot
+from skincal.robot.poking_client import PokeSettings, PokingClient
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, RobotLine
 from skincal.robot.target_server import RobotChange
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 
-if TYPE_CHECKING:
-    from skincal.robot.target_server import TargetServer
-
 TRAVEL_SPEED_WITH_CARRIED_PART_M_PER_S = 0.05
 """m/s, travel of a part that the arm carries: its inertia would look like a press."""
 ARRIVED_WITHIN_WITH_CARRIED_PART_M = 0.0003
 """Corners are rounded less: a jolt of the part looks like a press, too."""
-SESSION_START_TIME_NS = 1_000_000_000
-"""ns, host's clock at the start; any value works."""
 
 
 class TargetQueue:
-    """Lines between guide and robot without a port: the methods of `TargetServer` for the guide, and two for the robot."""
+    """Lines between guide and robot without a port: `Targets` for the guide, and two methods for the robot."""
 
     def __init__(self) -> None:
         self._asked: deque[AskedLine] = deque()
@@ -45,7 +39,7 @@ class TargetQueue:
         """Send lines to the robot."""
         self._asked.extend(lines)
 
-    def take(self) -> list[RobotLine | RobotChange | str]:
+    def read_answers(self) -> list[RobotLine | RobotChange | str]:
         """Return the answers since the last call."""
         answers, self._answers = self._answers, []
         return answers
@@ -86,7 +80,7 @@ class RobotSession:
         self._devices = RobotDevices(robot)
         self._links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in self._devices.links.items()]
         self.pipeline = Pipeline(scene, self._links, surface, journal)
-        self._guide = RobotGuide(self.pipeline, cast("TargetServer", self.targets), method)
+        self._guide = RobotGuide(self.pipeline, self.targets, method)
         for link in self._links:
             self.pipeline.feed(LinkEvent(link.name, SESSION_START_TIME_NS, LinkState.OPEN))
         robot.add_listener(self._process_step)

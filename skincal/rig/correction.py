@@ -21,9 +21,8 @@ from typing import TypeVar
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
-from skincal.geometry import FloatArray, IntArray, cross_matrix, orthonormal_pair
+from skincal.geometry import FloatArray, IntArray, cross_matrix, orthonormal_pair, rotations
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import rotations
 from skincal.pokes import NameArray, Pokes
 
 FRAME, RIG = "frame", "rig"
@@ -204,6 +203,10 @@ class RigState:
         """Compute the unknowns (n,) in standard deviations of the prior."""
         of_poses = np.concatenate([self.turns[:, None], self.shifts[:, None]], axis=1)
         return np.concatenate([self.matrix.ravel(), of_poses.ravel()]) / scales
+
+
+NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
+"""For `rig_rows`, if the sensor's noise is part of the spread."""
 
 
 def rig_rows(

@@ -25,7 +25,7 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
 from skincal.pokes import LandmarkPokes, Pokes
-from skincal.rig.correction import RigPrior, RigRows, RigState, UsedCorrection, rig_rows
+from skincal.rig.correction import NO_NOISE, RigPrior, RigRows, RigState, UsedCorrection, rig_rows
 from skincal.rig.correction_fit import (
     MIN_LANDMARK_POKES,
     MIN_LANDMARKS,
@@ -41,7 +41,6 @@ EXPECTED_LANDMARK_PRESS_FORCE_N = 10.0
 MAX_PREDICTED_TAXELS = 40
 """Of more taxels only every n-th is used: neighbours move alike. On the forearm the mean over 28 is within a thousandth of that
 over all 84."""
-NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,9 +32,8 @@ from itertools import permutations, product
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.model.scene import NoiseSettings
 from skincal.pokes import LandmarkPokes, Pokes
-from skincal.rig.correction import Correction, RigPrior, RigState, rig_rows, rigid_motion
+from skincal.rig.correction import NO_NOISE, Correction, RigPrior, RigState, rig_rows, rigid_motion
 
 POKE_TO_LANDMARK_SD_M = 0.003
 """m, sd of an axis from its landmark, each direction, on a right rig: hand, sensor noise, a landmark off by 4 mm in space."""
@@ -60,8 +59,6 @@ GAUSS_NEWTON_STEPS = 3
 FRAME_CHECK_MIN_POKES = 3
 FRAME_CHECK_MAX_POKES = 12
 """Pokes of a check: more take longer and add little about a mistake that is the same in all."""
-NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
-"""The sensor's noise is part of `POKE_TO_LANDMARK_SD_M`."""
 HAND_FORCE_RANGE_N = (3.0, 25.0)
 """N: range of a hand's pokes."""
 STANDARD_GRAVITY = 9.80665

@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import Arm, FloatArray, IntArray
+from skincal.geometry import Arm, FloatArray, IntArray, rotations
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
@@ -31,7 +31,6 @@ from skincal.model.scene import ArmSpec, Scene
 from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, rigid_points
-from skincal.modules.pose import rotations
 from skincal.pokes import Pokes
 from skincal.rig.channel_order import channel_orders
 from skincal.rig.frame_check import STANDARD_GRAVITY

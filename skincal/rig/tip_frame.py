@@ -22,9 +22,8 @@ from functools import cached_property
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, cross_matrix, mean_rows, orthonormal_pair
+from skincal.geometry import FloatArray, cross_matrix, mean_rows, orthonormal_pair, rotations
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import rotations
 from skincal.pokes import Pokes
 from skincal.taxels.noise import row_precision
 

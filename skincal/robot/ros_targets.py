@@ -130,13 +130,13 @@ class RosTargets:
         self._shown: Sequence[Estimate] = ()
 
     def send(self, lines: Sequence[AskedLine]) -> None:
-        """Publish lines. `take` reports if DDS refuses."""
+        """Publish lines. `read_answers` reports if DDS refuses."""
         for line in lines:
             if isinstance(line, PokeTarget):
                 self._write(self._target, self._pose_of(line))
             self._write(self._verdict, self._types.make(STRING, data=json.dumps(line_as_json(line))))
 
-    def take(self) -> list[RobotLine | RobotChange | str]:
+    def read_answers(self) -> list[RobotLine | RobotChange | str]:
         """Return the answers since the last call, and sentences on robots that connected or left."""
         found: list[RobotLine | RobotChange | str] = []
         has_robot = self._answers.publishers > 0

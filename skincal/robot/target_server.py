@@ -110,7 +110,7 @@ class TargetServer:
                     self._target = line
                 self._lines.append(write_line(line))
 
-    def take(self) -> list[RobotLine | RobotChange | str]:
+    def read_answers(self) -> list[RobotLine | RobotChange | str]:
         """Return the answers since the last call, and sentences on robots that connected or were disconnected."""
         found: list[RobotLine | RobotChange | str] = []
         with contextlib.suppress(queue.Empty):

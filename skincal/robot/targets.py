@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Sequence
+from typing import Protocol, TypeAlias
 
 from skincal.robot.ros_targets import ROS_TARGETS, RosTargets, parse_ros_targets
-from skincal.robot.target_server import TargetServer, parse_port
+from skincal.robot.target_lines import AskedLine, RobotLine
+from skincal.robot.target_server import RobotChange, TargetServer, parse_port
 
-Targets: TypeAlias = TargetServer | RosTargets
+
+class Targets(Protocol):
+    """A connection to a robot that pokes, as the guide uses it: with lines, topics or within one program."""
+
+    def send(self, lines: Sequence[AskedLine]) -> None:
+        """Send lines to the robot."""
+        ...
+
+    def read_answers(self) -> list[RobotLine | RobotChange | str]:
+        """Return the lines since the last call, the coming and going of the robot, and sentences for the operator."""
+        ...
+
+    def refuse(self, reason: str) -> None:
+        """End the connection to a robot whose line is impossible."""
+        ...
+
+
+OpenTargets: TypeAlias = TargetServer | RosTargets
+"""A connection by a port or by ROS 2."""
 
 
 def check_targets(text: str) -> None:
@@ -18,7 +38,7 @@ def check_targets(text: str) -> None:
         parse_port(text)
 
 
-def open_targets(text: str) -> Targets:
+def open_targets(text: str) -> OpenTargets:
     """Open `PORT`, `HOST:PORT`, `ros2:` or `ros2:?domain=N`. Raises InputError."""
     if text.startswith(ROS_TARGETS):
         return RosTargets(parse_ros_targets(text))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from skincal.files.reference import truth_as_json
-from skincal.geometry import Arm, FloatArray, IntArray, cross_matrix, inverse_pose
+from skincal.geometry import Arm, FloatArray, IntArray, inverse_pose, rotation_by
 from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
@@ -170,7 +170,7 @@ class Rig:
 
     def _arm_pose(self, name: str, angles: FloatArray, reported: FloatArray, rng: np.random.Generator) -> SimulatedArmPose:
         error = np.eye(4)
-        error[:3, :3] = _rotation(self.errors.pose_turn * rng.standard_normal(3))
+        error[:3, :3] = rotation_by(self.errors.pose_turn * rng.standard_normal(3))
         error[:3, 3] = self.errors.pose_shift * rng.standard_normal(3)
         true = reported @ error
         middle = self.places.mean(axis=0)
@@ -282,15 +282,6 @@ def _nominal(scene: Scene) -> dict[str, tuple[FloatArray, FloatArray]]:
     if not poses:
         poses = {"zero": np.zeros(len(arm.joints))} if isinstance(arm, Arm) else {"middle": arm.middle_angles()}
     return {name: (angles, arm.link_from_sensor(angles)) for name, angles in poses.items()}
-
-
-def _rotation(vector: FloatArray) -> FloatArray:
-    """Return the rotation (3, 3) by a rotation vector, radians (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0:
-        return np.eye(3)
-    s = cross_matrix(vector / angle)
-    return np.eye(3) + np.sin(angle) * s + (1 - np.cos(angle)) * (s @ s)
 
 
 @dataclass(frozen=True, slots=True)

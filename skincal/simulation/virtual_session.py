@@ -13,7 +13,7 @@ from skincal.files.reference import TRUTH_NAME
 from skincal.journal.writer import create_session
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
-from skincal.model.readings import Chunk, LinkEvent, LinkState
+from skincal.model.readings import SESSION_START_TIME_NS, Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.session.pipeline import Pipeline
 from skincal.simulation.device import DeviceSettings, DeviceTimeline
@@ -22,8 +22,6 @@ from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
 from skincal.streams.links import LinkSpec
 
-SESSION_START_TIME_NS = 1_000_000_000
-"""ns, host's clock at the start of a virtual session; any value works."""
 MIN_SESSION_DURATION_S = 1.0
 """s, minimum length of a session that is ended early, so that each link has data."""
 

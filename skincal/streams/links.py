@@ -367,7 +367,7 @@ class Reader:
             # Dated at once, by a clock that cannot be set back while a session runs.
             if data:
                 self._enqueue(Chunk(self._spec.name, time.monotonic_ns(), data))
-            tried: tuple[int, ...] = getattr(link, "tried", ())
+            tried = link.tried
             if len(tried) > 1 and tried != bauds_tried:
                 bauds_tried = tried
                 self._items.put(LinkEvent(self._spec.name, time.monotonic_ns(), LinkState.OPEN, tried=tried))

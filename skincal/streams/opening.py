@@ -90,6 +90,10 @@ class HandshakeLink:
             raise
         self._is_open = True
 
+    @property
+    def tried(self) -> tuple[int, ...]:
+        return self._transport.tried
+
     def _receive(self, timeout_s: float) -> bytes:
         data = self._transport.read(max(timeout_s, 0.0))
         if data:

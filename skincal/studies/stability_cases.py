@@ -13,11 +13,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, rotations
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import KnownDistance, NoiseSettings
 from skincal.model.skin import KINDS, Anchor, Layout, Module
-from skincal.modules.pose import ModuleGround, ModuleModel, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
+from skincal.modules.pose import ModuleGround, ModuleModel, ModulePoses, ModulesInSpace, ModulesOnSurface
 
 TAXEL_POINT = np.array([0.031, -0.047, 0.083])
 """m, link frame: a typical position on a forearm."""

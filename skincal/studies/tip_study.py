@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray
-from skincal.modules.pose import rotations
+from skincal.geometry import FloatArray, rotations
 from skincal.palette import BLACK, BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
 from skincal.rig.correction_fit import RigRequest, correct_rig

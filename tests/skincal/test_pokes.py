@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Reason, Rejection
-from skincal.geometry import inverse_pose
-from skincal.modules.pose import rotations
+from skincal.geometry import inverse_pose, rotations
 from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes, Pokes
 from skincal.rig.correction import Correction, products
 

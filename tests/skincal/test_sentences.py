@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.geometry import rotations
 from skincal.model.errors import InputError
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Outages, Stream
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
-from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis, Slip

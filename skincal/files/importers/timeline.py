@@ -25,7 +25,7 @@ import numpy as np
 from skincal.files.importers.tape import BLOCK_NUMBERS, NumberFile
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError, plural
-from skincal.model.readings import Chunk, Stream
+from skincal.model.readings import SESSION_START_TIME_NS, Chunk, Stream
 from skincal.streams.links import LinkSpec
 
 MAX_TIME_STEP_BACK_S = 0.5
@@ -64,8 +64,6 @@ REPORT_LATE_START_OR_EARLY_END_FROM_S = 2.0
 """A stream that starts or ends by more than this after or before the others is reported."""
 FINER_TIMES = "Export times with fractions of a second."
 """Advice for times with too few digits."""
-SESSION_START_TIME_NS = 1_000_000_000
-"""A recording begins at this time of the host's clock; 0 would mean never."""
 
 Lines: TypeAlias = Callable[[], Iterable[Sequence[bytes]]]
 """Opens a file and gives its lines in blocks, each line as the decoder takes it, with its line end."""

@@ -37,8 +37,7 @@ class BaudSearchLink:
         self._port, self._carries = port, carries
         self.write, self.close = port.write, port.close
         self.baud = BAUD_RATES[0]
-        self.tried = (self.baud,)
-        """Rates that were tried, each once."""
+        self.tried: tuple[int, ...] = (self.baud,)
         self.found = False
         self._restart_decoding()
 

@@ -72,6 +72,8 @@ class CommandLink:
     The constructor waits for the first bytes, as long as the command allows.
     """
 
+    tried: tuple[int, ...] = ()
+
     def __init__(self, address: str, command: Command, is_cancelled: Callable[[], bool] = lambda: False) -> None:
         self._address, self._who = address, f"{address}: {command.who}"
         self._kind_of_end = FailureKind.VANISHED if command.is_driver else FailureKind.ENDED

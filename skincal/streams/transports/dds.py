@@ -37,6 +37,8 @@ def open_transport(opening: Opening) -> DdsLink:
 class DdsLink:
     """Reader of one or more topics. Raises LinkError; InputError: DDS is not installed, or an option is wrong."""
 
+    tried: tuple[int, ...] = ()
+
     def __init__(self, opening: Opening) -> None:
         self._label, self._choice = opening.address.label, topics_of(opening.address)
         domain = opening.address.options.get("domain")

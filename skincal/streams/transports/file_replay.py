@@ -33,6 +33,8 @@ class FileReplayLink:
     them. So arrival stamps mean the same as those of a port. The end of the file is a `LinkError` of kind ENDED.
     """
 
+    tried: tuple[int, ...] = ()
+
     def __init__(self, path: Path, format_name: str, carries: tuple[Stream, ...], baud: int) -> None:
         self._path = path
         try:

@@ -45,6 +45,8 @@ def list_serial_ports() -> list[tuple[str, str]]:
 class SerialLink:
     """A serial port or a pty."""
 
+    tried: tuple[int, ...] = ()
+
     def __init__(self, port: str, baud: int) -> None:
         import serial
 

@@ -20,6 +20,8 @@ UNREAD_TIP_LINES_MAX = 1000
 class TargetTipLink:
     """Lines `x y z` in metres, since it was opened."""
 
+    tried: tuple[int, ...] = ()
+
     def __init__(self) -> None:
         self._lines: queue.Queue[bytes] = queue.Queue(UNREAD_TIP_LINES_MAX)
         _OPEN_LINKS.add(self)

@@ -44,6 +44,8 @@ def connect_tcp(address: str, host: str, port: int) -> socket.socket:
 class TcpLink:
     """A connection to a TCP server."""
 
+    tried: tuple[int, ...] = ()
+
     def __init__(self, address: str, host: str, port: int) -> None:
         self._name = address
         self._socket = connect_tcp(address, host, port)

@@ -35,6 +35,8 @@ def open_transport(opening: Opening) -> Link:
 class DatagramLink:
     """UDP with one host; each datagram is a packet of the given kind."""
 
+    tried: tuple[int, ...] = ()
+
     def __init__(self, address: str, host: str, port: int, kind: int) -> None:
         self._address, self._kind = address, kind
         try:
@@ -74,6 +76,8 @@ class DatagramLink:
 
 class ListeningLink:
     """A UDP port of this computer. The first sender is read, and none of the others: two boards would mix their readings."""
+
+    tried: tuple[int, ...] = ()
 
     def __init__(self, address: str, port: int, *, is_text: bool) -> None:
         self._is_text = is_text

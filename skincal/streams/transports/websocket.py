@@ -30,6 +30,8 @@ class WebSocketLink:
     The library knows the protocol and no port: bytes in, messages and bytes to send out.
     """
 
+    tried: tuple[int, ...] = ()
+
     def __init__(self, address: str, transport: Link, host: str, port: int, message_max: int) -> None:
         self._address, self._transport = address, transport
         self._protocol = ClientProtocol(parse_uri(f"ws://{f'[{host}]' if ':' in host else host}:{port}/"), max_size=message_max)

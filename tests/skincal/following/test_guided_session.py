@@ -198,7 +198,7 @@ def test_the_example_approaches_presses_as_wished_holds_lets_go_and_goes_back(ex
             said = []
             # In one call or in several.
             while len(said) < 2:
-                said += [item for item in server.take() if not isinstance(item, str)]
+                said += [item for item in server.read_answers() if not isinstance(item, str)]
                 assert time.monotonic() < end
             assert (said[1].kind.value, said[1].number) == ("reached", 3)
 
@@ -228,7 +228,7 @@ def test_the_example_lets_go_at_once_and_goes_back(example, end):
         assert poker.lost is (end == "lost")
         follows = poker.step(now_s + 0.02)
         assert (follows is not None) is (end == "another"), "the next target begins before the skin"
-        assert not any(isinstance(item, Answer) for item in server.take())
+        assert not any(isinstance(item, Answer) for item in server.read_answers())
 
 
 def test_the_commands_play_both_sides(tmp_path):

@@ -8,12 +8,13 @@ import pytest
 
 from skincal.chi_square import CHI2_1DOF_MEDIAN, CHI2_2DOF_MEDIAN
 from skincal.contacts.outcome import Contact
+from skincal.geometry import rotations
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.modules import pose_fit
 from skincal.modules.estimate import estimate_modules
-from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModuleModel, ModulesOnSurface, rotations
+from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModuleModel, ModulesOnSurface
 from skincal.modules.pose_fit import assign_pokes, offset_variances, whitened_rows
 from skincal.session.session import Session
 from skincal.simulation.contacts import simulate_contacts, unguided

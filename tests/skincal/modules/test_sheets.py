@@ -10,6 +10,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.files.layout_sources import Grid, parse_layout
+from skincal.geometry import rotations
 from skincal.guide.verdict import check
 from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import make_surface
@@ -17,7 +18,7 @@ from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Anchor, Layout, Module, ModuleKind, SkinKind
 from skincal.modules import sheet_fit
-from skincal.modules.pose import ModuleModel, rotations
+from skincal.modules.pose import ModuleModel
 from skincal.modules.sheet_basis import FIELD_STEP_LENGTH_M, FIELD_STEP_SD_M, MODES_MAX, STRAIN_SD, make_basis
 from skincal.modules.sheet_estimate import COMMON_AIM_SD_FACTOR, predict_sheet_pokes
 from skincal.modules.sheet_fit import fit_sheets

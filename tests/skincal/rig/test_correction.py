@@ -6,8 +6,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from skincal.geometry import rotations
 from skincal.methods import average_over_poses, estimate_taxels
-from skincal.modules.pose import ModuleModel, rotations
+from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import Correction, CorrectionErrors, RigPrior
 from skincal.simulation.contacts import simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors

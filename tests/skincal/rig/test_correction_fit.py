@@ -7,10 +7,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from skincal.geometry import rotations
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import ModuleModel, rotations
+from skincal.modules.pose import ModuleModel
 from skincal.pokes import NO_LANDMARK_POKES, Pokes
 from skincal.rig import correction_fit
 from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, CorrectionErrors, RigPrior, RigState, products, rig_rows

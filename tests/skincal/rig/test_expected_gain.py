@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.geometry import rotations
 from skincal.methods import estimate_taxels
-from skincal.modules.pose import ModuleModel, rotations
+from skincal.modules.pose import ModuleModel
 from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes, Pokes
 from skincal.rig.correction import RigPrior
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, RigRequest, correct_rig

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from skincal.modules.pose import rotations
+from skincal.geometry import rotations
 from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import FRAME, RIG, Correction, RigPrior
 from skincal.rig.correction_fit import RigAnswer

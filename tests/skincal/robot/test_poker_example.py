@@ -92,7 +92,7 @@ class Bench:
         end = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < end, (self.arm.place, self.answers)
-            self.answers += [item for item in self.server.take() if isinstance(item, (Answer, RobotPace, TipPose))]
+            self.answers += [item for item in self.server.read_answers() if isinstance(item, (Answer, RobotPace, TipPose))]
             time.sleep(0.005)
         return self
 

@@ -61,20 +61,20 @@ def test_a_robot_reads_targets_and_verdicts_also_later_and_answers():
             {"state": "wait"},
         ]
         peer.publish("/skincal/reached", String("robot 0.1 2"))
-        came = until([], targets.take, 2)
+        came = until([], targets.read_answers, 2)
         assert came[:2] == [RobotChange.CAME, "A robot connected by ROS 2."]
         for text in ("reached 7", "skip 8 too far", "dance", ""):
             peer.publish("/skincal/reached", String(text))
-        found = until(came[2:], targets.take, 3)
+        found = until(came[2:], targets.read_answers, 3)
         assert [each for each in found if isinstance(each, Answer)] == [
             Answer(AnswerKind.REACHED, 7),
             Answer(AnswerKind.SKIP, 8, "too far"),
         ]
         assert "A message on /skincal/reached is not used: it says 'dance'" in "".join(x for x in found if isinstance(x, str))
         targets.refuse("it answers 9")
-        assert until([], targets.take, 1) == ["An answer on /skincal/reached is not used: it answers 9"]
+        assert until([], targets.read_answers, 1) == ["An answer on /skincal/reached is not used: it answers 9"]
         peer.drop("/skincal/reached")
-        assert RobotChange.LEFT in until([], targets.take, 2)
+        assert RobotChange.LEFT in until([], targets.read_answers, 2)
     last = [json.loads(each.data) for each in until([], lambda: words.take(10), 3)]
     assert last[1:] == [{"state": "wait"}, {"state": "stop"}]
 
@@ -83,7 +83,7 @@ def test_a_flood_and_refused_writes_are_one_sentence_each(monkeypatch):
     with closing(RosTargets(DOMAIN)) as targets:
         flood = [Message(k * 10**6, targets._types.encode(String(f"reached {k}"), STRING)) for k in range(300)]
         monkeypatch.setattr(targets._answers, "take_messages", lambda: flood)
-        found = targets.take()
+        found = targets.read_answers()
         assert sum(isinstance(each, Answer) for each in found) == ROBOT_LINES_PER_S_MAX
         assert [each for each in found if isinstance(each, str)] == [
             "The robot sends more than 50 lines in a second; those beyond are not used."
@@ -93,11 +93,11 @@ def test_a_flood_and_refused_writes_are_one_sentence_each(monkeypatch):
             monkeypatch.setattr(writer, "_write", lambda *_: -10)
         targets.send([TARGET, TARGET, NoTarget.WAIT])
         targets.show_taxels("forearm", [SimpleNamespace(state=State.UNSEEN, position=None)])
-        (sentence, *_) = found = targets.take()
+        (sentence, *_) = found = targets.read_answers()
         assert sentence.startswith("DDS does not write a geometry_msgs/msg/PoseStamped")
         targets.send([TARGET, NoTarget.WAIT])
         assert len(found) == 3
-        assert targets.take() == []
+        assert targets.read_answers() == []
 
 
 def test_positions_of_taxels_are_latched_markers():

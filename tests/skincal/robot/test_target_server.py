@@ -48,7 +48,7 @@ def taken(server, count=1, but=RobotChange):
     found = []
 
     def enough():
-        found.extend(item for item in server.take() if not isinstance(item, but))
+        found.extend(item for item in server.read_answers() if not isinstance(item, but))
         return len(found) >= count
 
     wait_for(enough)
@@ -56,7 +56,7 @@ def taken(server, count=1, but=RobotChange):
 
 
 def answers(server):
-    return wait_for(lambda: [item for item in server.take() if isinstance(item, Answer)])
+    return wait_for(lambda: [item for item in server.read_answers() if isinstance(item, Answer)])
 
 
 def test_a_robot_hears_what_is_asked_and_answers(server):
@@ -152,7 +152,7 @@ def test_a_robot_that_takes_nothing_is_let_go_and_memory_stays_bounded(server):
         while not any("does not read its lines" in str(item) for item in said):
             assert time.monotonic() < end
             server.send([Judged(1, "x" * 190)] * 1000)
-            said += server.take()
+            said += server.read_answers()
             time.sleep(0.005)
         assert len(server._pending) == 0
 

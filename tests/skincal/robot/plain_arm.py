@@ -3,7 +3,7 @@
 import numpy as np
 
 from skincal.mesh.search import nearest_points
-from skincal.physics.arm import TipPose, WrenchReading
+from skincal.robot.arm import TipCentre, WrenchReading
 
 STIFFNESS = 3000.0
 WEIGHT = np.array([1.0, -7.0, 2.0])
@@ -25,7 +25,7 @@ class PlainArm:
         self.wrench, self.course = WrenchReading(0.0, WEIGHT, np.zeros(3)), []
 
     def read_tip(self):
-        return TipPose(self.position, self.direction)
+        return TipCentre(self.position, self.direction)
 
     def read_wrench(self):
         return self.wrench

@@ -21,10 +21,10 @@ import numpy as np
 from skincal.geometry import FloatArray, crossed, length_of
 from skincal.guide.robot_order import RobotPace
 from skincal.mesh.surface import Surface
-from skincal.physics.aim_correction import AimCorrection
-from skincal.physics.arm import PokingArm, TipPose
-from skincal.physics.clearance import Clearance, ViaPoint
 from skincal.robot import target_lines
+from skincal.robot.aim_correction import AimCorrection
+from skincal.robot.arm import PokingArm, TipCentre
+from skincal.robot.clearance import Clearance, ViaPoint
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Held, NoTarget, PokeTarget, Refused, RobotLine
 
 OUT_OF_REACH = "out of reach"
@@ -320,9 +320,9 @@ class PokingClient:
         shift = self._aim.shift_at(target.place, self.arm.room_from_part())
         return shift - (shift @ target.push) * target.push
 
-    def _read_tip(self) -> TipPose:
+    def _read_tip(self) -> TipCentre:
         tip = self.arm.read_tip()
-        return TipPose(tip.position + self._shift, tip.direction)
+        return TipCentre(tip.position + self._shift, tip.direction)
 
     def _command(self, position: FloatArray, direction: FloatArray, speed: float) -> None:
         self.arm.command(position - self._shift, direction, speed)

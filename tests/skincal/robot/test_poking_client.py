@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.mesh.surface import make_surface
-from skincal.physics.aim_correction import AimCorrection
-from skincal.physics.clearance import Clearance
-from skincal.physics.poking_client import (
+from skincal.robot.aim_correction import AimCorrection
+from skincal.robot.clearance import Clearance
+from skincal.robot.poking_client import (
     FORCE_ABOVE_LIMIT,
     MEASURE_AGAIN,
     NOT_AWAY,
@@ -19,7 +19,7 @@ from skincal.physics.poking_client import (
     PokingClient,
 )
 from skincal.robot.target_lines import Answer, AnswerKind, Held, NoTarget, PokeTarget, TipPose
-from tests.skincal.physics.plain_arm import WEIGHT, PlainArm
+from tests.skincal.robot.plain_arm import WEIGHT, PlainArm
 
 UP, DOWN = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
 HALF = np.array([0.03, 0.06, 0.02])

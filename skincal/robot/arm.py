@@ -14,8 +14,8 @@ from skincal.geometry import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TipPose:
-    """Position and direction of the tip."""
+class TipCentre:
+    """Centre of the spherical tip, and its direction. `target_lines.TipPose` is the end of the tip."""
 
     position: FloatArray
     """(3,) float, metres: centre of the spherical tip."""
@@ -50,7 +50,7 @@ class PokingArm(Protocol):
         """Time, seconds: simulated, or a monotonic clock."""
         ...
 
-    def read_tip(self) -> TipPose:
+    def read_tip(self) -> TipCentre:
         """Read the tip from the arm's joints."""
         ...
 
