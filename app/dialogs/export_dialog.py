@@ -95,7 +95,7 @@ class ExportDialog(TaskDialog):
         self.about.setText(words.description)
         self.method.setEnabled(not words.holds_all_methods)
         for feature, row in (("prefix", self.prefix), ("into", self._robot_row), ("inertia", self.inertia)):
-            self.form.setRowVisible(row, feature in words.features)
+            self.form.setRowVisible(row, feature in words.options)
         if self._named_by_hand:
             self.path.setText(str(Path(self.path.text()).with_suffix(words.suffix)))
         self._propose_name()

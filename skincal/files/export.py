@@ -15,10 +15,9 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import import_module
 from itertools import compress
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -28,9 +27,10 @@ import numpy as np
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.formats import NO_OPTIONS, ExportFormat, ExportOptions
-from skincal.files.frames import named_poses, skin_name
-from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, skin_part
+from skincal.files.frames import mjcf_text, named_poses, npz_bytes, sdf_text, skin_name, urdf_text
+from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, skin_part
 from skincal.files.robot_file import check_robot, mesh_sentences, require_other_file
+from skincal.files.tactile_urdf import tactile_urdf_text
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.findings import MeshFinding
 from skincal.mesh.lay import PlacedLayout, place_layout
@@ -494,6 +494,20 @@ def write_calibration(
     return sentences if kept is None else (*sentences, f"The older {path.name} is kept as {kept.name}.")
 
 
+WRITER_OF_FORMAT: dict[ExportFormat, Callable[[Calibration, Method], str | bytes]] = {
+    ExportFormat.ICUB: icub_text,
+    ExportFormat.JSON: json_text,
+    ExportFormat.CSV: csv_text,
+    ExportFormat.PLY: ply_text,
+    ExportFormat.URDF: urdf_text,
+    ExportFormat.TACTILE_URDF: tactile_urdf_text,
+    ExportFormat.SDF: sdf_text,
+    ExportFormat.MJCF: mjcf_text,
+    ExportFormat.NPZ: npz_bytes,
+}
+"""The function that makes the content of a file of each format."""
+
+
 def calibration_file(
     calibration: Calibration, format_: ExportFormat, method: Method, options: ExportOptions = NO_OPTIONS
 ) -> tuple[bytes, tuple[str, ...]]:
@@ -502,9 +516,7 @@ def calibration_file(
     # Refuses a method without estimates before the mesh is loaded.
     calibration.estimates_by(method)
     shape = _shape_of(calibration)
-    module, _, function = format_.writer.partition(":")
-    write = getattr(import_module(module), function)
-    written: str | bytes = write(replace(calibration, options=options, mesh_findings=shape.mesh_findings), method)
+    written = WRITER_OF_FORMAT[format_](replace(calibration, options=options, mesh_findings=shape.mesh_findings), method)
     methods = tuple(calibration.estimates) if format_.holds_all_methods else (method,)
     sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:

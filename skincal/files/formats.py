@@ -1,4 +1,4 @@
-"""Registry of export formats: each entry has the words of the commands' help and of the export dialog, and names the writer.
+"""Registry of export formats: each entry has the words of the commands' help and of the export dialog.
 
 It imports nothing heavy, since the commands' help must answer at once. `consumers.py` says which program reads which format.
 """
@@ -13,93 +13,98 @@ from pathlib import Path
 from skincal.model.errors import InputError
 
 
+@dataclass(frozen=True, slots=True)
+class _Format:
+    """An entry of `ExportFormat`."""
+
+    name: str
+    title: str
+    suffix: str
+    description: str
+    options: tuple[str, ...] = ()
+    holds_all_methods: bool = False
+
+
 class ExportFormat(Enum):
     """Formats of calibration files, in menu order; the value is the name in commands.
 
-    An entry is: name, title, suffix of the file's name, purpose in one line, and `module:function` of the writer. The function
-    takes a calibration and a method and returns the file's text or bytes. The last entry lists what else holds: "all" if the
-    file has every method, and the options of `ExportOptions` that the format knows.
+    `WRITER_OF_FORMAT` of `export.py` has the writers.
     """
 
-    ICUB = (
+    ICUB = _Format(
         "icub",
         "iCub position file",
         ".txt",
         "What skinManager and skinGui load: every channel, unit normals, taxel2Repr.",
-        "skincal.files.icub:icub_text",
-        "part",
+        options=("part",),
     )
-    JSON = (
+    JSON = _Format(
         "json",
         "JSON, complete",
         ".json",
         "Covariances, gains, contacts and settings: everything needed to compute it again.",
-        "skincal.files.export:json_text",
-        "all",
+        holds_all_methods=True,
     )
-    CSV = (
+    CSV = _Format(
         "csv",
         "CSV, all methods",
         ".csv",
         "One row a channel and method, metres and millimetres, with the taxel's gain.",
-        "skincal.files.export:csv_text",
-        "all",
+        holds_all_methods=True,
     )
-    PLY = ("ply", "PLY points", ".ply", "For mesh viewers: positions with normals.", "skincal.files.export:ply_text")
-    URDF = (
+    PLY = _Format("ply", "PLY points", ".ply", "For mesh viewers: positions with normals.")
+    URDF = _Format(
         "urdf",
         "URDF frames",
         ".urdf",
         "For ROS: a link and a fixed joint a taxel, its z axis along the normal.",
-        "skincal.files.frames:urdf_text",
-        "prefix into inertia",
+        options=("prefix", "into", "inertia"),
     )
-    TACTILE_URDF = (
+    TACTILE_URDF = _Format(
         "tactile-urdf",
         "Tactile sensor for URDF",
         ".tactile.urdf",
         "For tactile_toolbox (RViz): a <sensor> with a taxel each, to paste into the robot's URDF.",
-        "skincal.files.tactile_urdf:tactile_urdf_text",
-        "prefix into",
+        options=("prefix", "into"),
     )
-    SDF = (
+    SDF = _Format(
         "sdf",
         "SDF frames",
         ".sdf",
         "For Gazebo: a frame a taxel on the link, its z axis along the normal.",
-        "skincal.files.frames:sdf_text",
-        "prefix into",
+        options=("prefix", "into"),
     )
-    MJCF = (
+    MJCF = _Format(
         "mjcf",
         "MuJoCo touch sites",
         ".xml",
         "For MuJoCo: a site a taxel on the link's body, and a touch sensor on it.",
-        "skincal.files.frames:mjcf_text",
-        "prefix",
+        options=("prefix",),
     )
-    NPZ = (
+    NPZ = _Format(
         "npz",
         "NumPy arrays",
         ".npz",
         "For own programs: channel, position, normal, quaternion and covariance, metres.",
-        "skincal.files.frames:npz_bytes",
     )
 
-    def __new__(cls, name: str, *_: str) -> ExportFormat:
+    title: str
+    suffix: str
+    """Of the file's name."""
+    description: str
+    """Purpose in one line."""
+    options: tuple[str, ...]
+    """Options of `ExportOptions` that the format knows."""
+    holds_all_methods: bool
+    """Whether the file has the estimates of every method."""
+
+    def __new__(cls, entry: _Format) -> ExportFormat:
         """Make an entry whose value is its name alone."""
-        entry = object.__new__(cls)
-        entry._value_ = name
-        return entry
-
-    def __init__(self, _name: str, title: str, suffix: str, description: str, writer: str, features: str = "") -> None:
-        self.title, self.suffix, self.description, self.writer = title, suffix, description, writer
-        self.features = frozenset(features.split())
-
-    @property
-    def holds_all_methods(self) -> bool:
-        """Whether the file has the estimates of every method."""
-        return "all" in self.features
+        made = object.__new__(cls)
+        made._value_ = entry.name
+        made.title, made.suffix, made.description = entry.title, entry.suffix, entry.description
+        made.options, made.holds_all_methods = entry.options, entry.holds_all_methods
+        return made
 
 
 def formats_help() -> str:
@@ -130,7 +135,7 @@ class ExportOptions:
 
     def for_format(self, format_: ExportFormat) -> ExportOptions:
         """Return the options without those that have no use in the format."""
-        unused = {field.name: field.default for field in fields(self) if field.name not in format_.features}
+        unused = {field.name: field.default for field in fields(self) if field.name not in format_.options}
         return replace(self, **unused)
 
     def require_use(self, format_: ExportFormat) -> None:
@@ -141,8 +146,8 @@ class ExportOptions:
             "inertia": self.inertia is not Inertia.NONE,
             "into": self.into is not None,
         }
-        for option in (name for name, is_given in given.items() if is_given and name not in format_.features):
-            known = " or ".join(each.value for each in ExportFormat if option in each.features)
+        for option in (name for name, is_given in given.items() if is_given and name not in format_.options):
+            known = " or ".join(each.value for each in ExportFormat if option in each.options)
             advice = "; in MuJoCo attach the file to the robot, as its comment says" if format_ is ExportFormat.MJCF else ""
             raise InputError(
                 f"--{option} {_PURPOSE_OF_OPTION[option]}; expected --format {known}, not {format_.value}{advice}."

@@ -40,8 +40,6 @@ from skincal.session.landmark_pokes import can_be_at_landmark
 
 MAX_ACTION_COORDINATE = 1e6
 """Largest coordinate of an action (m, or a direction): far beyond any part, and products of such numbers stay finite."""
-NON_UNDOABLE_ACTIONS = (AskLandmark, AskPoke, MissedLandmark, SkipClosing, SkipLandmark, SkipPoke)
-"""Requests of the guide and findings of the pipeline: undo passes over them."""
 Value = TypeVar("Value")
 
 
@@ -93,7 +91,7 @@ class Decisions:
 
 def is_undoable(action: Action) -> bool:
     """Whether undo can revert an action. Not an automatic closing check, which would start again at once."""
-    return not isinstance(action, NON_UNDOABLE_ACTIONS) and action != BeginClosing()
+    return ACTION_KINDS[type(action)].describe is not None and action != BeginClosing()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,19 +113,7 @@ def apply_action(action: Action, now: Decisions, context: ActionContext) -> Deci
     InputError
         There is no such poke, pose, landmark or channel, or its numbers make no sense.
     """
-    return _ACTION_EFFECTS[type(action)](action, now, context)
-
-
-_CHANGED_FIELDS: dict[type[Action], tuple[str, ...]] = {
-    SetPose: ("pose",),
-    SetThresholds: ("thresholds",),
-    AddLandmark: ("landmarks",),
-    Correct: ("corrections",),
-    Uncorrect: ("corrections",),
-    MarkDead: ("marked", "revived"),
-    Revive: ("marked", "revived"),
-}
-"""Fields that only undoable actions of these types change: undo puts their old values back."""
+    return ACTION_KINDS[type(action)].apply(action, now, context)
 
 
 def take_back(action: Action, before: Decisions, now: Decisions) -> Decisions:
@@ -137,41 +123,14 @@ def take_back(action: Action, before: Decisions, now: Decisions) -> Decisions:
     ----------
     before : the decisions that it was applied to
     """
-    match action:
-        case Exclude() | Restore():
-            return with_excluded(now, action.poke, out=action.poke in before.excluded)
-        case AtLandmark() | FoundAtLandmark():
-            # Of this poke alone, and the pipeline may have found since that it missed its landmark.
-            poke, missed = action.poke, now.missed_landmarks.get(action.poke)
-            name = before.landmark_of_poke.get(poke) if missed is None else None
-            missed = missed or before.missed_landmarks.get(poke)
-            return _name_poke(now, poke, name, missed, by_hand=poke in before.named_by_hand)
-        case BeginClosing():
-            at = len(before.closings)
-            return replace(now, closings=(*now.closings[:at], *now.closings[at + 1 :]))
-        case _:
-            return replace(now, **{name: getattr(before, name) for name in _CHANGED_FIELDS[type(action)]})
-
-
-_ACTION_DESCRIPTIONS: dict[type[Action], Callable[[Any], str]] = {
-    Exclude: lambda action: f"exclusion of poke {action.poke}",
-    Restore: lambda action: f"return of poke {action.poke}",
-    SetPose: lambda action: f"choice of pose {action.name}" if action.name else "choice of the streamed pose",
-    AddLandmark: lambda action: f"landmark {action.name}",
-    AtLandmark: lambda action: f"poke {action.poke} at {action.name or 'no landmark'}",
-    FoundAtLandmark: lambda action: f"poke {action.poke} at {action.name or 'no landmark'}",
-    Correct: lambda action: f"correction of {CORRECTED_THINGS[action.of]}",
-    Uncorrect: lambda action: f"end of the correction of {CORRECTED_THINGS[action.of]}",
-    MarkDead: lambda action: f"mark of channel {action.channel}",
-    Revive: lambda action: f"return of channel {action.channel}",
-    SetThresholds: lambda action: "change of thresholds" if action.names else "return to the scene's thresholds",
-    BeginClosing: lambda _: "closing check",
-}
+    return ACTION_KINDS[type(action)].revert(action, before, now)
 
 
 def describe_action(action: Action) -> str:
     """Describe an action that can be undone, for the operator."""
-    return _ACTION_DESCRIPTIONS[type(action)](action)
+    describe = ACTION_KINDS[type(action)].describe
+    assert describe is not None, "undo passes over this action"
+    return describe(action)
 
 
 def with_excluded(now: Decisions, poke: int, *, out: bool) -> Decisions:
@@ -186,6 +145,10 @@ def _with_poke(action: Exclude | Restore, now: Decisions, context: ActionContext
     if (poke in now.excluded) == out:
         raise InputError(f"Poke {poke} {'is already excluded' if out else 'counts already'}.")
     return with_excluded(now, poke, out=out)
+
+
+def _without_poke(action: Exclude | Restore, before: Decisions, now: Decisions) -> Decisions:
+    return with_excluded(now, action.poke, out=action.poke in before.excluded)
 
 
 def _with_pose(action: SetPose, now: Decisions, context: ActionContext) -> Decisions:
@@ -235,6 +198,14 @@ def _with_landmark_poke(action: AtLandmark | FoundAtLandmark, now: Decisions, co
     return _name_poke(now, poke, action.name, missed, by_hand=by_hand or poke in now.named_by_hand)
 
 
+def _without_landmark_poke(action: AtLandmark | FoundAtLandmark, before: Decisions, now: Decisions) -> Decisions:
+    # Of this poke alone, and the pipeline may have found since that it missed its landmark.
+    poke, missed = action.poke, now.missed_landmarks.get(action.poke)
+    name = before.landmark_of_poke.get(poke) if missed is None else None
+    missed = missed or before.missed_landmarks.get(poke)
+    return _name_poke(now, poke, name, missed, by_hand=poke in before.named_by_hand)
+
+
 def _name_poke(now: Decisions, poke: int, name: str | None, missed: MissedLandmark | None, *, by_hand: bool) -> Decisions:
     taken = now.taken_from_landmarks - {poke}
     if not name and missed is None and (poke in now.landmark_of_poke or poke in now.taken_from_landmarks):
@@ -260,6 +231,11 @@ def _check_landmark(now: Decisions, name: str) -> None:
         known = ", ".join(repr(landmark.name) for landmark in now.landmarks)
         expected = f"expected one of {known}" if known else "the scene has none: add one first"
         raise InputError(f"There is no landmark {name!r}; {expected}.")
+
+
+def _without_closing(_action: BeginClosing, before: Decisions, now: Decisions) -> Decisions:
+    at = len(before.closings)
+    return replace(now, closings=(*now.closings[:at], *now.closings[at + 1 :]))
 
 
 def _with_closing_skip(action: SkipClosing, now: Decisions, context: ActionContext) -> Decisions:
@@ -292,21 +268,72 @@ def _with_request(action: AskLandmark | AskPoke | SkipPoke | SkipLandmark, now: 
     return replace(now, skips=(*now.skips, action)) if isinstance(action, SkipPoke | SkipLandmark) else now
 
 
-_ACTION_EFFECTS: dict[type[Action], Callable[[Any, Decisions, ActionContext], Decisions]] = {
-    Exclude: _with_poke,
-    Restore: _with_poke,
-    SetPose: _with_pose,
-    SetThresholds: _with_thresholds,
-    MarkDead: _with_channel,
-    Revive: _with_channel,
-    AddLandmark: _with_landmark,
-    AtLandmark: _with_landmark_poke,
-    FoundAtLandmark: _with_landmark_poke,
-    MissedLandmark: lambda action, now, _: _name_poke(now, action.poke, None, action, by_hand=action.poke in now.named_by_hand),
-    **dict.fromkeys((AskLandmark, AskPoke, SkipPoke, SkipLandmark), _with_request),
-    BeginClosing: lambda _, now, context: replace(now, closings=(*now.closings, ClosingRound(context.last_poke))),
-    SkipClosing: _with_closing_skip,
-    Correct: lambda action, now, _: replace(now, corrections=with_correction(now.corrections, action)),
-    Uncorrect: lambda action, now, _: replace(now, corrections=without_correction(now.corrections, action)),
+def _old_values(*names: str) -> Callable[[Any, Decisions, Decisions], Decisions]:
+    """Make the function that puts back fields of the decisions that no action changes without undo."""
+    return lambda _, before, now: replace(now, **{name: getattr(before, name) for name in names})
+
+
+def keep_decisions(_action: Action, _before: Decisions, now: Decisions) -> Decisions:
+    """Change nothing: of actions that undo passes over."""
+    return now
+
+
+@dataclass(frozen=True, slots=True)
+class ActionKind:
+    """A kind of action: all that a session knows of it."""
+
+    apply: Callable[[Any, Decisions, ActionContext], Decisions]
+    """Gives the decisions after an action. Raises InputError."""
+    describe: Callable[[Any], str] | None = None
+    """Describes an action for undo; `None` if undo passes over it: a request of the guide, a finding of the pipeline."""
+    revert: Callable[[Any, Decisions, Decisions], Decisions] = keep_decisions
+    """Gives the present decisions without the action, from those before it and the present ones."""
+
+
+def _describe_landmark_poke(action: AtLandmark | FoundAtLandmark) -> str:
+    return f"poke {action.poke} at {action.name or 'no landmark'}"
+
+
+ACTION_KINDS: dict[type[Action], ActionKind] = {
+    Exclude: ActionKind(_with_poke, lambda action: f"exclusion of poke {action.poke}", _without_poke),
+    Restore: ActionKind(_with_poke, lambda action: f"return of poke {action.poke}", _without_poke),
+    SetPose: ActionKind(
+        _with_pose,
+        lambda action: f"choice of pose {action.name}" if action.name else "choice of the streamed pose",
+        _old_values("pose"),
+    ),
+    SetThresholds: ActionKind(
+        _with_thresholds,
+        lambda action: "change of thresholds" if action.names else "return to the scene's thresholds",
+        _old_values("thresholds"),
+    ),
+    MarkDead: ActionKind(_with_channel, lambda action: f"mark of channel {action.channel}", _old_values("marked", "revived")),
+    Revive: ActionKind(_with_channel, lambda action: f"return of channel {action.channel}", _old_values("marked", "revived")),
+    AddLandmark: ActionKind(_with_landmark, lambda action: f"landmark {action.name}", _old_values("landmarks")),
+    AtLandmark: ActionKind(_with_landmark_poke, _describe_landmark_poke, _without_landmark_poke),
+    FoundAtLandmark: ActionKind(_with_landmark_poke, _describe_landmark_poke, _without_landmark_poke),
+    MissedLandmark: ActionKind(
+        lambda action, now, _: _name_poke(now, action.poke, None, action, by_hand=action.poke in now.named_by_hand)
+    ),
+    AskLandmark: ActionKind(_with_request),
+    AskPoke: ActionKind(_with_request),
+    SkipPoke: ActionKind(_with_request),
+    SkipLandmark: ActionKind(_with_request),
+    BeginClosing: ActionKind(
+        lambda _, now, context: replace(now, closings=(*now.closings, ClosingRound(context.last_poke))),
+        lambda _: "closing check",
+        _without_closing,
+    ),
+    SkipClosing: ActionKind(_with_closing_skip),
+    Correct: ActionKind(
+        lambda action, now, _: replace(now, corrections=with_correction(now.corrections, action)),
+        lambda action: f"correction of {CORRECTED_THINGS[action.of]}",
+        _old_values("corrections"),
+    ),
+    Uncorrect: ActionKind(
+        lambda action, now, _: replace(now, corrections=without_correction(now.corrections, action)),
+        lambda action: f"end of the correction of {CORRECTED_THINGS[action.of]}",
+        _old_values("corrections"),
+    ),
 }
-"""For each type of action the function that applies it."""
+"""Every kind of action but undo and redo. A new one is a class of `model/actions.py` and a row here."""

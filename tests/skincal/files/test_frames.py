@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skincal.files.export import write_calibration
+from skincal.files.export import WRITER_OF_FORMAT, write_calibration
 from skincal.files.formats import ExportFormat, ExportOptions, Inertia
 from skincal.files.frames import mjcf_text, npz_bytes, quaternions_of, sdf_text, urdf_text
 from skincal.files.reference import load_reference, read_place_sets
@@ -153,6 +153,7 @@ def test_names_from_strangers_stay_names(calibration, text_of):
 
 def test_every_format_has_an_ending_and_a_line_of_its_own():
     assert len({each.suffix for each in ExportFormat}) == len(ExportFormat)
+    assert set(WRITER_OF_FORMAT) == set(ExportFormat)
     assert all(each.description.endswith(".") and "\n" not in each.description for each in ExportFormat)
 
 
@@ -239,7 +240,7 @@ def test_an_option_that_a_format_does_not_know_is_refused_and_named(calibration,
     every = ExportOptions("chest", "left_", Inertia.TINY, tmp_path / "robot.urdf")
     for name in ("part", "prefix", "inertia", "into"):
         one = replace(ExportOptions(), **{name: getattr(every, name)})
-        if name in format_.features:
+        if name in format_.options:
             one.require_use(format_)
             assert one.for_format(format_) == one
             continue

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from skincal.model.actions import (
 )
 from skincal.model.errors import InputError
 from skincal.model.scene import ArmSpec, ContactSettings, Landmark
+from skincal.session.decisions import ACTION_KINDS, keep_decisions
 from skincal.session.session import Session
 from skincal.session.undo import OperationKind, describe_entry
 from skincal.taxels.result import Method, State
@@ -353,3 +355,10 @@ def test_the_calibration_carries_what_was_used_and_what_was_not(outcomes):
     assert [contact.poke for contact in calibration.contacts] == list(range(1, 10))
     assert all(isinstance(each, Contact) for each in calibration.contacts)
     assert len(calibration.estimates[Method.FREE]) == len(calibration.channels) == 24
+
+
+def test_every_kind_of_action_is_one_row():
+    """What can be described can be undone; undo and redo themselves change the history only."""
+    assert set(ACTION_KINDS) == set(get_args(a.Action)) - {a.Undo, a.Redo}
+    for kind in ACTION_KINDS.values():
+        assert (kind.describe is None) == (kind.revert is keep_decisions)
