@@ -6,7 +6,7 @@ Gates are not applied. For slides, clocks and losses use `device`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -179,24 +179,26 @@ def _aimed(rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Gen
     )  # fmt: skip
 
 
-def add_tips(
-    contacts: Sequence[Contact],
-    pokes: PressedPlaces,
-    arm_pose: SimulatedArmPose,
-    fixed_from_sensor: FloatArray,
-    sd: float,
-    rng: np.random.Generator,
-    first_poke: int = 1,
-) -> list[Contact]:
-    """Return contacts of `simulate_contacts` with the position of the tip, as a robot or a tracker reports it.
+@dataclass(frozen=True, slots=True, eq=False)
+class TipTracker:
+    """A robot or a tracker that reports the position of the tip in a fixed frame."""
 
-    Parameters
-    ----------
-    fixed_from_sensor : (4, 4) float, metres: the sensor in the fixed frame
-    sd : m, noise of each coordinate
-    """
-    fixed_from_link = fixed_from_sensor @ inverse_pose(arm_pose.true)
-    rows = [contact.poke - first_poke for contact in contacts]
-    tips = pokes.points[rows] @ fixed_from_link[:3, :3].T + fixed_from_link[:3, 3]
-    tips = tips + sd * rng.standard_normal(tips.shape)
-    return [replace(contact, tip=tip) for contact, tip in zip(contacts, tips, strict=True)]
+    fixed_from_sensor: FloatArray
+    """(4, 4) float, metres: the sensor in the fixed frame."""
+    sd: float
+    """m, noise of each coordinate."""
+
+    def add_tips(
+        self,
+        contacts: Sequence[Contact],
+        pokes: PressedPlaces,
+        arm_pose: SimulatedArmPose,
+        rng: np.random.Generator,
+        first_poke: int = 1,
+    ) -> list[Contact]:
+        """Return contacts of `simulate_contacts` with the position of the tip."""
+        fixed_from_link = self.fixed_from_sensor @ inverse_pose(arm_pose.true)
+        rows = [contact.poke - first_poke for contact in contacts]
+        tips = pokes.points[rows] @ fixed_from_link[:3, :3].T + fixed_from_link[:3, 3]
+        tips = tips + self.sd * rng.standard_normal(tips.shape)
+        return [replace(contact, tip=tip) for contact, tip in zip(contacts, tips, strict=True)]

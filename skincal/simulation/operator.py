@@ -255,7 +255,8 @@ def unguided_presses(rig: Rig, targets: IntArray, habits: Habits, rng: np.random
     tilts = cone_tilts(count, habits.cone, rng)
     azimuths = rng.uniform(-np.pi, np.pi, count)
     forces = rng.uniform(*habits.force, count)
-    meant = presses_at(rig, targets, habits.aim * rng.standard_normal((count, 2)), tilts, azimuths, forces, rng)
+    beside, leans = habits.aim * rng.standard_normal((count, 2)), np.column_stack([tilts, azimuths])
+    meant = presses_at(rig, targets, beside, leans, forces, rng)
     if not habits.leans:
         return meant
     return replace(
@@ -267,16 +268,15 @@ def presses_at(
     rig: Rig,
     targets: IntArray,
     beside: FloatArray,
-    tilts: FloatArray,
-    azimuths: FloatArray,
+    leans: FloatArray,
     forces: FloatArray,
     rng: np.random.Generator,
 ) -> PressedPlaces:
-    """Return presses at targets with offsets (n, 2), metres, in their planes; `tilts`, `azimuths` as for `push_directions`."""
+    """Return presses at targets with offsets `beside` (n, 2), metres, in their planes; `leans` (n, 2): tilt, azimuth, rad."""
     rows = np.array([rig.row_of(int(channel)) for channel in targets], dtype=np.int64)
     e1, e2 = tangents(rig.normals[rows])
     points, normals = _on_skin(rig, rig.places[rows] + beside[:, :1] * e1 + beside[:, 1:] * e2, rig.normals[rows])
-    directions = push_directions(normals, tilts, azimuths)
+    directions = push_directions(normals, leans[:, 0], leans[:, 1])
     return PressedPlaces(targets, points, normals, directions, forces, rng.uniform(0.0, np.pi / 2, len(rows)))
 
 
@@ -448,7 +448,7 @@ class ScriptedOperator:
         force = rng.uniform(*habits.force) if order.force is None else order.force
         beside = habits.aim * rng.standard_normal((1, 2))
         target = np.array([order.channel], dtype=np.int64)
-        return presses_at(self._rig, target, beside, np.array([tilt]), np.array([azimuth]), np.array([force]), rng)
+        return presses_at(self._rig, target, beside, np.array([[tilt, azimuth]]), np.array([force]), rng)
 
 
 class GuidedOperator(AutoOperator):

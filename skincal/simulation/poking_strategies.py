@@ -65,12 +65,19 @@ class MeantPokes:
     """(n, 3) float, unit."""
 
 
-def poke_by_hand(
-    rig: Rig, meant: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
-) -> tuple[list[Contact], PressedPlaces]:
-    """Simulate a hand that makes the intended pokes, the first with the number `first`; return contacts and true presses."""
-    pokes = aimed_presses(rig, np.zeros(len(meant.places), dtype=np.int64), meant.places, meant.pushes, conditions.habits, rng)
-    return simulate_contacts(rig, pokes, rng, SHORT_LEVER_POSE, first, conditions.habits), pokes
+@dataclass(frozen=True, slots=True, eq=False)
+class Hand:
+    """A hand with habits that pokes a rig."""
+
+    rig: Rig
+    conditions: Conditions
+    rng: np.random.Generator
+
+    def poke(self, meant: MeantPokes, first: int) -> tuple[list[Contact], PressedPlaces]:
+        """Make the intended pokes, the first with the number `first`; return contacts and true presses."""
+        habits, rows = self.conditions.habits, np.zeros(len(meant.places), dtype=np.int64)
+        pokes = aimed_presses(self.rig, rows, meant.places, meant.pushes, habits, self.rng)
+        return simulate_contacts(self.rig, pokes, self.rng, SHORT_LEVER_POSE, first, habits), pokes
 
 
 STRATEGIES = ("clumped", "random", "round_robin", "tilt_recipe")
@@ -154,9 +161,8 @@ def run_course(part: ExamplePart, way: str, method: Method, conditions: Conditio
     """Poke `limit` times and evaluate the errors."""
     rig = displaced_rig(part, conditions, seed)
     # A separate random stream, so that every strategy gets the same rig.
-    rng = np.random.default_rng([seed, 11])
-    own = part, rig, method, conditions, rng, limit
-    steps = _guided(*own) if way == "guided" else _unguided(way, *own)
+    hand = Hand(rig, conditions, np.random.default_rng([seed, 11]))
+    steps = _guided(part, hand, method, limit) if way == "guided" else _unguided(way, part, hand, method, limit)
     at = set(evaluation_counts(limit).tolist())
     rows: list[tuple[int, float, float, float]] = []
     last: tuple[Session, Guidance | None] | None = None
@@ -212,12 +218,9 @@ def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
 Step = tuple[int, float, Session, Guidance | None]
 
 
-def _unguided(
-    way: str, part: ExamplePart, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
-) -> Iterator[Step]:
+def _unguided(way: str, part: ExamplePart, hand: Hand, method: Method, limit: int) -> Iterator[Step]:
     """Poke a plan that is fixed before the first poke."""
-    meant = plan_pokes(way, part, conditions, limit, rng)
-    contacts, pokes = poke_by_hand(rig, meant, conditions, rng, 1)
+    contacts, pokes = hand.poke(plan_pokes(way, part, hand.conditions, limit, hand.rng), 1)
     session, added = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))
     for count in evaluation_counts(limit).tolist():
@@ -227,11 +230,9 @@ def _unguided(
         yield count, float(times[count - 1]), session, None
 
 
-def _guided(
-    part: ExamplePart, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
-) -> Iterator[Step]:
+def _guided(part: ExamplePart, hand: Hand, method: Method, limit: int) -> Iterator[Step]:
     """Poke the targets of a guide."""
-    session, seconds, hand = _session(part, method), 0.0, None
+    session, seconds, last = _session(part, method), 0.0, None
     guide = _guide(part, method)
     targets: dict[int, Target | None] = {}
     guidance = guide.update(session.snapshot(), targets.get)
@@ -242,9 +243,9 @@ def _guided(
             # After the guide's end: the least certain taxel.
             worst = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
             meant = MeantPokes(guidance.places[worst][None], -part.plan.normals[worst][None])
-        made, pokes = poke_by_hand(rig, meant, conditions, rng, count)
-        seconds += float(_seconds(np.array([0.0 if hand is None else np.linalg.norm(pokes.points[0] - hand)]))[0])
-        hand = pokes.points[0]
+        made, pokes = hand.poke(meant, count)
+        seconds += float(_seconds(np.array([0.0 if last is None else np.linalg.norm(pokes.points[0] - last)]))[0])
+        last = pokes.points[0]
         for contact in made:
             session.add(contact)
         targets[count] = guidance.target

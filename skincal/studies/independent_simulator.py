@@ -73,6 +73,8 @@ MESH_BUMP_CORRELATION_LENGTH_M = 0.020
 """m: how far bumps of a mesh reach: it bends between the points it was scanned or drawn at."""
 FINGER_WIDTH_M = 0.008
 """m between the two places that a finger touches: its breadth, a little more than the pitch of the taxels."""
+LANDMARK_POKES_PER_POSE = 10
+"""Pokes at landmarks in each arm pose, if the scene has landmarks."""
 GUIDED_LANDMARK_POKES = (6, 3, 3, 3, 2, 2, 2)
 """Landmark pokes in each arm pose that the guide asks for: 21 in seven poses."""
 
@@ -447,19 +449,26 @@ class Operator:
         return points, rng.uniform(*LANDMARK_FORCES, len(places))[:, None] * self.pushes(normals, LANDMARK_CONE, rng)
 
 
-def taxel_responses(
-    world: RigModel, places: FloatArray, gains: FloatArray, presses: Presses, rng: np.random.Generator
-) -> FloatArray:
-    """Compute the responses (n, taxels) of the taxels at `places`, in counts of 255 above their baseline."""
-    total = np.zeros((presses.feet.shape[1], len(places)))
-    for feet, load in zip(presses.feet, presses.normal_loads, strict=True):
-        depth = np.sqrt(load / (np.pi * world.tip * FOAM_STIFFNESS_PA_PER_M))
-        # The variance in each direction of a paraboloid over a disc of radius a is a^2/6, of a flat one over the pad a^2/4.
-        spread = 2 * world.tip * depth / 6 + TAXEL_ELECTRODE_RADIUS_M**2 / 4 + (world.spread * FOAM_PRESSURE_SPREAD_M) ** 2
-        away = np.sum((places[None] - feet[:, None]) ** 2, axis=2)
-        total += (load * TAXEL_ELECTRODE_RADIUS_M**2 / (2 * spread))[:, None] * np.exp(-away / (2 * spread[:, None]))
-    clean = MAX_TAXEL_RESPONSE_COUNTS * (1.0 - np.exp(-gains * total / LOAD_FOR_63_PERCENT_RESPONSE_N))
-    return clean + np.sqrt(COUNT_VARIANCE * FRAME_VARIANCE_SHARE) * rng.standard_normal(clean.shape)
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """Taxels at `places` (n, 3), metres, with their `gains` (n,)."""
+
+    world: RigModel
+    places: FloatArray
+    gains: FloatArray
+
+    def responses(self, presses: Presses, rng: np.random.Generator) -> FloatArray:
+        """Compute the responses (n, taxels) to presses, in counts of 255 above their baseline."""
+        world = self.world
+        total = np.zeros((presses.feet.shape[1], len(self.places)))
+        for feet, load in zip(presses.feet, presses.normal_loads, strict=True):
+            depth = np.sqrt(load / (np.pi * world.tip * FOAM_STIFFNESS_PA_PER_M))
+            # The variance in each direction of a paraboloid over a disc of radius a is a^2/6, of a flat one over the pad a^2/4.
+            spread = 2 * world.tip * depth / 6 + TAXEL_ELECTRODE_RADIUS_M**2 / 4 + (world.spread * FOAM_PRESSURE_SPREAD_M) ** 2
+            away = np.sum((self.places[None] - feet[:, None]) ** 2, axis=2)
+            total += (load * TAXEL_ELECTRODE_RADIUS_M**2 / (2 * spread))[:, None] * np.exp(-away / (2 * spread[:, None]))
+        clean = MAX_TAXEL_RESPONSE_COUNTS * (1.0 - np.exp(-self.gains * total / LOAD_FOR_63_PERCENT_RESPONSE_N))
+        return clean + np.sqrt(COUNT_VARIANCE * FRAME_VARIANCE_SHARE) * rng.standard_normal(clean.shape)
 
 
 # ---- sensor and arm
@@ -539,14 +548,13 @@ def _skin_pokes(
     scene: Scene,
     part: SmoothSurface,
     who: Operator,
-    places: FloatArray,
-    gains: FloatArray,
+    skin: Skin,
     targets: IntArray,
     rng: np.random.Generator,
 ) -> tuple[Presses, FloatArray]:
     """Poke at `targets` (n,), each up to `MAX_ATTEMPTS_PER_TARGET` times. Return counted pokes, responses (n, taxels)."""
-    presses = who.press(part, places[np.tile(targets, MAX_ATTEMPTS_PER_TARGET)], rng)
-    responses = taxel_responses(who.world, places, gains, presses, rng)
+    presses = who.press(part, skin.places[np.tile(targets, MAX_ATTEMPTS_PER_TARGET)], rng)
+    responses = skin.responses(presses, rng)
     count = (responses > scene.contacts.response_min).sum(axis=1)
     good = ((count > 0) & (count <= scene.contacts.taxels_max)).reshape(MAX_ATTEMPTS_PER_TARGET, -1)
     rows = (good.argmax(axis=0) * len(targets) + np.arange(len(targets)))[good.any(axis=0)]
@@ -554,7 +562,7 @@ def _skin_pokes(
 
 
 def simulate_session(
-    scene: Scene, vertices: FloatArray, triangles: IntArray, world: RigModel, seed: int, per_pose: int = 72, known: int = 10
+    scene: Scene, vertices: FloatArray, triangles: IntArray, world: RigModel, seed: int, per_pose: int = 72
 ) -> SimulatedSession:
     """Poke a rig in all its arm poses: in each first its landmarks in turn, then its skin.
 
@@ -563,24 +571,23 @@ def simulate_session(
     scene : with a layout, an anchor and a mesh
     vertices, triangles : (nv, 3) float, metres, and (nt, 3) int, outward: the true part
     per_pose : pokes at the skin in each arm pose
-    known : pokes at landmarks in each; none if the scene has no landmarks
     """
     mesh, mount, skin, arm, sensor, hand, wrong, noise = np.random.default_rng([seed, 12]).spawn(8)
     part = SmoothSurface(vertices, triangles)
     channels, places = taxels(scene, part, world, mount)
-    gains = np.exp(world.gains * skin.standard_normal(len(channels)))
+    pads = Skin(world, places, np.exp(world.gains * skin.standard_normal(len(channels))))
     reported = forward_kinematics(scene)
     operator = Operator(world, unit(part.nearest(places)[1].mean(axis=0)), hand)
     targets = np.concatenate([hand.permutation(len(places)) for _ in range(-(-per_pose * len(reported) // len(places)))])
     landmarks = np.array([landmark.place for landmark in scene.landmarks]).reshape(-1, 3)
-    known = known if len(landmarks) else 0
+    known = LANDMARK_POKES_PER_POSE if len(landmarks) else 0
     parts: list[tuple[Any, ...]] = []
     for pose in range(len(reported)):
         # Each arm pose continues after the last landmark that the guide asked for.
         marks = (sum(GUIDED_LANDMARK_POKES[:pose]) + np.arange(known)) % max(len(landmarks), 1)
         at, push = operator.press_landmarks(part, landmarks[marks], hand)
         own = targets[pose * per_pose : (pose + 1) * per_pose]
-        presses, answered = _skin_pokes(scene, part, operator, places, gains, own, hand)
+        presses, answered = _skin_pokes(scene, part, operator, pads, own, hand)
         parts.append((
             np.concatenate([np.stack([at, at]), presses.points], axis=1),
             np.concatenate([np.stack([push, 0 * push]), presses.forces], axis=1),

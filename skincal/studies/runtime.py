@@ -272,42 +272,54 @@ Piece: TypeAlias = tuple[int, Callable[[], Positions]]
 """Index of a seed, and the solve of one of its taxels or modules."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ShippedAnswer:
+    """Answer of a method of the program, to compare those of slow methods with."""
+
+    row: Row
+    positions: Sequence[Positions]
+    """Of each seed, for errors."""
+    near: Sequence[Positions]
+    """Of each seed, every poke counting fully, for positions."""
+
+    def compare(self, bench: ExamplePart, found: Sequence[Positions]) -> Row:
+        """Compare the positions that another method found of each seed; return entries of its row."""
+        apart: list[float] = []
+        differences: list[float] = []
+        for theirs, close, ours in zip(found, self.near, self.positions, strict=True):
+            apart += [float(np.linalg.norm(theirs[channel] - close[channel])) for channel in close if channel in theirs]
+            both = [
+                bench.errors({channel: each[channel] for channel in theirs.keys() & ours.keys()}) for each in (theirs, ours)
+            ]
+            differences += [1e3 * float(both[0].mean() - both[1].mean())] if len(both[0]) else []
+        entries: Row = {"off_ours_m": max(apart, default=None)}
+        # A sample is too small for an error of its own: the row's error is ours plus the difference on the same taxels.
+        error = self.row["error_mm"]
+        if differences and error is not None:
+            entries["error_beside_ours_mm"] = more = float(np.mean(differences))
+            entries["error_mm"] = error | {key: error[key] + more for key in ("median", "q1", "q3")}
+        return entries
+
+
 def _sampled_row(
-    size: ProblemSize, method: str, pieces: Sequence[Piece], unit: str, setup_s: float, ours: Row,
-    near: Sequence[Positions], shipped: Sequence[Positions],
-) -> Row:  # fmt: skip
+    size: ProblemSize, method: str, pieces: Sequence[Piece], unit: str, setup_s: float, ours: ShippedAnswer
+) -> Row:
     """Measure a slow method on pieces until the budget is used, at least on one.
 
     Parameters
     ----------
     pieces : all `unit` of all seeds, in random order
     setup_s : s before the first piece
-    ours : row of the shipped method
-    near, shipped : its positions of each seed, to compare positions and errors with
     """
     seconds, solved = timed([piece for _, piece in pieces], size.budget_s)
     found: list[dict[int, FloatArray]] = [{} for _ in size.runs]
     for (seed, _), positions in zip(pieces, solved, strict=False):
         found[seed].update(positions)
-    whole = [second * len(pieces) / len(shipped) + setup_s for second in seconds]
+    whole = [second * len(pieces) / len(size.runs) + setup_s for second in seconds]
     row = _row(size, method, whole, found)
     if len(seconds) < len(pieces):
         row["extrapolated_from"] = {unit: len(seconds), f"of_{unit}": len(pieces), "seconds": float(np.sum(seconds))}
-    apart: list[float] = []
-    differences: list[float] = []
-    for theirs, close, ours_of_seed in zip(found, near, shipped, strict=True):
-        apart += [float(np.linalg.norm(theirs[channel] - close[channel])) for channel in close if channel in theirs]
-        both = [
-            size.bench.errors({channel: each[channel] for channel in theirs.keys() & ours_of_seed.keys()})
-            for each in (theirs, ours_of_seed)
-        ]
-        differences += [1e3 * float(both[0].mean() - both[1].mean())] if len(both[0]) else []
-    row["off_ours_m"] = max(apart, default=None)
-    # A sample is too small for an error of its own: the row's error is ours plus the difference on the same taxels.
-    if differences and ours["error_mm"] is not None:
-        row["error_beside_ours_mm"] = more = float(np.mean(differences))
-        row["error_mm"] = ours["error_mm"] | {key: ours["error_mm"][key] + more for key in ("median", "q1", "q3")}
-    return row
+    return row | ours.compare(size.bench, found)
 
 
 def known_positions(estimates: Mapping[int, Estimate]) -> dict[int, FloatArray]:
@@ -372,6 +384,7 @@ def _surface_rows(size: ProblemSize, quadratic: bool) -> Iterator[Row]:
     seconds, (problems, *_) = timed([partial(baselines.taxel_problems, contacts, size.channels, noise)] * size.repeats)
     estimates = estimate_taxels(contacts, size.channels, [Method.SURFACE], noise, size.surface)[Method.SURFACE]
     known = known_positions(estimates)
+    answer = ShippedAnswer(ours, [known], [known])
     drawn: list[int] = np.random.default_rng(1).permutation(list(problems)).tolist()
     for name, search in SURFACE_SEARCHES.items():
         if (name in SLOW_SEARCHES and not quadratic) or (name == "quadprog" and not baselines.has_quadprog()):
@@ -385,7 +398,7 @@ def _surface_rows(size: ProblemSize, quadratic: bool) -> Iterator[Row]:
         if name not in SLOW_SEARCHES:
             solve(drawn[0])
         one = replace(size, runs=size.runs[:1])
-        yield _sampled_row(one, name, pieces, "taxels", float(np.median(seconds)), ours, [known], [known])
+        yield _sampled_row(one, name, pieces, "taxels", float(np.median(seconds)), answer)
 
 
 def _module_rows(size: ProblemSize) -> Iterator[Row]:
@@ -412,8 +425,8 @@ def _module_rows(size: ProblemSize) -> Iterator[Row]:
     drawn = np.random.default_rng(3).permutation(model.modules_of(size.channels)).tolist()
     pieces = [(seed, partial(solve, seed, module)) for module in drawn for seed, own in enumerate(starts) if module in own]
     # Places are compared with every poke counting fully, as for the general solver; errors with the method as shipped.
-    near, shipped = solve_by_modules(doubting=False), solve_by_modules(doubting=True)
-    yield _sampled_row(size, "modules-general", pieces, "modules", float(np.mean(setups)), ours, near, shipped)
+    answer = ShippedAnswer(ours, positions=solve_by_modules(doubting=True), near=solve_by_modules(doubting=False))
+    yield _sampled_row(size, "modules-general", pieces, "modules", float(np.mean(setups)), answer)
 
 
 def _module_problems(size: ProblemSize, contacts: Sequence[Contact], model: ModuleModel) -> dict[int, ModuleProblem]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,15 +108,24 @@ def tolerance(change: float, size: float) -> float:
     return TOLERANCE_OVER_INPUT_ROUNDING * change + RELATIVE_TOLERANCE * size
 
 
-def _record(name: str, solver: str, error: float, bound: float, size: float, same: bool, readings: int, **more: Any) -> Record:
-    return {
-        "name": name, "solver": solver, "error": error, "bound": bound, "error_over_bound": _over_bound(error, bound),
-        "holds": bool(error <= bound and same), "same_bits": same, "size": size, "readings": readings, **more,
-    }  # fmt: skip
+class SolverError(NamedTuple):
+    """Error of an answer, the largest accepted one, and the answer's norm."""
 
+    error: float
+    bound: float
+    size: float
 
-def _over_bound(error: float, bound: float) -> float:
-    return ERROR_OF_FAILED_SOLVER_M if error >= ERROR_OF_FAILED_SOLVER_M else error / bound
+    @property
+    def over_bound(self) -> float:
+        """Error over the tolerance."""
+        return ERROR_OF_FAILED_SOLVER_M if self.error >= ERROR_OF_FAILED_SOLVER_M else self.error / self.bound
+
+    def record(self, name: str, solver: str, *, same: bool, **more: Any) -> Record:
+        """Make the JSON of a case; `same` says whether all orders of the contacts gave the same bits."""
+        return {
+            "name": name, "solver": solver, "error": self.error, "bound": self.bound, "error_over_bound": self.over_bound,
+            "holds": bool(self.error <= self.bound and same), "same_bits": same, "size": self.size, **more,
+        }  # fmt: skip
 
 
 def evaluate_added(case: AddedCase, draws: int, rng: np.random.Generator) -> list[Record]:
@@ -130,7 +139,8 @@ def evaluate_added(case: AddedCase, draws: int, rng: np.random.Generator) -> lis
         bound = tolerance(max(distance(exact, other[name].ravel()) for other in drawn), size)
         fits = name in shipped and shipped[name].shape == numbers.shape
         error = error_of(shipped[name].ravel(), exact) if fits else ERROR_OF_FAILED_SOLVER_M
-        records.append(_record(f"{case.name}: {name}", "added", error, bound, size, True, case.pokes, draws_by="digits"))
+        found = SolverError(error, bound, size)
+        records.append(found.record(f"{case.name}: {name}", "added", same=True, readings=case.pokes, draws_by="digits"))
     return records
 
 
@@ -169,21 +179,21 @@ def evaluate(case: Case, truth: Truth, solver: Solver | None = None) -> list[Rec
     readings = len(case.readings.forces) * case.repeats
     if isinstance(case, ModuleCase):
         right = all(np.array_equal(blind, truth.must_be_blind) for _, blind in found)
-        error, bound, size = worst_point(truth, points)
-        more = {"draws_by": "step", "blind_right": right, "compared": sum(truth.observable)}
-        error = error if right else ERROR_OF_FAILED_SOLVER_M
-        return [_record(case.name, case.solver, error, bound, size, same, readings, **more)]
+        worst = worst_point(truth, points)
+        more = {"readings": readings, "draws_by": "step", "blind_right": right, "compared": sum(truth.observable)}
+        worst = worst if right else worst._replace(error=ERROR_OF_FAILED_SOLVER_M)
+        return [worst.record(case.name, case.solver, same=same, **more)]
     return [
-        _record(case.name + name, case.solver, error, bound, size, same, readings, draws_by="digits")
-        for name, (error, bound, size) in zip(("", ": blind direction"), point_errors(truth, points), strict=False)
+        own.record(case.name + name, case.solver, same=same, readings=readings, draws_by="digits")
+        for name, own in zip(("", ": blind direction"), point_errors(truth, points), strict=False)
     ]
 
 
-def point_errors(truth: Truth, found: Sequence[FloatArray]) -> list[tuple[float, float, float]]:
-    """Return largest error, tolerance and norm of each observable point."""
+def point_errors(truth: Truth, found: Sequence[FloatArray]) -> list[SolverError]:
+    """Return the largest error of each observable point."""
     sizes = [distance(point) for point in truth.points]
     return [
-        (
+        SolverError(
             max(error_of(points[at], truth.points[at]) for points in found),
             tolerance(truth.sensitivity_m[at], sizes[at]),
             sizes[at],
@@ -192,11 +202,13 @@ def point_errors(truth: Truth, found: Sequence[FloatArray]) -> list[tuple[float,
     ]
 
 
-def worst_point(truth: Truth, found: Sequence[FloatArray]) -> tuple[float, float, float]:
-    """Return error, tolerance and norm of the point with the largest error over its tolerance."""
+def worst_point(truth: Truth, found: Sequence[FloatArray]) -> SolverError:
+    """Return the largest error over its tolerance."""
     least = min(distance(point) for point in truth.points)
     return max(
-        point_errors(truth, found), key=lambda error: error[0] / error[1], default=(0.0, RELATIVE_TOLERANCE * least, least)
+        point_errors(truth, found),
+        key=lambda own: own.error / own.bound,
+        default=SolverError(0.0, RELATIVE_TOLERANCE * least, least),
     )
 
 
@@ -208,9 +220,9 @@ def evaluate_alternatives(case: Case, truth: Truth) -> list[Record]:
     surface, orders = _surface(case), list(_orders(case))[: 1 if module else None]
     records: list[Record] = []
     for name, alternative in (MODULE_ALTERNATIVES if module else ALTERNATIVES).items():
-        error, bound, _ = worst_point(truth, [alternative(case, order, surface) for order in orders])
-        share = _over_bound(error, bound)
-        records.append({"name": case.name, "solver": case.solver, "method": name, "error": error, "error_over_bound": share})
+        worst = worst_point(truth, [alternative(case, order, surface) for order in orders])
+        more = {"error": worst.error, "error_over_bound": worst.over_bound}
+        records.append({"name": case.name, "solver": case.solver, "method": name, **more})
     return records
 
 

@@ -236,37 +236,37 @@ def sensor_readings(
     return felt, np.asarray(np.cross(lever, felt), dtype=float), pose_of
 
 
-def simulate_presses(
-    rng: np.random.Generator,
-    directions: FloatArray,
-    *,
-    taxel: FloatArray = TAXEL_POINT,
-    weights: FloatArray | float = 1.0,
-    forces: FloatArray | float = 8.0,
-    scatter: FloatArray | float = 0.001,
-    poses: FloatArray | None = None,
-    pitch: float = 0.0,
-) -> Readings:
-    """Press a taxel in `directions` (n, 3) unit, link frame, from the poses in turn.
+@dataclass(frozen=True, slots=True, eq=False)
+class TaxelPresses:
+    """Presses of one taxel, from the arm poses in turn."""
 
-    Parameters
-    ----------
-    scatter : m, distance of the contact points from the taxel
-    pitch : m, torque about the push over the force: a finger that twists, or two contacts
-    """
-    count = len(directions)
-    poses = np.eye(4)[None] if poses is None else poses
-    points = taxel + np.broadcast_to(scatter, count)[:, None] * unit(np.cross(directions, rng.normal(size=(count, 3))))
-    felt, moments, pose_of = sensor_readings(rng, directions, points, forces, poses)
-    strongest = rng.uniform(50.0, 200.0, count)
-    weights = np.broadcast_to(weights, count)
-    responses, other = np.where(weights == 1.0, [strongest, 0.0 * strongest], [strongest * weights, strongest])
-    return Readings(felt, moments + pitch * felt, responses, poses, pose_of, other)
+    directions: FloatArray
+    """(n, 3) float, unit, link frame."""
+    taxel: FloatArray = field(default_factory=TAXEL_POINT.copy)
+    weights: FloatArray | float = 1.0
+    forces: FloatArray | float = 8.0
+    """N."""
+    scatter: FloatArray | float = 0.001
+    """m, distance of the contact points from the taxel."""
+    poses: FloatArray = field(default_factory=lambda: np.eye(4)[None])
+    pitch: float = 0.0
+    """m, torque about the push over the force: a finger that twists, or two contacts."""
+
+    def simulate(self, rng: np.random.Generator) -> Readings:
+        """Simulate the readings."""
+        count = len(self.directions)
+        aside = unit(np.cross(self.directions, rng.normal(size=(count, 3))))
+        points = self.taxel + np.broadcast_to(self.scatter, count)[:, None] * aside
+        felt, moments, pose_of = sensor_readings(rng, self.directions, points, self.forces, self.poses)
+        strongest = rng.uniform(50.0, 200.0, count)
+        weights = np.broadcast_to(self.weights, count)
+        responses, other = np.where(weights == 1.0, [strongest, 0.0 * strongest], [strongest * weights, strongest])
+        return Readings(felt, moments + self.pitch * felt, responses, self.poses, pose_of, other)
 
 
 def taxel_case(name: str, rng: np.random.Generator, directions: FloatArray, mesh: RawMesh | None = None, **how: Any) -> Case:
-    """Make the case of a taxel that is pressed as `simulate_presses` describes."""
-    return Case(name, simulate_presses(rng, directions, **how), mesh)
+    """Make the case of a taxel with the other fields of `TaxelPresses`."""
+    return Case(name, TaxelPresses(directions, **how).simulate(rng), mesh)
 
 
 Cases: TypeAlias = Iterator[Case]
@@ -331,7 +331,7 @@ def _scales(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
         yield taxel_case(f"taxel {lever:g} m from the link", rng, wide, taxel=TAXEL_POINT + lever * unit(rng.normal(size=3)))
     for words, force in (("of 1e-06", 1e-6), ("of 10000", 1e4), ("1e-6 to 1e4", np.geomspace(1e-6, 1e4, n))):
         yield taxel_case(f"forces {words} N", rng, wide, forces=force, poses=arm_poses(rng, 2, 0.3))
-    good = simulate_presses(rng, wide, poses=arm_poses(rng, 3, 0.3))
+    good = TaxelPresses(wide, poses=arm_poses(rng, 3, 0.3)).simulate(rng)
     in_mm = good.poses * np.array([1.0, 1.0, 1.0, 1e3])
     in_mm[:, 3, 3] = 1.0
     yield Case("arm in millimetres by mistake", replace(good, poses=in_mm))
@@ -343,7 +343,7 @@ def _scales(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
 def _counts(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     poses = arm_poses(rng, 7, 0.3)
     yield taxel_case("7 arm poses", rng, cone(rng, sizes.contacts, 0.5), poses=poses)
-    once = simulate_presses(rng, cone(rng, sizes.contacts, 0.5), poses=poses)
+    once = TaxelPresses(cone(rng, sizes.contacts, 0.5), poses=poses).simulate(rng)
     yield Case("every reading there 10 times", once.ordered(np.tile(np.arange(sizes.contacts), 10)))
     yield taxel_case(f"{sizes.many} readings", rng, cone(rng, sizes.many, 0.5))
 
@@ -411,7 +411,7 @@ def _stiff_on_sheet(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
     }
     for name, (directions, how) in ways.items():
         yield taxel_case(f"surface, {name}", rng, directions, mesh, taxel=taxel, **how)
-    good = simulate_presses(rng, wide, taxel=taxel, poses=poses)
+    good = TaxelPresses(wide, taxel=taxel, poses=poses).simulate(rng)
     yield Case("surface, newton millimetres by mistake", replace(good, moments=good.moments * 1e3), mesh)
     yield Case("surface, mesh in millimetres by mistake", good, replace(mesh, vertices=mesh.vertices * 1e3))
     yield Case("surface, every reading there 10 times", good.ordered(np.tile(np.arange(n), 10)), mesh)
@@ -531,39 +531,36 @@ ALL_OVER: Touched = ((0, 1), (4,), (8, 9, 10), (6,), (3, 11), (1,), (5, 6), (9,)
 ModuleCases: TypeAlias = Iterator[ModuleCase]
 
 
-def press_module(
-    rng: np.random.Generator,
-    module: PlacedModule,
-    count: int,
-    *,
-    tilt: float = 0.5,
-    lean: FloatArray | None = None,
-    touched: Touched = ALL_OVER,
-    answers: FloatArray | None = None,
-    forces: FloatArray | float = 8.0,
-    scatter: float = 0.0005,
-    poses: FloatArray | None = None,
-) -> Readings:
-    """Press a module's pads in turn, from the arm poses in turn.
+@dataclass(frozen=True, slots=True, eq=False)
+class ModulePresses:
+    """Presses of a module's pads in turn, from the arm poses in turn."""
 
-    Parameters
-    ----------
-    tilt : rad, within which pushes lie about one direction
-    lean : (3,) unit, that direction; by default against the module's normal
-    answers : (n, k) float, responses of the pads; by default random ones of the `touched` pads
-    scatter : m, distance of the contact points from the middle of the answering pads
-    """
-    directions = cone(rng, count, tilt, -module.at.normals[0] if lean is None else lean)
-    if answers is None:
-        answers = np.zeros((count, PADS_PER_MODULE))
-        for poke, row in enumerate(answers):
-            own = list(touched[poke % len(touched)])
-            row[own] = rng.uniform(50.0, 200.0, len(own))
-    middles = answers @ module.pad_positions() / answers.sum(axis=1, keepdims=True)
-    points = middles + scatter * unit(np.cross(directions, rng.normal(size=(count, 3))))
-    poses = np.eye(4)[None] if poses is None else poses
-    felt, moments, pose_of = sensor_readings(rng, directions, points, forces, poses)
-    return Readings(felt, moments, answers, poses, pose_of, np.zeros(count))
+    count: int
+    tilt: float = 0.5
+    """rad, within which pushes lie about one direction."""
+    lean: FloatArray | None = None
+    """(3,) unit, that direction; by default against the module's normal."""
+    touched: Touched = ALL_OVER
+    answers: FloatArray | None = None
+    """(n, k) float, responses of the pads; by default random ones of the `touched` pads."""
+    forces: FloatArray | float = 8.0
+    scatter: float = 0.0005
+    """m, distance of the contact points from the middle of the answering pads."""
+    poses: FloatArray = field(default_factory=lambda: np.eye(4)[None])
+
+    def simulate(self, rng: np.random.Generator, module: PlacedModule) -> Readings:
+        """Simulate the readings."""
+        directions = cone(rng, self.count, self.tilt, -module.at.normals[0] if self.lean is None else self.lean)
+        answers = self.answers
+        if answers is None:
+            answers = np.zeros((self.count, PADS_PER_MODULE))
+            for poke, row in enumerate(answers):
+                own = list(self.touched[poke % len(self.touched)])
+                row[own] = rng.uniform(50.0, 200.0, len(own))
+        middles = answers @ module.pad_positions() / answers.sum(axis=1, keepdims=True)
+        points = middles + self.scatter * unit(np.cross(directions, rng.normal(size=(self.count, 3))))
+        felt, moments, pose_of = sensor_readings(rng, directions, points, self.forces, self.poses)
+        return Readings(felt, moments, answers, self.poses, pose_of, np.zeros(self.count))
 
 
 def in_space(rng: np.random.Generator, mirror: bool = False, at: FloatArray = TAXEL_POINT) -> PlacedModule:
@@ -614,8 +611,8 @@ def module_case(
     noise: NoiseSettings | None = None,
     **how: Any,
 ) -> ModuleCase:
-    """Make the case of a module with these readings, or with a number of pokes by `press_module`."""
-    readings = press_module(rng, module, pokes, **how) if isinstance(pokes, int) else pokes
+    """Make the case of a module with these readings, or with a number of pokes and other fields of `ModulePresses`."""
+    readings = ModulePresses(pokes, **how).simulate(rng, module) if isinstance(pokes, int) else pokes
     start, noise = offset_pose(rng, module), noise or NoiseSettings()
     return ModuleCase(name, readings, module.mesh, module=module, start=start, noise=noise)
 
@@ -661,7 +658,7 @@ def _module_stiff(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
         # With fewer, the light ones leave the module to three.
         mixed = rng.permutation(np.geomspace(1e-6, 1e4, max(n, 10)))
         yield module_case(f"{name}, forces 1e-6 to 1e4 N", rng, module, len(mixed), forces=mixed, poses=poses)
-        usual = press_module(rng, module, n, poses=poses)
+        usual = ModulePresses(n, poses=poses).simulate(rng, module)
         for words, noise in noises.items():
             yield module_case(f"{name}, {words}", rng, module, usual, noise)
         uneven = f"{name}, pokes of 1e4 N on one pad, of 1e-4 N elsewhere"
@@ -678,7 +675,7 @@ def _module_scales(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
     across, normal = arm_poses(rng, 1, 1e2), flat.at.normals[0]
     across[0, :3, 3] -= (across[0, :3, 3] @ normal) * normal
     yield module_case("module on a sheet, levers of 100 m across the push", rng, flat, n, tilt=1e-4, poses=across)
-    good = press_module(rng, module, n, poses=arm_poses(rng, 3, 0.3))
+    good = ModulePresses(n, poses=arm_poses(rng, 3, 0.3)).simulate(rng, module)
     wrong = replace(good, moments=good.moments * 1e3)
     yield replace(module_case("module, newton millimetres by mistake", rng, module, wrong), out_of_reach=True)
     away = 1000.0 * unit(rng.normal(size=3))
@@ -698,7 +695,7 @@ def _module_grounds(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
     for name, module in modules.items():
         yield module_case(f"{name}, 7 arm poses", rng, module, n, poses=poses)
     for name in ("module", "module on a sheet"):
-        module, usual = modules[name], press_module(rng, modules[name], n, poses=poses)
+        module, usual = modules[name], ModulePresses(n, poses=poses).simulate(rng, modules[name])
         yield replace(module_case(f"{name}, every poke there 10 times", rng, module, usual), repeats=10)
         two = replace(usual, other_response=0.6 * usual.responses.max(axis=1) * (np.arange(n) % 2))
         yield module_case(f"{name}, another one answers too", rng, module, two)

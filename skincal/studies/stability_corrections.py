@@ -20,7 +20,7 @@ distances** are rows next to the inverse of P.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -658,48 +658,47 @@ def _distance(
 # ---- cases ----
 
 
-def simulate_landmark_pokes(
-    rng: np.random.Generator,
-    *,
-    landmarks: int = 6,
-    poses: int = 2,
-    line: float = 1.0,
-    tilt: float = 0.7,
-    wrong: float = 0.02,
-    bent: float = 0.0,
-    places_off: float = 0.0,
-    noise: NoiseSettings | None = None,
-) -> CorrectionInputs:
-    """Simulate landmark pokes of a wrong rig, each landmark poked in each pose.
+@dataclass(frozen=True, slots=True)
+class LandmarkSession:
+    """A wrong rig that is poked at landmarks, each of them in each pose."""
 
-    Parameters
-    ----------
-    line : factor on the landmarks' distances from a line
-    tilt : rad, within which the pushes lie about one direction
-    wrong, bent : sd of each entry of the sensor's matrix, and for products of a wrench's components
-    places_off : m, error of the landmarks
-    """
-    noise, prior = noise or NoiseSettings(), RigPrior()
-    reported = arm_poses(rng, poses, 0.3)
-    count = landmarks * poses
-    along, known = unit(rng.normal(size=3)), 0.08 * rng.normal(size=(landmarks, 3))
-    across_line = known - (known @ along)[:, None] * along
-    known = 0.1 * unit(rng.normal(size=3)) + known - (1.0 - line) * across_line
-    at = np.concatenate([np.arange(count) % landmarks, landmarks + np.arange(poses)])
-    pose_of = np.concatenate([np.arange(count) // landmarks % poses, np.arange(poses)])
-    places = np.concatenate([known, 0.1 * rng.normal(size=(poses, 3))])
-    true = places + places_off * rng.normal(size=places.shape)
-    pushes = np.concatenate([cone(rng, count, tilt, unit(rng.normal(size=3))), unit(rng.normal(size=(poses, 3)))])
-    turns, shifts = reported[pose_of, :3, :3], reported[pose_of, :3, 3]
-    touched = true[at] + 0.0007 * rng.normal(size=(len(at), 3)) + 0.001 * rng.normal(size=(poses, 3))[pose_of]
-    force = (pushes[:, None] @ turns)[:, 0] * rng.uniform(6.0, 12.0, (len(at), 1))
-    moment = np.cross(((touched - shifts)[:, None] @ turns)[:, 0], force)
-    wrenches = np.concatenate([force, moment], axis=1)
-    units = TYPICAL_PRESS_FORCE_N * np.repeat([1.0, prior.arm], 3)
-    own = wrenches / units
-    off = own @ (wrong * rng.normal(size=(6, 6))) + products(own) @ (bent * rng.normal(size=(21, 6)))
-    spread = np.repeat([noise.force, noise.moment], 3) * rng.normal(size=wrenches.shape)
-    return CorrectionInputs(wrenches + off * units + spread, places, at, reported, pose_of, noise, prior)
+    landmarks: int = 6
+    poses: int = 2
+    line: float = 1.0
+    """Factor on the landmarks' distances from a line."""
+    tilt: float = 0.7
+    """rad, within which the pushes lie about one direction."""
+    wrong: float = 0.02
+    """sd of each entry of the sensor's matrix."""
+    bent: float = 0.0
+    """The same for products of a wrench's components."""
+    places_off: float = 0.0
+    """m, error of the landmarks."""
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+
+    def simulate(self, rng: np.random.Generator) -> CorrectionInputs:
+        """Simulate the pokes."""
+        noise, prior, landmarks, poses = self.noise, RigPrior(), self.landmarks, self.poses
+        reported = arm_poses(rng, poses, 0.3)
+        count = landmarks * poses
+        along, known = unit(rng.normal(size=3)), 0.08 * rng.normal(size=(landmarks, 3))
+        across_line = known - (known @ along)[:, None] * along
+        known = 0.1 * unit(rng.normal(size=3)) + known - (1.0 - self.line) * across_line
+        at = np.concatenate([np.arange(count) % landmarks, landmarks + np.arange(poses)])
+        pose_of = np.concatenate([np.arange(count) // landmarks % poses, np.arange(poses)])
+        places = np.concatenate([known, 0.1 * rng.normal(size=(poses, 3))])
+        true = places + self.places_off * rng.normal(size=places.shape)
+        pushes = np.concatenate([cone(rng, count, self.tilt, unit(rng.normal(size=3))), unit(rng.normal(size=(poses, 3)))])
+        turns, shifts = reported[pose_of, :3, :3], reported[pose_of, :3, 3]
+        touched = true[at] + 0.0007 * rng.normal(size=(len(at), 3)) + 0.001 * rng.normal(size=(poses, 3))[pose_of]
+        force = (pushes[:, None] @ turns)[:, 0] * rng.uniform(6.0, 12.0, (len(at), 1))
+        moment = np.cross(((touched - shifts)[:, None] @ turns)[:, 0], force)
+        wrenches = np.concatenate([force, moment], axis=1)
+        units = TYPICAL_PRESS_FORCE_N * np.repeat([1.0, prior.arm], 3)
+        own = wrenches / units
+        off = own @ (self.wrong * rng.normal(size=(6, 6))) + products(own) @ (self.bent * rng.normal(size=(21, 6)))
+        spread = np.repeat([noise.force, noise.moment], 3) * rng.normal(size=wrenches.shape)
+        return CorrectionInputs(wrenches + off * units + spread, places, at, reported, pose_of, noise, prior)
 
 
 def _root(rng: np.random.Generator, columns: int, poses: int, share: float = 0.2) -> FloatArray:
@@ -718,20 +717,22 @@ def added_cases(sizes: CaseSizes) -> Iterator[AddedCase]:
     return cases_of(families, ADDED_SEED, sizes)
 
 
+CORRECTION_CASES = {
+    "rig as modelled": LandmarkSession(),
+    "four landmarks, two pokes each": LandmarkSession(landmarks=4),
+    "landmarks within 0.1 mm of a line": LandmarkSession(line=1e-3),
+    "pushes within 1e-3 rad": LandmarkSession(tilt=1e-3),
+    "noise of 1e-4 of what is usual": LandmarkSession(noise=NoiseSettings(force=1e-5, moment=1e-6)),
+    "noise of 30 times what is usual": LandmarkSession(noise=NoiseSettings(force=3.0, moment=0.3), wrong=0.002),
+    "sensor not linear": LandmarkSession(bent=0.05),
+    "landmarks 4 mm off": LandmarkSession(places_off=0.004),
+}
+
+
 def _corrections(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
     del sizes
-    ways: dict[str, dict[str, Any]] = {
-        "rig as modelled": {},
-        "four landmarks, two pokes each": {"landmarks": 4},
-        "landmarks within 0.1 mm of a line": {"line": 1e-3},
-        "pushes within 1e-3 rad": {"tilt": 1e-3},
-        "noise of 1e-4 of what is usual": {"noise": NoiseSettings(force=1e-5, moment=1e-6)},
-        "noise of 30 times what is usual": {"noise": NoiseSettings(force=3.0, moment=0.3), "wrong": 0.002},
-        "sensor not linear": {"bent": 0.05},
-        "landmarks 4 mm off": {"places_off": 0.004},
-    }
-    for name, how in ways.items():
-        pokes = simulate_landmark_pokes(rng, **how)
+    for name, session in CORRECTION_CASES.items():
+        pokes = session.simulate(rng)
         yield AddedCase(f"correction, {name}", pokes, shipped_correction, exact_correction, pokes.landmark_count)
 
 

@@ -20,7 +20,7 @@ from skincal.plotting import Figure
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.tip_frame import TipPokes, TipState
 from skincal.session.session import Session
-from skincal.simulation.contacts import add_tips, poke_landmarks, simulate_contacts, unguided
+from skincal.simulation.contacts import TipTracker, poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.example_parts import ExamplePart, forearm
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
@@ -125,7 +125,7 @@ def _poke(rig: Rig, task: Task, rng: np.random.Generator) -> list[Contact]:
         pose, pokes = poses[turn % len(poses)], unguided(rig, 1, rng)
         made = simulate_contacts(rig, pokes, rng, pose, first)
         if task.sd_mm is not None:
-            made = add_tips(made, pokes, rig.arm_pose(pose), fixed, task.sd_mm * 1e-3, rng, first)
+            made = TipTracker(fixed, task.sd_mm * 1e-3).add_tips(made, pokes, rig.arm_pose(pose), rng, first)
         contacts += made
         first += len(pokes)
     return contacts

@@ -37,11 +37,11 @@ from skincal.studies.independent_simulator import (
     Presses,
     RigModel,
     Sensor,
+    Skin,
     SmoothSurface,
     dot,
     forward_kinematics,
     sensor_wrenches,
-    taxel_responses,
     unit,
 )
 from skincal.taxels.result import Estimate, Method
@@ -103,7 +103,7 @@ class SimulatedSheet:
         x = unit(anchor.x[None] - dot(anchor.x[None], up) * up)
         start = np.repeat(feet, len(flat), axis=0)
         self.places = self._part.march(start, flat[:, :1] * x + flat[:, 1:] * np.cross(up, x))[0]
-        self._gains = np.exp(world.gains * skin.standard_normal(len(flat)))
+        self._skin = Skin(world, self.places, np.exp(world.gains * skin.standard_normal(len(flat))))
         self._operator, self._sensor = Operator(world, up[0], self._hand), Sensor(world, sensor)
         self._pose = forward_kinematics(self.scene)[ARM_POSE]
 
@@ -111,7 +111,7 @@ class SimulatedSheet:
         """Poke at a place (3,), again if no taxel answers; `None` if none does."""
         for _ in range(MAX_ATTEMPTS_PER_TARGET):
             presses: Presses = self._operator.press(self._part, place[None], self._hand)
-            responses = taxel_responses(self.world, self.places, self._gains, presses, self._hand)[0]
+            responses = self._skin.responses(presses, self._hand)[0]
             own = np.flatnonzero(responses > self.scene.contacts.response_min)
             if not 0 < len(own) <= self.scene.contacts.taxels_max:
                 continue

@@ -44,7 +44,7 @@ def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator) -> PressedPlaces:
     tilts = np.clip(RECIPE_TILT + RECIPE_HAND * rng.standard_normal(count), 0.0, np.pi / 4)
     azimuths = turns + RECIPE_HAND / np.sin(RECIPE_TILT) * rng.standard_normal(count)
     beside = habits.aim * rng.standard_normal((count, 2))
-    return presses_at(rig, targets, beside, tilts, azimuths, rng.uniform(*habits.force, count), rng)
+    return presses_at(rig, targets, beside, np.column_stack([tilts, azimuths]), rng.uniform(*habits.force, count), rng)
 
 
 def sample_with(folder: Path, file: str, *changes: tuple[str, str]) -> Path:

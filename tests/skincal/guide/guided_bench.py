@@ -9,7 +9,7 @@ from skincal.contacts.outcome import Rejection
 from skincal.guide.guide import Guide
 from skincal.session.session import Session
 from skincal.simulation.example_parts import ExamplePart
-from skincal.simulation.poking_strategies import CAREFUL, Conditions, MeantPokes, displaced_rig, poke_by_hand
+from skincal.simulation.poking_strategies import CAREFUL, Conditions, Hand, MeantPokes, displaced_rig
 from skincal.taxels.result import Method
 
 PART = ExamplePart()
@@ -42,7 +42,7 @@ class GuidedBench:
     def press(self, place, push):
         """The contacts of the next poke."""
         self.count += 1
-        return poke_by_hand(self.rig, MeantPokes(place[None], push[None]), self.conditions, self.rng, self.count)[0]
+        return Hand(self.rig, self.conditions, self.rng).poke(MeantPokes(place[None], push[None]), self.count)[0]
 
     def poke(self, place=None, push=None, *, shown=True):
         target = self.guidance.target

@@ -14,7 +14,7 @@ from skincal.guide.surface_search import MAX_UNPOKED_DISTANCE_M, SEARCH_PLACE_SP
 from skincal.mesh.search import nearest_points
 from skincal.pokes import Pokes
 from skincal.session.session import Session
-from skincal.simulation.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
+from skincal.simulation.poking_strategies import Conditions, Hand, MeantPokes, displaced_rig
 from skincal.taxels.result import Method
 
 
@@ -67,7 +67,7 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
         guidance = guide.update(session.snapshot(), targets.get, rejections)
         phases.append(guidance.phase)
         target = targets[poke] = guidance.target
-        made, pokes = poke_by_hand(rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)
+        made, pokes = Hand(rig, Conditions(), rng).poke(MeantPokes(target.place[None], target.push[None]), poke)
         for contact in made:
             session.add(contact)
             contacts[poke] = contact

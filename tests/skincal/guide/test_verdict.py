@@ -23,7 +23,7 @@ from skincal.session.session import Session
 from skincal.session.snapshot import snapshot_of
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.example_parts import ExamplePart
-from skincal.simulation.poking_strategies import Conditions, displaced_rig, errors_of, plan_pokes, poke_by_hand
+from skincal.simulation.poking_strategies import Conditions, Hand, displaced_rig, errors_of, plan_pokes
 from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, State
@@ -44,7 +44,7 @@ def part():
 def poked_session(pokes=240, seed=1, conditions=None):
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
     rig = displaced_rig(part(), conditions, seed)
-    contacts, _ = poke_by_hand(rig, plan_pokes("tilt_recipe", part(), conditions, pokes, rng), conditions, rng, 1)
+    contacts, _ = Hand(rig, conditions, rng).poke(plan_pokes("tilt_recipe", part(), conditions, pokes, rng), 1)
     session = Session(part().scene, part().surface)
     for contact in contacts:
         session.add(contact)

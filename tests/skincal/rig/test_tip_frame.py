@@ -12,7 +12,7 @@ from skincal.model.actions import Exclude, Restore
 from skincal.rig.tip_frame import TipPokes, TipState, fit_tip_frame, pokes_of_fit
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.session import Session
-from skincal.simulation.contacts import add_tips, simulate_contacts, unguided
+from skincal.simulation.contacts import TipTracker, simulate_contacts, unguided
 from skincal.simulation.example_parts import ExamplePart
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
@@ -34,7 +34,7 @@ def contacts_with_tips(sd, errors=None, rounds=2, seed=3):
     for pose in list(rig.arm_poses)[:rounds]:
         pokes = unguided(rig, 1, rng)
         made = simulate_contacts(rig, pokes, rng, pose, first)
-        contacts += add_tips(made, pokes, rig.arm_pose(pose), FIXED_FROM_SENSOR, sd, rng, first)
+        contacts += TipTracker(FIXED_FROM_SENSOR, sd).add_tips(made, pokes, rig.arm_pose(pose), rng, first)
         first += len(pokes)
     return contacts
 

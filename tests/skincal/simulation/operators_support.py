@@ -11,7 +11,7 @@ from skincal.guide.surroundings import Surroundings
 from skincal.session.session import Session
 from skincal.simulation.example_parts import ExamplePart
 from skincal.simulation.operator import OPERATORS
-from skincal.simulation.poking_strategies import Conditions, MeantPokes, displaced_rig, errors_of, poke_by_hand
+from skincal.simulation.poking_strategies import Conditions, Hand, MeantPokes, displaced_rig, errors_of
 from skincal.studies.error_numbers import CHI2_95, in_known_directions
 from skincal.taxels.result import Method
 
@@ -51,7 +51,7 @@ def followed(operator, seed, limit=200, method=Method.MODULES):
     while guidance.phase is not GuidePhase.ENOUGH and pokes < limit:
         pokes += 1
         meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
-        for contact in poke_by_hand(rig, meant, conditions, rng, pokes)[0]:
+        for contact in Hand(rig, conditions, rng).poke(meant, pokes)[0]:
             session.add(contact)
         targets[pokes] = guidance.target
         guidance = guide.update(session.snapshot(), targets.get)

@@ -105,7 +105,7 @@ def test_answers_rise_with_force_and_saturate_mildly():
 
 def test_raw_values_fall_under_pressure_and_are_whole_bytes(rng):
     rig = make_rig(RigErrors.noise())
-    poke = presses_at(rig, rig.channels[:1], np.zeros((1, 2)), np.zeros(1), np.zeros(1), np.array([9.0]), rng)
+    poke = presses_at(rig, rig.channels[:1], np.zeros((1, 2)), np.zeros((1, 2)), np.array([9.0]), rng)
     rows, values = rig.answers(poke, poke.forces)
     answers = np.zeros((200, len(rig.channels)))
     answers[100:, rows[0]] = values[0]
@@ -124,7 +124,7 @@ def test_raw_values_fall_under_pressure_and_are_whole_bytes(rng):
 
 def test_values_rise_where_the_scene_says_up(rng):
     rig = make_rig(RigErrors.none(), name="flat-patch")
-    poke = presses_at(rig, rig.channels[:1], np.zeros((1, 2)), np.zeros(1), np.zeros(1), np.array([9.0]), rng)
+    poke = presses_at(rig, rig.channels[:1], np.zeros((1, 2)), np.zeros((1, 2)), np.array([9.0]), rng)
     rows, values = rig.answers(poke, poke.forces)
     answers = np.zeros((1, len(rig.channels)))
     answers[0, rows[0]] = values[0]

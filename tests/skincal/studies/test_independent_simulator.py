@@ -29,13 +29,13 @@ from skincal.studies.independent_simulator import (
     Presses,
     RigModel,
     Sensor,
+    Skin,
     SmoothSurface,
     forward_kinematics,
     motions,
     sensor_wrenches,
     simulate_session,
     slow_noise,
-    taxel_responses,
     taxels,
     turns,
 )
@@ -204,7 +204,7 @@ def test_the_pads_of_a_whole_plane_bear_the_whole_load():
     load = np.array([[4.0, 11.0], [0.0, 0.0]])
     presses = Presses(np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), load)
     for spread in (1.0, 2.0):
-        found = taxel_responses(RigModel(spread=spread), places, np.ones(len(places)), presses, rng())
+        found = Skin(RigModel(spread=spread), places, np.ones(len(places))).responses(presses, rng())
         on_pads = -LOAD_FOR_63_PERCENT_RESPONSE_N * np.log1p(-found / MAX_TAXEL_RESPONSE_COUNTS)
         # Each pad covers pi TAXEL_ELECTRODE_RADIUS_M^2 of the plane, and there is one on every square millimetre.
         np.testing.assert_allclose(on_pads.sum(axis=1) * MM**2 / (np.pi * TAXEL_ELECTRODE_RADIUS_M**2), load[0], rtol=0.02)

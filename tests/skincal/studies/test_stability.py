@@ -17,11 +17,11 @@ from skincal.studies.stability import ALTERNATIVES, evaluate, shipped_taxel
 from skincal.studies.stability_cases import (
     CaseSizes,
     Readings,
+    TaxelPresses,
     arm_poses,
     cone,
     perturbed,
     sheet,
-    simulate_presses,
     taxel_cases,
     unit,
 )
@@ -290,7 +290,8 @@ def stiff_pokes(first, count, weights, rng, mesh):
     """Pokes of two taxels on a sheet over two arm poses; channel 3 answers by `weights`."""
     corners = mesh.corners[len(mesh.triangles) // 2]
     push = -unit(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
-    readings = simulate_presses(rng, cone(rng, count, 0.4, push), weights=weights, poses=arm_poses(rng, 2, 0.3))
+    directions = cone(rng, count, 0.4, push)
+    readings = TaxelPresses(directions, weights=weights, poses=arm_poses(rng, 2, 0.3)).simulate(rng)
     return [
         Contact(
             first + i, 0.0, 1.0, readings.forces[i], readings.moments[i], np.array([3, 5]),
