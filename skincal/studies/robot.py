@@ -215,7 +215,7 @@ def robot_limits(rows: Sequence[Mapping[str, Any]], *, are_whole: bool = True) -
     """Return by name the worst value of the rows, ">=" or "<=", and its limit; errors only of whole sessions."""
     limits = {"robot_accepted": (min(row["accepted"] for row in rows if row["case"] in ("none", "all")), ">=", ACCEPTED_MIN)}
     lead = [(row["case"], row["methods"][Method.MODULES.value]) for row in rows]
-    limits["robot_inside_all"] = (min(own["inside"] for case, own in lead if case == "all"), ">=", COVERAGE_MIN)
+    limits["robot_inside_all"] = (min(own["inside"] or 0.0 for case, own in lead if case == "all"), ">=", COVERAGE_MIN)
     if not are_whole:
         return limits
     limits["robot_enough"] = (min(row["enough"] for row in rows if row["case"] in ("none", "all")), ">=", ENOUGH_MIN)

@@ -56,6 +56,8 @@ RELATIVE_TOLERANCE = 1e-15
 SOLVER_NAMES = ("free", "surface", "modules", "added")
 STUDY_RANDOM_SEED = 20261121
 Record: TypeAlias = dict[str, Any]
+AddedTruth: TypeAlias = dict[str, tuple[reference.Exact, float]]
+"""By name of the output: its numbers in 80 digits, and their largest change by the last digits of the inputs."""
 
 
 def measure(bench: Bench, sizes: CaseSizes) -> Findings:
@@ -94,7 +96,7 @@ def _measure_case(numbered: tuple[int, Case | AddedCase], draws: int) -> tuple[l
     number, case = numbered
     rng = np.random.default_rng([STUDY_RANDOM_SEED, number])
     if isinstance(case, AddedCase):
-        found: tuple[list[Record], list[Record]] = evaluate_added(case, draws, rng), []
+        found: tuple[list[Record], list[Record]] = evaluate_added(case, find_added_truth(case, draws, rng)), []
     else:
         truth = find_truth(case, draws, rng)
         found = evaluate(case, truth), evaluate_alternatives(case, truth)
@@ -128,18 +130,25 @@ class SolverError(NamedTuple):
         }  # fmt: skip
 
 
-def evaluate_added(case: AddedCase, draws: int, rng: np.random.Generator) -> list[Record]:
-    """Measure each output that the program adds in a case: the error over all its numbers."""
-    shipped, answer = case.shipped(case.inputs), case.exact(case.inputs)
+def find_added_truth(case: AddedCase, draws: int, rng: np.random.Generator) -> AddedTruth:
+    """Find each output of a case in 80 digits, and its largest change over `draws` perturbations of the inputs."""
+    answer = case.exact(case.inputs)
     drawn = [case.exact(perturbed(case.inputs, rng)) for _ in range(draws)]
+    return {
+        name: (exact, max(distance(exact.ravel(), other[name].ravel()) for other in drawn)) for name, exact in answer.items()
+    }
+
+
+def evaluate_added(case: AddedCase, truth: AddedTruth) -> list[Record]:
+    """Measure each output that the program adds in a case: the error over all its numbers."""
+    shipped = case.shipped(case.inputs)
     records: list[Record] = []
-    for name, numbers in answer.items():
+    for name, (numbers, change) in truth.items():
         exact: reference.Exact = numbers.ravel()
         size = distance(exact)
-        bound = tolerance(max(distance(exact, other[name].ravel()) for other in drawn), size)
         fits = name in shipped and shipped[name].shape == numbers.shape
         error = error_of(shipped[name].ravel(), exact) if fits else ERROR_OF_FAILED_SOLVER_M
-        found = SolverError(error, bound, size)
+        found = SolverError(error, tolerance(change, size), size)
         records.append(found.record(f"{case.name}: {name}", "added", same=True, readings=case.pokes, draws_by="digits"))
     return records
 

@@ -24,10 +24,10 @@ STABILITY_CASES = (
 SIZES: dict[str, Any] = {
     "stability": CaseSizes(contacts=6, grid=4, many=300, only=frozenset(STABILITY_CASES)),
     "guidance": GuidanceSizes(
-        seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
+        seeds=1, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
         modules_seeds=1, long=40, cases={"drift 0.25 N": Conditions(drift=0.25)},
     ),
-    "paper": PaperSizes(seeds=2, share=0.15, safety=1, good=1, counts=(42, 252), courses=2, steps=(28, 84)),
+    "paper": PaperSizes(seeds=2, share=0.1, safety=1, good=1, counts=(42, 252), courses=2, steps=(28, 84)),
     "runtime": RuntimeSizes(
         small=PartPlan(FOREARM, 2, 1, (300,), (1,), budget_s=0.02),
         large=PartPlan(FOREARM, 1, 1, (1_000,), (), (24,), budget_s=0.02),
@@ -35,7 +35,7 @@ SIZES: dict[str, Any] = {
         live_pokes=3,
         live_per_taxel=(2,),
     ),
-    "robot": RobotSizes(("arm",), {"all": 1}, max_pokes=10, displaced_mm=(), are_whole=False),
+    "robot": RobotSizes(("arm",), {"all": 1}, max_pokes=4, displaced_mm=(), are_whole=False),
     "tip": TipSizes(
         seeds=1, pokes_per_taxel=1, counts=(42, 84), cases=(("good", None), ("good", 1.0), ("corrected", 1.0))
     ),

@@ -51,8 +51,8 @@ def test_the_course_of_a_rig_ends_where_all_its_pokes_are_pooled():
 
 def test_a_trial_is_the_same_again_and_another_seed_is_another_rig():
     first, other = small("paper")[0]["trials"]
-    assert run_trial(1, 0.15)["pooled"] == first["pooled"] != other["pooled"]
-    assert first["pokes"] == sum(round(0.15 * minutes * 24) for minutes in TABLE_I.values())
+    assert run_trial(1, 0.1)["pooled"] == first["pooled"] != other["pooled"]
+    assert first["pokes"] == sum(round(0.1 * minutes * 24) for minutes in TABLE_I.values())
 
 
 def test_errors_are_summed_up_in_millimetres():

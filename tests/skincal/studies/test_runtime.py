@@ -188,7 +188,8 @@ def test_a_limit_is_met_on_its_own_side_only():
 def test_the_study_works_without_quadprog_and_reports_it(monkeypatch):
     monkeypatch.setattr(baselines, "QUADPROG", "no_such_package")
     sizes = SIZES["runtime"]
-    sizes = replace(sizes, small=replace(sizes.small, seeds=1, repeats=1, meshes=(), pokes=()), growth_until_s=0.0)
+    small_part = replace(sizes.small, seeds=1, repeats=1, meshes=(), pokes=())
+    sizes = replace(sizes, small=small_part, large=replace(sizes.large, budget_s=0.0), growth_until_s=0.0)
     said = []
     result = THIS_STUDY.run(True, said.append, sizes)
     assert approved("study.no_quadprog") in result["left_out"]
