@@ -27,10 +27,10 @@ from skincal.words.units import ChannelNames, age, count, millimetres, newtons, 
 MARK_WORDS: Mapping[Mark, str] = {
     Mark.UNSEEN: State.UNSEEN.value,
     Mark.BLIND: State.BLIND.value,
-    Mark.INFERRED: f"{State.INFERRED.value} (no contact of its own)",
+    Mark.INFERRED: f"{State.INFERRED.value} (no contact of its own that counts)",
     Mark.ROUGH: f"{State.TOUCHED.value}, expected error above {millimetres(GOOD_RMS, 0)}",
     Mark.GOOD: f"{State.TOUCHED.value}, expected error up to {millimetres(GOOD_RMS, 0)}",
-    Mark.DONE_INFERRED: f"{State.INFERRED.value} (no contact of its own), finished",
+    Mark.DONE_INFERRED: f"{State.INFERRED.value} (no contact of its own that counts), finished",
     Mark.DONE: f"{State.TOUCHED.value}, finished",
     Mark.DEAD: State.DEAD.value,
 }

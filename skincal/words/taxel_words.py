@@ -77,7 +77,7 @@ def state_sentence(reason: StateReason | None) -> str:
 
 STATE_WORDS = {
     State.TOUCHED: "accepted contacts of their own",
-    State.INFERRED: "no contact of their own, placed by their module or neighbours",
+    State.INFERRED: "no contact of their own that counts, placed by their module or neighbours",
     State.BLIND: "no position: contacts do not determine it",
     State.UNSEEN: "no position: no contact",
     State.DEAD: "no position: not used",
