@@ -1,10 +1,12 @@
-"""Make the pictures of README and `docs/` again: `python -m tools.pictures`; words after it choose some (`window studies`).
+"""Make the pictures of README and `docs/` again: `python -m tools.pictures`; words after it choose some (`window part`).
 
-- `window`, `rig`: the window on seeded simulated sessions, without a display, about ten minutes. Devices send in real time, so
-  that pictures differ slightly from run to run: check each.
+- `window`, `errors`, `rig`, `robot`: the window on seeded simulated sessions, without a display, about fifteen minutes. Devices
+  send in real time, so that pictures differ slightly from run to run: check each.
 - `part`: the steps of the tutorial `docs/first-part.md`; needs the package icub-models.
 - `headless`: the 3D picture without a display.
 - `studies`: the figures of `NAME.json` in the folder `--measured`. A missing study is run, which takes up to half an hour.
+
+The sentences that a window shows are stored in `docs/pictures/sentences.json`, and a test finds those that become old.
 """
 
 from __future__ import annotations
@@ -15,30 +17,81 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from PIL import Image
 from PySide6.QtCore import QSettings, Qt
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractScrollArea,
+    QApplication,
+    QComboBox,
+    QGroupBox,
+    QHeaderView,
+    QLabel,
+    QLineEdit,
+    QListWidget,
+    QMenuBar,
+    QPlainTextEdit,
+    QTabBar,
+    QTextEdit,
+    QWidget,
+)
 
 from app.headless import SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED
+from app.panels.message_bar import MAX_QUEUED_MESSAGES
+from app.panels.widgets import ElidedLabel
 from app.scene3d.offscreen import picture
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, find_scene, server_command
 from app.sound.player import Player
 from app.theme import Choice
 from app.window import Theme, Window
-from skincal.methods import leading_method
+from skincal.interface.scene import Scene
+from skincal.interface.session import simulate
 from skincal.model.scene import load_scene
-from skincal.part.part import load_part, load_scene_surface
+from skincal.part.part import load_scene_surface
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.virtual_session import simulate_session
-from skincal.studies import STUDIES, load_study
+from skincal.studies import load_study
 from skincal.taxels.result import Method
+from tools.picture_sentences import PICTURES_FOLDER, STUDY_PICTURES, choose_texts, program_texts, store_sentences
 
 PART_PICTURE_COLOURS = 200
-PICTURES_FOLDER = Path(__file__).resolve().parent.parent / "docs" / "pictures"
+SHOWN_SENTENCES: dict[str, list[str]] = {}
+"""By picture of a window made here, the texts that it shows."""
+
+
+def list_texts(window: QWidget) -> Iterator[str]:
+    """List the texts that a window shows, from its widgets; the 3D view's own labels are left out."""
+    for widget in window.findChildren(QWidget):
+        # The viewport of a list or a heading covers it.
+        seen = widget.viewport() if isinstance(widget, QAbstractScrollArea) else widget
+        if not widget.isVisible() or seen.visibleRegion().isEmpty() or widget.window() is not window:
+            continue
+        match widget:
+            case QLabel() | ElidedLabel() | QAbstractButton():
+                yield widget.text()
+            case QGroupBox():
+                yield widget.title()
+            case QComboBox():
+                yield widget.currentText()
+            case QLineEdit() if not widget.text():
+                yield widget.placeholderText()
+            case QTabBar():
+                yield from (widget.tabText(index) for index in range(widget.count()))
+            case QMenuBar():
+                yield from (action.text() for action in widget.actions() if action.isVisible())
+            case QHeaderView() if (model := widget.model()) is not None:
+                count = model.columnCount() if widget.orientation() == Qt.Orientation.Horizontal else 0
+                yield from (str(model.headerData(column, widget.orientation())) for column in range(count))
+            case QTextEdit() | QPlainTextEdit():
+                yield widget.toPlainText()
+            case QListWidget():
+                yield from (widget.item(row).text() for row in range(widget.count()))
+            case _:
+                pass
 
 
 class WindowPhotographer:
@@ -71,6 +124,8 @@ class WindowPhotographer:
         picture, dialog = self.window.grab(), QApplication.activeModalWidget()
         if dialog is not None:
             dialog.render(picture, self.window.rect().center() - dialog.rect().center())
+        shown = [*list_texts(self.window), *([] if dialog is None else list_texts(dialog))]
+        SHOWN_SENTENCES[name] = choose_texts(shown, program_texts())
         path = PICTURES_FOLDER / f"{name}.png"
         picture.save(str(path))
         return path
@@ -88,6 +143,11 @@ class SessionPhotographer(WindowPhotographer):
         self.until(lambda: self.view.workspace.view.list_layers() != ())
         self.view.workspace.show_tab(tab)
 
+    def dismiss_messages(self) -> None:
+        """Remove all messages, which would cover the part."""
+        for _ in range(MAX_QUEUED_MESSAGES):
+            self.window.messages.dismiss()
+
     def until_text(self, words: str, detail: str, pokes: int) -> None:
         """Wait until the line below the views has `words`, the one below it `detail`, and the session `pokes`."""
         now = self.view.workspace.now
@@ -100,26 +160,32 @@ class SessionPhotographer(WindowPhotographer):
         self.until(has_text)
 
 
-def draw_window() -> None:
-    """Write every picture of the window."""
+def draw_errors() -> None:
+    """Write the picture of a session's errors."""
     forearm = load_scene(find_scene(None))
     simulate_session(forearm, load_scene_surface(forearm)[0], Path("trial"), 252, 1, RigErrors.noise())
-    course = SessionPhotographer(OpenRequest(session=Path("trial")), Choice.DARK, "Errors")
+    course = SessionPhotographer(OpenRequest(session=Path("trial")), Choice.DARK, "Errors", (1280, 1100))
     course.grab("errors", 10.0)
     course.window.leave()
+
+
+def draw_window() -> None:
+    """Write the pictures of a session on a good rig."""
     good = SessionPhotographer(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
     # The modules method would end before the last pictures.
     good.view.show_method(Method.SURFACE)
-    good.until_text("hold still", "aim", 25)
+    good.until_text("Hold still", "off target", 25)
+    good.dismiss_messages()
     good.grab("guide-contact")
     good.view.workspace.view.set_turning(False)
     good.view.workspace.view.reset_camera()
     good.until_text("rejected", "", 30)
+    good.dismiss_messages()
     good.grab("guide-rejected")
     good.view.workspace.show_tab("Readings")
     good.window.resize(1280, 800)
-    good.until_text("counted", "", 60)
-    good.window.messages.dismiss()
+    good.until_text("accepted", "", 60)
+    good.dismiss_messages()
     good.grab("window")
     good.window.leave()
 
@@ -145,6 +211,7 @@ def draw_robot() -> None:
     robot = SessionPhotographer(OpenRequest(server=server_command(None, robot=True), robot=True), Choice.LIGHT, "Readings")
     robot.until(lambda: robot.view.state is not None and len(robot.view.state.snapshot.contacts) >= 14)
     robot.until_text("Hold still", "", 0)
+    robot.dismiss_messages()
     robot.grab("robot")
     robot.window.leave()
 
@@ -154,7 +221,11 @@ def draw_part() -> None:
     from tools.first_part import find_icub, walk_tutorial
 
     part = WindowPhotographer("part", Choice.LIGHT, (1280, 720))
-    for name in walk_tutorial(part.window, find_icub(), part.until, Path("documents/forearm.json").absolute()):
+    # The page shows the robot's path, and not that of an environment.
+    robot = find_icub()
+    Path("iCub").symlink_to(robot.parents[2])
+    urdf = Path("iCub", *robot.parts[-3:]).absolute()
+    for name in walk_tutorial(part.window, urdf, part.until, Path("documents/forearm.json").absolute()):
         path = part.grab(f"part-{name}", 0.3)
         # A quarter of the size, and no eye sees the difference.
         Image.open(path).convert("RGB").quantize(PART_PICTURE_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
@@ -163,21 +234,16 @@ def draw_part() -> None:
 
 def draw_headless() -> None:
     """Write the picture of a session without a display."""
-    part = load_part(find_scene(None))
-    pipeline = simulate_session(
-        part.scene, part.surface, Path("headless"), SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED, RigErrors.noise()
-    )
-    snapshot = pipeline.snapshot()
-    method = leading_method(snapshot.estimates) or Method.FREE
+    session = simulate(Scene.load(find_scene(None)), SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED)
     # Otherwise the old picture would be kept as a backup.
     (PICTURES_FOLDER / "headless.png").unlink(missing_ok=True)
-    picture(part.scene, part.surface, part.laid, snapshot, method, PICTURES_FOLDER / "headless.png")
+    picture(session.scene.part, session.results.snapshot, Method(session.method), PICTURES_FOLDER / "headless.png")
 
 
 def draw_studies(measured: Path) -> None:
-    """Write the figures of all studies."""
+    """Write the figures of the studies that the docs show."""
     measured.mkdir(parents=True, exist_ok=True)
-    for name in STUDIES:
+    for name in STUDY_PICTURES:
         study, path = load_study(name), measured / f"{name}.json"
         if not path.is_file():
             path.write_text(json.dumps(study.run(False, print), indent=1, allow_nan=False), encoding="utf-8")
@@ -189,13 +255,14 @@ def draw_studies(measured: Path) -> None:
 def main() -> None:
     """Write the chosen pictures."""
     parser = argparse.ArgumentParser(description="Make the pictures of README and docs again.")
-    parser.add_argument("which", nargs="*", help="window, rig, robot, part, headless, studies; without any: all")
+    parser.add_argument("which", nargs="*", help="window, errors, rig, robot, part, headless, studies; without any: all")
     parser.add_argument("--measured", type=Path, default=Path("studies"), help="folder of the studies' numbers")
     options = parser.parse_args()
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
     measured = options.measured.absolute()
     makers = {
         "window": draw_window,
+        "errors": draw_errors,
         "rig": draw_rig,
         "robot": draw_robot,
         "part": draw_part,
@@ -206,11 +273,16 @@ def main() -> None:
     if unknown := sorted(set(wanted) - set(makers)):
         parser.error(f"there is no {unknown[0]}; choose of {', '.join(makers)}")
     application = QApplication(sys.argv[:1])
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(prefix="skincal-") as folder:
         os.chdir(folder)
         for name in wanted:
             makers[name]()
         os.chdir(PICTURES_FOLDER)
+    store_sentences(SHOWN_SENTENCES)
+    for name, texts in SHOWN_SENTENCES.items():
+        for text in texts:
+            if not program_texts().has(text):
+                print(f"{name}: shows a sentence that is not found in the program's source: {text}")
     application.quit()
 
 
