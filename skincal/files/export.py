@@ -31,7 +31,7 @@ from skincal.files.frames import mjcf_text, named_poses, npz_bytes, sdf_text, sk
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, skin_part
 from skincal.files.robot_file import check_robot, mesh_sentences, require_other_file
 from skincal.files.tactile_urdf import tactile_urdf_text
-from skincal.geometry import FloatArray, IntArray, cross_matrix
+from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.findings import MeshFinding
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.load import load_surface
@@ -40,6 +40,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError, list_channels, plural
 from skincal.model.scene import ContactSettings, NoiseSettings, SurfaceSpec
 from skincal.model.skin import Layout, Module
+from skincal.modules.health import fits_better_mirrored, neighbours_of
 from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
@@ -57,10 +58,6 @@ UNIT_NORMAL_LENGTH_TOLERANCE = 1e-6
 """A unit vector of doubles is unit to 1e-15; more than this was never normalised."""
 MIRROR_CHECK_MIN_TAXELS_PER_MODULE = 6
 """Least taxels of a module whose handedness is judged: three more than a plane fit uses up."""
-MIRROR_CHECK_MAX_RESIDUAL_RATIO = 0.6
-"""The mirrored layout must fit this much better to say so; the paper's modules fit 2.1 mm straight, 10.4 mm mirrored."""
-NEIGHBOUR_MAX_SPACINGS = 1.3
-"""Taxels of one module within this many spacings are neighbours: 1.0 apart, the next ring is 1.7."""
 SAME_DEPTH_MAX_SDS = 2.0
 """Walls whose distances from a taxel differ by less, in standard deviations of its position, may both be the poked one."""
 SPACING_RATIOS = (0.7, 1.4)
@@ -135,7 +132,8 @@ def _layout_faults(taxels: PlacedTaxels, layout: Layout) -> Iterator[Fault]:
     yield wrong, "a position where the layout has no taxel: channels {}."
     mirrored = [module.id for module in layout.modules if _is_mirrored(module, taxels)]
     yield mirrored, "mirrored against the layout, seen from outside: modules {}; check mirror and channel order."
-    ratios = np.array([ratio for module in layout.modules for ratio in _stretches(module, taxels, layout.spacing)])
+    known = np.isin(taxels.channels, layout.channels)
+    ratios = neighbours_of(layout).pair_ratios(taxels.channels[known], taxels.positions[known])
     ratio = float(np.median(ratios)) if len(ratios) else 1.0
     if not SPACING_RATIOS[0] <= ratio <= SPACING_RATIOS[1]:
         yield (
@@ -148,48 +146,14 @@ def _layout_faults(taxels: PlacedTaxels, layout: Layout) -> Iterator[Fault]:
     yield lacking, "no position for the centre taxel, which stands for the module in taxel2Repr: modules {}."
 
 
-def _pads_of(module: Module, taxels: PlacedTaxels) -> tuple[IntArray, IntArray]:
-    """Find a module's placed taxels: indices into its channels and into the placed taxels."""
-    _, own, placed = np.intersect1d(module.channels, taxels.channels, return_indices=True)
-    return own, placed
-
-
 def _is_mirrored(module: Module, taxels: PlacedTaxels) -> bool:
-    """Tell whether the mirrored plan of a module fits its taxels clearly better, seen from outside."""
-    own, placed = _pads_of(module, taxels)
+    """Whether the mirrored plan of a module fits its taxels clearly better, seen from outside."""
+    _, own, placed = np.intersect1d(module.channels, taxels.channels, return_indices=True)
     normal = taxels.normals[placed].sum(axis=0)
     length = np.linalg.norm(normal)
     if len(own) < MIRROR_CHECK_MIN_TAXELS_PER_MODULE or length == 0:
         return False
-    pads, positions, normal = module.pads[own], taxels.positions[placed], normal / length
-    # Two directions across the normal: the pads are compared in this plane.
-    turn = cross_matrix(normal)
-    across = turn @ np.eye(3)[np.abs(normal).argmin()]
-    across = across / np.linalg.norm(across)
-    flat = np.stack([positions @ across, positions @ (turn @ across)], axis=1)
-    straight = _misfit(pads, flat)
-    return _misfit(pads * np.array([-1.0, 1.0]), flat) < MIRROR_CHECK_MAX_RESIDUAL_RATIO * straight
-
-
-def _misfit(pads: FloatArray, flat: FloatArray) -> float:
-    """Return the least |R pads + t - flat| over rotations R of the plane and shifts t; both (k, 2)."""
-    a, b = pads - pads.mean(axis=0), flat - flat.mean(axis=0)
-    # |R a - b|^2 = |a|^2 + |b|^2 - 2 (cos sum(a . b) + sin sum(a x b)), least where the angle has their direction.
-    together = np.hypot(np.sum(a * b), np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
-    least = float(np.sum(a * a) + np.sum(b * b) - 2 * together)
-    return max(least, 0.0) ** 0.5
-
-
-def _stretches(module: Module, taxels: PlacedTaxels, spacing: float) -> list[float]:
-    """Ratio of measured to planned distance for each pair of neighbours in a module."""
-    own, placed = _pads_of(module, taxels)
-    # Every pair of the module's taxels once.
-    first, second = np.triu_indices(len(own), 1)
-    pads, positions = module.pads[own], taxels.positions[placed]
-    planned = np.linalg.norm(pads[first] - pads[second], axis=1)
-    near = planned < NEIGHBOUR_MAX_SPACINGS * spacing
-    distances = np.linalg.norm(positions[first[near]] - positions[second[near]], axis=1)
-    return (distances / planned[near]).tolist()
+    return fits_better_mirrored(module.pads[own], taxels.positions[placed], normal / length)
 
 
 COLUMNS = (

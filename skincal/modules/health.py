@@ -181,13 +181,31 @@ def _fit_known_module(model: ModuleModel, module: int, estimates: Mapping[int, E
     rows, points = list(known), np.array([estimate.position for estimate in known.values()], dtype=np.float64)
     normal: FloatArray = np.sum(np.array([estimate.normal for estimate in known.values()], dtype=np.float64), axis=0)
     normal = normal / np.sqrt(normal @ normal)
-    pads = model.pads[module][rows]
-    x, y = tangent_axes(plan.x[0], normal, fallback=True)
-    flat = np.stack([points @ x, points @ y], axis=1)
-    straight, turn = _fit(pads, flat)
-    mirrored, other = _fit(pads * np.array([-1.0, 1.0]), flat)
+    (straight, turn), (mirrored, other) = _fit_both(model.pads[module][rows], points, plan.x[0], normal)
     better = turn if straight <= mirrored else other
     return _Seen(points, planned[rows], straight, mirrored, better, np.array([plan.normals[0], normal]))
+
+
+def fits_better_mirrored(pads: FloatArray, points: FloatArray, normal: FloatArray) -> bool:
+    """Whether the mirrored pads of a module fit its taxels clearly better, seen from outside.
+
+    Parameters
+    ----------
+    pads : (n, 2) float, metres, as planned
+    points : (n, 3) float, metres: the same taxels as estimated
+    normal : (3,) float, unit, outward
+    """
+    (straight, _), (mirrored, _) = _fit_both(pads, points, np.eye(3)[np.abs(normal).argmin()], normal)
+    return mirrored < MIRRORED_FIT_MAX_RESIDUAL_RATIO * straight
+
+
+def _fit_both(
+    pads: FloatArray, points: FloatArray, x: FloatArray, normal: FloatArray
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Fit pads as planned and mirrored to points (n, 3), seen along the normal; each with its rms distance and its turn."""
+    x, y = tangent_axes(x, normal, fallback=True)
+    flat = np.stack([points @ x, points @ y], axis=1)
+    return _fit(pads, flat), _fit(pads * np.array([-1.0, 1.0]), flat)
 
 
 def _fit(pads: FloatArray, flat: FloatArray) -> tuple[float, float]:
@@ -463,14 +481,22 @@ class PlannedNeighbours:
         ----------
         channels, places : (n,) int and (n, 3) float, metres; NaN if unknown
         """
-        found = np.full((self.width, 3), np.nan)
-        found[channels] = places
-        ways = found[self.pairs[:, 0]] - found[self.pairs[:, 1]]
-        apart = np.sqrt(np.sum(ways * ways, axis=1))
+        apart = self._distances(channels, places)
         known = np.isfinite(apart)
         sums = [np.bincount(self.modules[known], weights=each[known], minlength=self.count) for each in (apart, self.planned)]
         apart, planned = (np.append(each, each.sum()) for each in sums)
         return np.divide(apart, planned, out=np.full(self.count + 1, np.nan), where=planned > 0.0)
+
+    def pair_ratios(self, channels: IntArray, places: FloatArray) -> FloatArray:
+        """Compute the distance over the planned one of each pair whose places are known; parameters as of `ratios`."""
+        ratios = self._distances(channels, places) / self.planned
+        return ratios[np.isfinite(ratios)]
+
+    def _distances(self, channels: IntArray, places: FloatArray) -> FloatArray:
+        found = np.full((self.width, 3), np.nan)
+        found[channels] = places
+        ways = found[self.pairs[:, 0]] - found[self.pairs[:, 1]]
+        return np.sqrt(np.sum(ways * ways, axis=1))
 
 
 def neighbours_of(layout: Layout) -> PlannedNeighbours:

@@ -24,6 +24,7 @@ from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray, IntArray, cross_matrix, orthonormal_pair, rotations
 from skincal.model.scene import NoiseSettings
 from skincal.pokes import NameArray, Pokes
+from skincal.rig.usual_errors import ARM_POSE_SHIFT_SD_M, ARM_POSE_TURN_SD_RAD, FORCE_TO_MOMENT_LENGTH_M, MATRIX_ERROR_SD
 
 FRAME, RIG = "frame", "rig"
 """Kinds of corrections: of the sensor's frame, and of the rig's small errors."""
@@ -128,13 +129,13 @@ class UsedCorrection:
 class RigPrior:
     """Standard deviations of a rig's errors before any poke; SI units."""
 
-    matrix: float = 0.02
+    matrix: float = MATRIX_ERROR_SD
     """sd of each entry of C: error and cross-talk of the F/T matrix, 2 % (`docs/noise.md`)."""
-    arm: float = 0.35
+    arm: float = FORCE_TO_MOMENT_LENGTH_M
     """m: the entries between force and moment count a moment in units of force x this length."""
-    pose_turn: float = float(np.radians(1.0))
+    pose_turn: float = ARM_POSE_TURN_SD_RAD
     """rad, sd of the rotation of each arm pose about each axis through the sensor."""
-    pose_shift: float = 0.002
+    pose_shift: float = ARM_POSE_SHIFT_SD_M
     """m, sd of the shift of each arm pose along each axis."""
     quadratic: float = 0.0
     """sd of each product's part in each component, as a share of that at `TYPICAL_PRESS_FORCE_N`; 0 for a linear sensor."""

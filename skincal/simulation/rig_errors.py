@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from skincal.geometry import FloatArray
+from skincal.rig.usual_errors import ARM_POSE_SHIFT_SD_M, ARM_POSE_TURN_SD_RAD, FORCE_TO_MOMENT_LENGTH_M, MATRIX_ERROR_SD
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,17 +48,14 @@ class RigErrors:
     """N m rms over `drift_session_s`. `drift_force` times the ratio of the FT45's ranges."""
     drift_session_s: float = 1800.0
     """s, length of the session for the drift."""
-    matrix: float = 0.02
-    """sd of each entry of E in measured = (I + E) true, cross-talk between force and moment included. 2 % is the
-    case measured on this project's synthetic rig."""
-    matrix_arm: float = 0.35
-    """m: the entries between force and moment count a moment in units of force x this length. The 2 % come without it;
-    this one brings out the paper's errors (its seven poses averaged: 7.2 mm free, 6.6 mm on the surface)."""
-    pose_turn: float = float(np.radians(1.0))
-    """rad, sd of the turn of each arm pose about each axis through the sensor. The case measured on
-    this project's synthetic rig; a joint's error turns the part about the joint, nearer to the sensor than to the skin."""
-    pose_shift: float = 0.002
-    """m, sd of the shift of each arm pose along each axis. Same case."""
+    matrix: float = MATRIX_ERROR_SD
+    """sd of each entry of E in measured = (I + E) true."""
+    matrix_arm: float = FORCE_TO_MOMENT_LENGTH_M
+    """m: the entries between force and moment count a moment in units of force x this length."""
+    pose_turn: float = ARM_POSE_TURN_SD_RAD
+    """rad, sd of the turn of each arm pose about each axis through the sensor."""
+    pose_shift: float = ARM_POSE_SHIFT_SD_M
+    """m, sd of the shift of each arm pose along each axis."""
     scatter: float = 0.0007
     """m, sd of the point at which the force acts about the middle of the tip, each tangent direction: the pressure
     gathers at one side of a tilted flat tip. Assumed: a third of half the 4 mm tip."""
