@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -29,7 +30,7 @@ from app.panels.errors_panel import ErrorsPanel
 from app.panels.inspect_panel import InspectPanel
 from app.panels.layouts import make_column, make_row
 from app.panels.now_panel import NowPanel
-from app.panels.panel import Panel, PanelContext
+from app.panels.panel import Panel
 from app.panels.pokes_panel import PokesPanel
 from app.panels.readings_panel import ReadingsPanel
 from app.panels.rig_panel import RigPanel
@@ -42,6 +43,7 @@ from app.sound.cues import CueMemory, due_cue
 from app.state.memo import Memo
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.view_state import ViewState, focused_channel
+from app.text.compare_text import saved_words
 from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORT_WORK, REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
@@ -56,18 +58,16 @@ from skincal.model.actions import Action, Redo, Undo
 from skincal.model.errors import InputError
 from skincal.part.part import Part
 from skincal.session.snapshot import Snapshot
-from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
-from skincal.words.units import ChannelNames
 from skincal.words.verdict_words import verdict_sentence
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
+    from skincal.following.guided_session import GuidedSession
     from skincal.guide.verdict import Verdict
 
 DEMO_VERDICT_DELAY_MS = 3000  # The demonstration shows that it is finished for this long before the verdict opens
 MAX_EVENT_AGE_FOR_SOUND_S = 0.3  # Older events make no sound: the hand does something else by now
-METHOD_ORDER = (Method.SURFACE, Method.FREE, Method.MODULES)
 RIGHT_PX, MIN_RIGHT_PX = 430, 400
 """Width of the right column at 1280 pixels, and the least that the titles of all tabs need at 100 %."""
 PANEL_TYPES: tuple[type[Panel], ...] = (
@@ -83,15 +83,15 @@ class Workspace(QWidget):
     taxel_selected = Signal(int)
     method_chosen = Signal(object)
 
-    def __init__(self, context: PanelContext) -> None:
+    def __init__(self, guided: GuidedSession) -> None:
         super().__init__()
-        part, scene = context.part, context.part.scene
-        self.part, self.names, self.methods = part, context.names, context.methods
+        part, scene = guided.part, guided.part.scene
+        self.part, self.names, self.methods = part, guided.names, guided.methods
         self.view = View3D()
         self.now = NowPanel()
         self._static = StaticScene(scene, part.surface, part.laid, part.channels)
-        self.map = TaxelMap(scene, part.channels, context.names, quarter_turns(self._static))
-        self.panels = {kind.title: kind(context) for kind in PANEL_TYPES}
+        self.map = TaxelMap(scene, part.channels, guided.names, quarter_turns(self._static))
+        self.panels = {kind.title: kind(guided) for kind in PANEL_TYPES}
         # All widgets have their parents from the start: Qt applies the style sheet again to all in a widget that moves.
         left = QWidget(self)
         self._left_row = make_row((self.view, 1), within=left, margins=0, gap=WIDGET_GAP_PX)
@@ -215,12 +215,9 @@ class SessionView(QObject):
         self._thresholds: ThresholdsDialog | None = None
         self.state: ViewState | None = None  # What is shown; `None` before the first tick
         self.selected: int | None = None
-        there = methods_of(part.scene, part.surface)
-        methods, names = tuple(m for m in METHOD_ORDER if m in there), ChannelNames(part.scene.skin.layout)
         assert controller.guided is not None
         self.guided = controller.guided
-        context = PanelContext(part, methods, names, self.guided, controller.compute, controller.read_positions, self._folder)
-        self.workspace = Workspace(context)
+        self.workspace = Workspace(self.guided)
         self.chips = LinkChips()
         self._modules_enough = ModulesEnough(self.guided.guide.plan, part.scene.noise.skin, self.guided.guide.surroundings)
         self._enough_message: Message | None = None
@@ -247,6 +244,12 @@ class SessionView(QObject):
             panel.command_wanted.connect(lambda name: self._commands.actions[name].trigger())
             panel.follow_wanted.connect(self.follow_again)
             panel.message_ready.connect(lambda sentence: self.said.emit(Message(sentence)))
+        compare = workspace.panel(ComparePanel)
+        compare.seen.connect(self.guided.show_modules)
+        compare.file_wanted.connect(self._ask_compared_file)
+        compare.session_wanted.connect(self._ask_compared_session)
+        compare.layout_wanted.connect(self._ask_corrected_layout)
+        workspace.panel(ErrorsPanel).seen.connect(self.guided.show_errors)
         # A panel follows the session only while it is visible: at once, not from the next tick on.
         workspace.tabs.currentChanged.connect(lambda _: self.follow_again())
         workspace.docks.detached_changed.connect(self.follow_again)
@@ -481,7 +484,12 @@ class SessionView(QObject):
                 early = () if verdict.is_finished and not verdict.frame_in_doubt else (verdict_sentence(verdict),)
                 dialog.show_written((*early, *sentences))
 
-            self._controller.export(format_, path, method, rig, done, dialog.show_failure, options, dialog.end_task)
+            try:
+                work = self._controller.export_work(format_, path, method, rig, options)
+            except InputError as error:
+                dialog.show_failure(str(error))
+                return
+            self._controller.compute(work, done, dialog.show_failure, ended=dialog.end_task)
 
         dialog.write_requested.connect(write)
         dialog.open()
@@ -535,6 +543,35 @@ class SessionView(QObject):
         """Ask for a file to write; a typed name gets the ending of the proposed one."""
         path, _ = QFileDialog.getSaveFileName(self.workspace, title, str(self._folder() / name), kinds)
         return with_ending(path, Path(name).suffix) if path else None
+
+    def _ask_compared_file(self) -> None:
+        self._compare(
+            QFileDialog.getOpenFileName(self.workspace, "Compare with a file", str(self._folder()), POSITION_FILES)[0]
+        )
+
+    def _ask_compared_session(self) -> None:
+        self._compare(QFileDialog.getExistingDirectory(self.workspace, "Compare with a session", str(self._folder())))
+
+    def _compare(self, path: str) -> None:
+        """Compare with the positions in a file or another session; an empty path names none."""
+        if path:
+            show = partial(self.workspace.panel(ComparePanel).add_sets, Path(path))
+            self._controller.read_positions(Path(path), show)
+
+    def _ask_corrected_layout(self) -> None:
+        """Ask for a file, and write the corrected layout to it."""
+        scene, found = self.workspace.part.scene, self.guided.modules.found
+        layout = scene.skin.layout
+        path = self._ask_file("Save the corrected layout", f"{scene.name}-corrected.modules.toml", "Layout (*.toml)")
+        if layout is None or found is None or path is None:
+            return
+
+        def write() -> None:
+            from skincal.files.layout_file import write_layout
+
+            write_layout(layout, found.mend, path)
+
+        self._controller.compute(write, lambda _: self.said.emit(Message(saved_words(path, found.mend))))
 
     def ask_reference(self) -> None:
         """Ask for a file with known positions of the taxels, and show the error against it."""

@@ -430,7 +430,7 @@ class Window(QMainWindow):
             return
         present = addresses_of(self.controller.links), view.workspace.part.scene
         paused = self._lend_devices()
-        dialog = NewSessionDialog(None, Path(), self, self._known_addresses(), present)
+        dialog = NewSessionDialog(OpenRequest(), self, self._known_addresses(), present)
         dialog.addresses_chosen.connect(self._use_addresses)
         self._open_page(dialog, paused=paused)
 
@@ -549,10 +549,9 @@ class Window(QMainWindow):
         """Ask for scene and devices, and start; `paused` if devices are lent to the dialog."""
         from app.dialogs.new_session import NewSessionDialog
 
-        known = self._known_addresses()
-        dialog = NewSessionDialog(
-            scene, self._new_folder(), self, known, paused=paused, proposed=addresses, parts=self._documents / PARTS_FOLDER
-        )
+        proposed = OpenRequest(scene=scene, folder=self._new_folder(), addresses=addresses or Addresses())
+        parts = self._documents / PARTS_FOLDER
+        dialog = NewSessionDialog(proposed, self, self._known_addresses(), paused=paused, parts=parts)
         dialog.request_chosen.connect(self.open)
         self._open_page(dialog, paused=paused)
 

@@ -259,10 +259,10 @@ class NewSessionDialog(Dialog):
 
     Parameters
     ----------
+    proposed : scene, folder and addresses to begin with; the operator agreed to these addresses on the page before
     known : addresses that the operator agreed to before
     present : addresses and scene of the open session, to change its addresses
     paused : the recording of the open session is paused for this dialog
-    proposed : addresses that the operator agreed to on the page before
     parts : folder of the operator's own parts
     """
 
@@ -271,14 +271,12 @@ class NewSessionDialog(Dialog):
 
     def __init__(
         self,
-        scene: Path | None,
-        folder: Path,
+        proposed: OpenRequest,
         parent: QWidget | None = None,
         known: Collection[str] = (),
         present: tuple[Addresses, Scene] | None = None,
         *,
         paused: bool = False,
-        proposed: Addresses | None = None,
         parts: Path | None = None,
     ) -> None:
         title = "New session" if present is None else "Device addresses"
@@ -286,12 +284,12 @@ class NewSessionDialog(Dialog):
         self._known, self._present, self._paused = tuple(known), present, paused
         self._scene: Scene | None = None
         self._note = secondary_label(wrap=True)
-        self.scene = ScenePicker(scene, parts)
+        self.scene = ScenePicker(proposed.scene, parts)
         self.rows = {stream: StreamRow(stream) for stream in Stream}
         self.fields = {stream.value: row.field for stream, row in self.rows.items()}
         self.pose_label, self.pose = QLabel("Arm &pose"), compact_combo("arm pose")
         self.pose_label.setBuddy(self.pose)
-        self.folder = QLineEdit(str(folder))
+        self.folder = QLineEdit(str(proposed.folder or ""))
         self.proposal = QPushButton()  # Uses the topics of ROS 2 that look like the rig; hidden without them
         self.proposal.setVisible(False)
         # Reason for missing topics of ROS 2; hidden without one
@@ -314,7 +312,7 @@ class NewSessionDialog(Dialog):
         self._topic_search.submit(list_topics, self._set_topics, lambda _: None)
         if present is None:
             for stream, row in self.rows.items():
-                row.set_address("" if proposed is None else getattr(proposed, stream.value), agreed=True)
+                row.set_address(getattr(proposed.addresses, stream.value), agreed=True)
             self.scene.read()
             return
         for stream, row in self.rows.items():

@@ -6,20 +6,18 @@ It works, and the 3D view draws the arrows, only while the tab is visible.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QHideEvent, QShowEvent
-from PySide6.QtWidgets import QCheckBox, QComboBox, QFileDialog, QGridLayout, QLabel, QPushButton, QTreeWidget
+from PySide6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QPushButton, QTreeWidget
 
 from app.panels.layouts import make_row
-from app.panels.panel import Panel, PanelContext
+from app.panels.panel import Panel
 from app.panels.widgets import (
-    POSITION_FILES,
     TaxelList,
     compact_combo,
     escape_tooltip,
@@ -30,7 +28,6 @@ from app.panels.widgets import (
     set_bold,
     table,
     theme_colours,
-    with_ending,
 )
 from app.scene3d.scene_state import DARK, LIGHT, Comparison
 from app.state.position_sets import LAYOUT_SET, default_pair, in_order, method_label, position_sets, unique_name
@@ -54,13 +51,13 @@ from skincal.words.compare_words import (
     module_cells,
     motion_words,
     save_hint,
-    saved_words,
     spacing_words,
 )
 from skincal.words.units import TIMES, millimetres
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
+    from skincal.following.guided_session import GuidedSession
 
 MAX_LISTED_WORST_TAXELS = 10
 MAX_VISIBLE_MODULE_ROWS = 7  # Modules of a forearm; a longer list scrolls
@@ -72,18 +69,20 @@ class ComparePanel(Panel):
     """Choice of two sets above, their differences by module and by taxel below."""
 
     title = "Compare"
+    file_wanted = Signal()  # Ask for a file with positions to compare with
+    session_wanted = Signal()  # Ask for another session
+    layout_wanted = Signal()  # Ask for a file, and write the corrected layout to it
 
-    def __init__(self, context: PanelContext) -> None:
+    def __init__(self, guided: GuidedSession) -> None:
         super().__init__()
-        self._context, self._layout = context, context.part.scene.skin.layout
-        self._channels, laid = context.part.channels, context.part.laid
+        self._guided, self._layout = guided, guided.part.scene.skin.layout
+        self._channels, laid = guided.part.channels, guided.part.laid
         self._laid = None if laid is None or not np.isfinite(laid.places[self._channels]).any() else laid.places[self._channels]
         self._others: dict[str, FloatArray] = {}
         self._paths: dict[str, Path | None] = {}  # Where the other sets were read; `None` for the truth and references
-        if (frames := robot_places(context.part.scene)) is not None:
+        if (frames := robot_places(guided.part.scene)) is not None:
             self._others[frames.name], self._paths[frames.name] = in_order(self._channels, frames.places), None
-        self.modules_check = context.guided.modules
-        context.guided.shows_modules = self.isVisible
+        self.modules_check = guided.modules
         self._neighbours: PlannedNeighbours | None = None  # Made when first needed
         self._sets: dict[str, FloatArray] = {}
         self._chosen: tuple[str, str] | None = None  # The operator's choice, if any
@@ -107,9 +106,9 @@ class ComparePanel(Panel):
         self.all.toggled.connect(self.show_again)
         self.scale.activated.connect(self.show_again)
         self.worst.taxel_wanted.connect(self.taxel_wanted)
-        self.save_button.clicked.connect(self._ask_layout)
-        self.add_file.clicked.connect(self._ask_file)
-        self.add_session.clicked.connect(self._ask_session)
+        self.save_button.clicked.connect(self.layout_wanted)
+        self.add_file.clicked.connect(self.file_wanted)
+        self.add_session.clicked.connect(self.session_wanted)
 
     def _prepare(self) -> None:
         self.scale.addItems([f"{TIMES} {scale}" for scale in ARROW_SCALES])
@@ -157,7 +156,7 @@ class ComparePanel(Panel):
         return state.revision, state.method, state.review, self.modules_check.found
 
     def update_view(self, state: ViewState) -> None:
-        before, self._sets = list(self._sets), position_sets(state, self._channels, self._context.methods, self._laid)
+        before, self._sets = list(self._sets), position_sets(state, self._channels, self._guided.methods, self._laid)
         self._sets |= self._others
         # A box that is filled again closes its list under the operator's hand.
         if list(self._sets) != before:
@@ -179,7 +178,7 @@ class ComparePanel(Panel):
         return default_pair(list(self._sets), state.method)
 
     def _show_numbers(self, pair: tuple[str, str], here: FloatArray, there: FloatArray) -> None:
-        names, channels, is_same = self._context.names, self._channels.tolist(), pair[0] == pair[1]
+        names, channels, is_same = self._guided.names, self._channels.tolist(), pair[0] == pair[1]
         found = repeatability(here, there, None if self._layout is None else self._layout.module_of[self._channels])
         self.summary.setText(difference_words(found.summary, pair, names, channels))
         self.motion.setText("" if is_same else motion_words(found.motion))
@@ -211,7 +210,7 @@ class ComparePanel(Panel):
         return self._neighbours.ratios(self._channels, positions)
 
     def _show_health(self) -> None:
-        own = {method: self._sets[method_label(method)] for method in self._context.methods}
+        own = {method: self._sets[method_label(method)] for method in self._guided.methods}
         self.spacing.setText(spacing_words({method: float(self._spacing_ratios(at)[-1]) for method, at in own.items()}))
         found = self.modules_check.found
         sentences = () if found is None else misfit_words(found.mend, found.judged, found.method)
@@ -226,7 +225,7 @@ class ComparePanel(Panel):
         scale = ARROW_SCALES[self.scale.currentIndex()]
         shown = {"from": pair[0], "to": pair[1]}
         if self.all.isChecked():
-            every = {"layout": LAYOUT_SET, **{method.value: method_label(method) for method in self._context.methods}}
+            every = {"layout": LAYOUT_SET, **{method.value: method_label(method) for method in self._guided.methods}}
             shown = {tint: name for tint, name in every.items() if name in self._sets}
         # A sign and its words stay in one line.
         dots = [f"{_sign(BLACK_DOT, tint)}&nbsp;{escape(name).replace(' ', '&nbsp;')}" for tint, name in shown.items()]
@@ -249,24 +248,13 @@ class ComparePanel(Panel):
         self._chosen = first, second
         self.show_again()
 
-    # More sets, and the corrected layout
+    # More sets
 
     def add_reference(self, reference: TaxelPositions) -> None:
         name = TRUTH_SET if reference.origin is Origin.TRUTH else reference.name
         self._others[name] = in_order(self._channels, reference.places)
         self._paths[name] = None
         self.show_again()
-
-    def _ask_file(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Compare with a file", str(self._context.folder()), POSITION_FILES)
-        self._read(path)
-
-    def _ask_session(self) -> None:
-        self._read(QFileDialog.getExistingDirectory(self, "Compare with a session", str(self._context.folder())))
-
-    def _read(self, path: str) -> None:
-        if path:
-            self._context.read_positions(Path(path), partial(self.add_sets, Path(path)))
 
     def add_sets(self, path: Path, found: Sequence[TaxelPositions]) -> None:
         """Add sets that were read from a file or a session, and compare with the first."""
@@ -276,22 +264,6 @@ class ComparePanel(Panel):
         if names and self._state is not None:
             self._chosen = self.pair(self._state)[0], names[0]
         self.show_again()
-
-    def _ask_layout(self) -> None:
-        """Ask for a file, and write the corrected layout to it."""
-        found, scene = self.modules_check.found, self._context.part.scene
-        name = str(self._context.folder() / f"{scene.name}-corrected.modules.toml")
-        chosen, _ = QFileDialog.getSaveFileName(self, "Save the corrected layout", name, "Layout (*.toml)")
-        if self._layout is None or found is None or not chosen:
-            return
-        path, layout = with_ending(chosen, ".toml"), self._layout
-
-        def write() -> None:
-            from skincal.files.layout_file import write_layout
-
-            write_layout(layout, found.mend, path)
-
-        self._context.compute(write, lambda _: self.message_ready.emit(saved_words(path, found.mend)))
 
 
 def _sign(sign: str, tint: str) -> str:

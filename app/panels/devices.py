@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from html import escape
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton
 
-from app.panels.panel import Panel, PanelContext
+from app.panels.panel import Panel
 from app.panels.widgets import ElidedLabel, digits_font, escape_tooltip, rich_label, secondary_label, set_bold, theme_colours
 from app.state.view_state import LinkStatus, ViewState
 from app.text.guidance_text import BETWEEN
@@ -17,6 +18,9 @@ from app.theme import WIDGET_GAP_PX
 from skincal.model.readings import LinkHealth, Stream
 from skincal.words.link_words import STREAM_NAMES, beside_words, outage_words
 from skincal.words.units import count
+
+if TYPE_CHECKING:
+    from skincal.following.guided_session import GuidedSession
 
 MIN_SHOWN_READING_DELAY_S = 0.6  # A hand does not notice a shorter delay
 NUMBERS_PERIOD_S, CHIPS_PERIOD_S = 0.25, 1.0
@@ -100,7 +104,7 @@ class DevicesPanel(Panel):
 
     title = "Devices"
 
-    def __init__(self, _context: PanelContext | None = None) -> None:
+    def __init__(self, _guided: GuidedSession | None = None) -> None:
         super().__init__()
         self.cards: dict[str, LinkCard] = {}
         self.change = QPushButton("Change addresses…  (A)")

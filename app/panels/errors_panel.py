@@ -14,7 +14,7 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtWidgets import QButtonGroup, QComboBox, QSizePolicy, QToolButton
 
 from app.panels.layouts import make_column, make_row
-from app.panels.panel import Panel, PanelContext
+from app.panels.panel import Panel
 from app.panels.plot import StillPlot
 from app.panels.widgets import compact_combo, escape_tooltip, rich_label, secondary_label, theme_colours
 from app.state.view_state import ViewState
@@ -26,6 +26,7 @@ from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
+    from skincal.following.guided_session import GuidedSession
 
 PLOT_REDRAW_PERIOD_S = 0.2  # Between two drawings while earlier points are being computed
 LINE_STYLES = {MEAN: Qt.PenStyle.SolidLine, P95: Qt.PenStyle.DashLine, MAX: Qt.PenStyle.DotLine}
@@ -153,13 +154,12 @@ class ErrorsPanel(Panel):
 
     title = "Errors"
 
-    def __init__(self, context: PanelContext) -> None:
+    def __init__(self, guided: GuidedSession) -> None:
         super().__init__()
-        layout = context.part.scene.skin.layout
-        self._methods = [method for method in Method if method in context.methods]
+        layout = guided.part.scene.skin.layout
+        self._methods = [method for method in Method if method in guided.methods]
         self._modules = [] if layout is None else [str(module.id) for module in layout.modules]
-        self.course = context.guided.errors
-        context.guided.shows_errors = self.isVisible
+        self.course = guided.errors
         self._drawn_s = -PLOT_REDRAW_PERIOD_S
         self.source_box, self.module_box = compact_combo("compared with"), QComboBox()
         self.axis_buttons = {axis: QToolButton() for axis in Axis}

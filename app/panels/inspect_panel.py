@@ -7,13 +7,15 @@ the skin around the taxel, and a cross is their mean.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QImage, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
 
 from app.panels.layouts import make_column, make_row
-from app.panels.panel import Panel, PanelContext
+from app.panels.panel import Panel
 from app.panels.top_view import AxisDiversityView, diversity_view
 from app.panels.widgets import Painted, TaxelList, put_rows, secondary_label, set_bold, table
 from app.state.memo import is_same
@@ -29,6 +31,9 @@ from skincal.model.actions import MarkDead, Revive
 from skincal.taxels.result import Estimate, Method
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words
 from skincal.words.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
+
+if TYPE_CHECKING:
+    from skincal.following.guided_session import GuidedSession
 
 PLOT_SIZE_PX = 152
 TITLE_FONT_SIZE_PT = 11
@@ -207,9 +212,9 @@ class InspectPanel(Panel):
 
     title = "Taxel"
 
-    def __init__(self, context: PanelContext) -> None:
+    def __init__(self, guided: GuidedSession) -> None:
         super().__init__()
-        methods, names = context.methods, context.names
+        methods, names = guided.methods, guided.names
         self._methods, self._names = methods, names
         self._listed: tuple[object, ...] = ()
         self.heading = QLabel("No taxel selected")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from PySide6.QtCore import QSettings, Signal
+from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import QScrollArea, QVBoxLayout
 
 from app.panels.layouts import Item, Margins, make_column
@@ -18,30 +16,13 @@ from app.state.view_state import ViewState
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
     from skincal.following.guided_session import GuidedSession
-    from skincal.part.part import Part
-    from skincal.taxels.result import Method
-    from skincal.words.units import ChannelNames
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PanelContext:
-    """What panels are made from: facts of the session that do not change, and services."""
-
-    part: Part
-    methods: tuple[Method, ...]
-    """Methods of the scene in the order of the menu."""
-    names: ChannelNames
-    guided: GuidedSession
-    compute: Callable[..., None]
-    """`Controller.compute`: work in the background."""
-    read_positions: Callable[[Path, Callable[[tuple[TaxelPositions, ...]], None]], None]
-    """`Controller.read_positions`: positions in a file or a session."""
-    folder: Callable[[], Path]
-    """Folder where file dialogs begin."""
 
 
 class Panel(QScrollArea):
-    """One tab. A subclass names in `depends_on` everything that it shows, and shows it in `update_view`."""
+    """One tab. A subclass names in `depends_on` everything that it shows, and shows it in `update_view`.
+
+    It is made from the followers of the session, which last as long as the session.
+    """
 
     title: ClassVar[str]
     """Text of the tab."""
@@ -52,12 +33,23 @@ class Panel(QScrollArea):
     follow_wanted = Signal()  # Follow the session again: the panel needs something else from now on
     comparison_changed = Signal(object)  # Show this `Comparison` in the 3D view; `None` for the estimates
     message_ready = Signal(str)  # Tell this to the operator
+    seen = Signal(bool)  # It is on the screen from now on, or no longer
 
-    def __init__(self, _context: PanelContext | None = None) -> None:
+    def __init__(self, _guided: GuidedSession | None = None) -> None:
         super().__init__()
         self.setAccessibleName(self.title)
         self._state: ViewState | None = None
         self._shown: tuple[object, ...] = ()
+
+    def showEvent(self, event: QShowEvent) -> None:
+        super().showEvent(event)
+        self.seen.emit(True)
+
+    def hideEvent(self, event: QHideEvent) -> None:
+        super().hideEvent(event)
+        # A minimized window is seen again at any moment.
+        if not event.spontaneous():
+            self.seen.emit(False)
 
     def fill(self, *items: Item, margins: Margins = 0, gap: int | None = None) -> QVBoxLayout:
         """Put items below each other in the panel, as `make_column`."""

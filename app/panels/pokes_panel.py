@@ -6,7 +6,7 @@ Cells are computed for the visible rows only: a session has thousands of pokes, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import (
     QAbstractTableModel,
@@ -21,7 +21,7 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
-from app.panels.panel import Panel, PanelContext
+from app.panels.panel import Panel
 from app.panels.widgets import escape_tooltip, make_copyable, secondary_label, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
@@ -33,6 +33,9 @@ from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Estimate
 from skincal.words.poke_words import REASON_WORDS, missed_words, poke_count_words, rejection_words, short_rejection
 from skincal.words.units import DASH, ChannelNames, cell, number
+
+if TYPE_CHECKING:
+    from skincal.following.guided_session import GuidedSession
 
 _Index = QModelIndex | QPersistentModelIndex
 HEADINGS = ("#", "Outcome", "Taxel", "Force\nN", "Tilt\n\N{DEGREE SIGN}", "Twist\nmm")
@@ -193,9 +196,9 @@ class PokesPanel(Panel):
     title = "Pokes"
     selection_changed = Signal()
 
-    def __init__(self, context: PanelContext) -> None:
+    def __init__(self, guided: GuidedSession) -> None:
         super().__init__()
-        self.model = PokeTable(context.names)
+        self.model = PokeTable(guided.names)
         self.table = QTableView(showGrid=False)
         self.table.setModel(self.model)
         self.tally = secondary_label(wrap=True)

@@ -6,13 +6,15 @@ points this costs a third of the plot's own downsampling (measured).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QBoxLayout, QWidget
 
 from app.panels.layouts import make_column
-from app.panels.panel import Panel, PanelContext
+from app.panels.panel import Panel
 from app.panels.plot import StillPlot
 from app.panels.widgets import rich_label, theme_colours
 from app.state.policies import curve_range
@@ -21,6 +23,9 @@ from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray
 from skincal.words.units import UNITS, number
+
+if TYPE_CHECKING:
+    from skincal.following.guided_session import GuidedSession
 
 TIME_AXIS_SPAN_S = 10.0  # Length of the time axis, as the live view keeps it
 TIME_TICK_PERIOD_S = 2.0  # Between the numbers of the time axis
@@ -127,7 +132,7 @@ class ReadingsPanel(Panel):
 
     title = "Readings"
 
-    def __init__(self, _context: PanelContext | None = None) -> None:
+    def __init__(self, _guided: GuidedSession | None = None) -> None:
         super().__init__()
         self.force, self.moment = Curves("Force", "N", 1.0, 2), Curves("Moment", "N m", 50.0, 0)
         self._newest_s = self._numbers_s = -np.inf

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QAbstractItemView, QLabel, QPushButton, QTreeWidgetItem, QWidget
 
 from app.panels.layouts import make_column, make_row
-from app.panels.panel import Panel, PanelContext
+from app.panels.panel import Panel
 from app.panels.widgets import fit_columns, fit_rows, put_rows, secondary_label, set_bold, table
 from app.state.memo import is_same
 from app.state.view_state import ViewState
@@ -20,6 +22,9 @@ from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
 from skincal.words.tip_words import tip_sentence
 from skincal.words.units import cell
+
+if TYPE_CHECKING:
+    from skincal.following.guided_session import GuidedSession
 
 HEADINGS = ("Landmark", "Pokes in\nthis pose", "Pokes in\nall poses", "Miss\nmm")
 _COLUMN_HINTS = (
@@ -90,9 +95,9 @@ class RigPanel(Panel):
 
     title = "Rig"
 
-    def __init__(self, context: PanelContext) -> None:
+    def __init__(self, guided: GuidedSession) -> None:
         super().__init__()
-        arm, self._setup = context.part.scene.arm, context.guided.setup
+        arm, self._setup = guided.part.scene.arm, guided.setup
         self.arm = None if arm is None else ArmPanel(arm)
         self.points = table("landmarks", HEADINGS, _COLUMN_HINTS)
         self.points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)

@@ -579,30 +579,27 @@ class Controller(QObject):
             return NO_SESSION
         return STILL_SOLVING if self._recording.pipeline.session.unsolved > MAX_UNSOLVED_TAXELS else ""
 
-    def export(
-        self,
-        format_: str,
-        path: Path,
-        method: Method,
-        rig: RigAnswer | None,
-        done: Callable[[tuple[Verdict, tuple[str, ...]]], None],
-        failed: Callable[[str], None],
-        options: ExportOptions = NO_OPTIONS,
-        ended: Callable[[], None] | None = None,
-    ) -> None:
-        """Write a calibration file in the background.
+    def export_work(
+        self, format_: str, path: Path, method: Method, rig: RigAnswer | None, options: ExportOptions = NO_OPTIONS
+    ) -> Callable[[], tuple[Verdict, tuple[str, ...]]]:
+        """Make the work that writes a calibration file of the present moment, for `compute`.
 
         Parameters
         ----------
         rig : result of the landmark pokes; `None` if they were not reviewed
-        done : gets the verdict by `method` and the sentences of the file's lint
-        failed : gets a sentence if there is no file
-        ended : called last in every case, also if another session was opened meanwhile
+
+        Returns
+        -------
+        Function that writes the file, and returns the verdict by `method` and the sentences of the file's lint
+
+        Raises
+        ------
+        InputError
+            No results can be written now.
         """
         refusal, recording, part = self._why_no_results(), self._recording, self._part
         if refusal or recording is None or part is None:
-            failed(refusal)
-            return
+            raise InputError(refusal)
         # Made here, not in the thread: the session continues while the file is written.
         session = recording.pipeline.session
         calibration, snapshot = session.calibration(), session.snapshot()
@@ -618,7 +615,7 @@ class Controller(QObject):
                 _make_folder(path.parent)
                 return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method, options)
 
-        self.compute(write, done, failed, ended=ended)
+        return write
 
     def apply(self, address: str, method: Method, done: Callable[..., None], ended: Callable[[], None] | None = None) -> None:
         """Send the calibrated taxel positions to a running robot, in the background.

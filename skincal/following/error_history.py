@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeAlias
@@ -28,7 +28,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.part.part import Part
 from skincal.rig.correction import RIG, Correction
 from skincal.session.session import Session
-from skincal.session.snapshot import Snapshot
+from skincal.session.snapshot import Snapshot, snapshot_of
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import known_error
 
@@ -125,21 +125,17 @@ def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
     return lambda now: {method: spreads(found, now.part_size) for method, found in now.estimates.items()}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CourseInput:
-    """Input of a course of errors."""
+def _count_common(first: Snapshot, second: Snapshot) -> int:
+    """Count the equal contacts at the beginning of two moments; 0 if dead channels or the rig's correction differ."""
+    if dict(first.dead) != dict(second.dead) or _rig_correction(first) is not _rig_correction(second):
+        return 0
+    return _common(first.contacts, second.contacts)
 
-    contacts: tuple[Contact, ...] = ()
-    """Corrected contacts that count, in the order of their numbers."""
-    dead: Mapping[int, str] = field(default_factory=dict[int, str])
-    correction: Correction | None = None
-    """Correction of the rig in use; its uncertainty is part of the predicted error."""
 
-    def common(self, other: CourseInput) -> int:
-        """Count the equal contacts at the beginning of both courses; 0 if dead channels or the correction differ."""
-        if dict(self.dead) != dict(other.dead) or self.correction is not other.correction:
-            return 0
-        return _common(self.contacts, other.contacts)
+def _rig_correction(snapshot: Snapshot) -> Correction | None:
+    """Find the correction of the rig in use, whose uncertainty is part of the predicted error."""
+    used = snapshot.decisions.corrections.get(RIG)
+    return None if used is None else used.correction
 
 
 class ErrorCourse:
@@ -155,7 +151,7 @@ class ErrorCourse:
 
     def __init__(self, scene: Scene, surface: Surface | None, known: Mapping[int, FloatArray] | None) -> None:
         self._rule = error_rule(scene, known)
-        self._input = CourseInput()
+        self._newest = snapshot_of((), {})
         self._points: Mapping[int, Spreads] = {}
         """By the number of contacts; replaced and never changed, since `work` reads it."""
         self._stride = 1
@@ -165,9 +161,8 @@ class ErrorCourse:
 
     def update(self, snapshot: Snapshot) -> None:
         """Remove outdated points of the error curve, and add the newest."""
-        used = snapshot.decisions.corrections.get(RIG)
-        before, self._input = self._input, CourseInput(snapshot.contacts, snapshot.dead, used and used.correction)
-        same, count = self._input.common(before), len(snapshot.contacts)
+        before, self._newest = self._newest, snapshot
+        same, count = _count_common(snapshot, before), len(snapshot.contacts)
         self._stride = stride_of(count)
         points = {at: point for at, point in self._points.items() if at <= same and (at % self._stride == 0 or at == count)}
         if count and count not in points:
@@ -177,18 +172,18 @@ class ErrorCourse:
     @property
     def missing(self) -> list[int]:
         """Numbers of contacts whose points are not solved yet, ascending."""
-        return [at for at in range(self._stride, len(self._input.contacts), self._stride) if at not in self._points]
+        return [at for at in range(self._stride, len(self._newest.contacts), self._stride) if at not in self._points]
 
     @cached_property
     def _replica(self) -> Session:
         """Session that solves the past; made in the background, since a large part takes a tenth of a second."""
         return Session(self._scene, self._surface)
 
-    def work(self, seconds: float = math.inf) -> tuple[CourseInput, dict[int, Spreads]]:
+    def work(self, seconds: float = math.inf) -> tuple[Snapshot, dict[int, Spreads]]:
         """Compute missing points of the error curve for about `seconds`, one at least, for `add_points`."""
-        end, of, points = time.monotonic() + seconds, self._input, dict[int, Spreads]()
+        end, of, points = time.monotonic() + seconds, self._newest, dict[int, Spreads]()
         self._replica.set_detected_dead(of.dead)
-        self._replica.assume_corrected(of.correction)
+        self._replica.assume_corrected(_rig_correction(of))
         for count in self.missing:
             # Poke by poke as in the live session, so that a point has the same bits.
             self._feed(of.contacts[:count])
@@ -197,9 +192,9 @@ class ErrorCourse:
                 break
         return of, points
 
-    def add_points(self, of: CourseInput, points: Mapping[int, Spreads]) -> bool:
+    def add_points(self, of: Snapshot, points: Mapping[int, Spreads]) -> bool:
         """Add solved points that are still valid; return whether there are any."""
-        same = self._input.common(of)
+        same = _count_common(self._newest, of)
         held = {at: point for at, point in points.items() if at <= same and at % self._stride == 0}
         self._points = {**self._points, **held}
         return bool(held)
@@ -223,7 +218,7 @@ class ErrorCourse:
         counts = np.array(sorted(self._points), dtype=np.int64)
         points = [self._points[count] for count in counts.tolist()]
         methods: tuple[Method, ...] = tuple(points[-1]) if points else ()
-        contacts = self._input.contacts
+        contacts = self._newest.contacts
         return ErrorSeries(
             counts=counts,
             pokes=np.array([contact.poke for contact in contacts], dtype=np.int64)[counts - 1],
@@ -275,7 +270,7 @@ class ErrorFollower:
         if self._job.is_busy or self._failed_at == at or not course.missing:
             return
 
-        def add(solved: tuple[CourseInput, dict[int, Spreads]]) -> None:
+        def add(solved: tuple[Snapshot, dict[int, Spreads]]) -> None:
             self._failed_at = None
             if course.add_points(*solved) and course is self._course:
                 self.version += 1

@@ -5,7 +5,7 @@ All of it follows the session before a tick is published. A view shows what it s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import PressPhase, Progress
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
     from skincal.session.snapshot import Snapshot
 
+METHOD_ORDER = (Method.SURFACE, Method.FREE, Method.MODULES)
 GUIDE_UPDATE_PERIOD_NS = 20_000_000
 """ns between two looks at the guide, without a window."""
 
@@ -79,13 +80,15 @@ class GuidedSession:
     def __init__(self, part: Part, run: Run = run_at_once) -> None:
         self.part, self.names = part, ChannelNames(part.scene.skin.layout)
         self.guide, self.coach = SessionGuide(part), PressCoach(part.surface)
-        self.method = first_method(methods_of(part.scene, part.surface), part)
+        there = methods_of(part.scene, part.surface)
+        self.methods = tuple(method for method in METHOD_ORDER if method in there)
+        """Methods of the scene, in the order in which they are offered."""
+        self.method = first_method(there, part)
         """Method that is shown, whose needs the guide follows."""
         self.errors, self.modules = ErrorFollower(part, run), ModulesCheck(part, run)
         self.setup = SetupFollower(part, run)
-        self.shows_errors: Callable[[], bool] = lambda: False
-        self.shows_modules: Callable[[], bool] = lambda: False
-        """Say whether anybody sees them; else they do no work."""
+        self.shows_errors = self.shows_modules = False
+        """Whether anybody sees them; else they do no work."""
         self.guidance: Guidance | None = None
         """`None` before the first tick and while guidance is off."""
         self._robot = RobotDialogue(part.scene)
@@ -93,6 +96,14 @@ class GuidedSession:
         """Snapshot, method and switch of the newest guidance."""
         self.tip: TipPose | None = None
         """Tip of the robot as it reports it; `None` without one."""
+
+    def show_errors(self, seen: bool) -> None:
+        """Follow the course of errors while somebody sees it."""
+        self.shows_errors = seen
+
+    def show_modules(self, seen: bool) -> None:
+        """Check the modules while somebody sees the result."""
+        self.shows_modules = seen
 
     def handle_answers(self, pipeline: Pipeline, server: Targets, now_ns: int) -> list[str]:
         """Handle what robots said since the last call; give sentences for the operator."""
@@ -171,9 +182,9 @@ class GuidedSession:
             record_request(self.guidance, pipeline, now_ns)
         self.setup.check_snapshot(snapshot, pipeline.session.wrench_frames)
         self.setup.check_skin(snapshot, lambda: pipeline.skin_condition)
-        if self.shows_modules():
+        if self.shows_modules:
             self.modules.check_snapshot(snapshot)
-        if self.shows_errors():
+        if self.shows_errors:
             self.errors.update(snapshot)
         if server is None:
             return False

@@ -84,8 +84,8 @@ def candidate_pushes(normals: FloatArray, usable: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChoiceState:
-    """State of n taxels on which the choice of a poke depends."""
+class PokeChoice:
+    """Choice of the next poke at n taxels: what is known of them, and the predicted gain of each push."""
 
     places: FloatArray
     """(n, 3) float, metres, believed."""
@@ -107,77 +107,73 @@ class ChoiceState:
     solved: FloatArray
     """(n,) float, metres: the solver's predicted error. It counts if it is larger, since the solver weighs contacts its own
     way."""
+    noise: NoiseSettings
 
+    def _covariances(self, rows: IntArray) -> FloatArray:
+        """Compute (m, 3, 3) predicted covariances, m^2; along the skin alone if `in_plane`."""
+        if self.in_plane:
+            basis = orthonormal_pair(self.normals[rows])
+            flat = _inverse(basis @ self.information[rows] @ basis.transpose(0, 2, 1))
+            found = np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
+        else:
+            found = _inverse(self.information[rows])
+        total = np.trace(found, axis1=1, axis2=2)
+        return found * np.maximum(self.solved[rows] ** 2 / total, 1.0)[:, None, None]
 
-def _covariances(state: ChoiceState, rows: IntArray) -> FloatArray:
-    """Compute (m, 3, 3) predicted covariances, m^2; along the skin alone if `in_plane`."""
-    if state.in_plane:
-        basis = orthonormal_pair(state.normals[rows])
-        flat = _inverse(basis @ state.information[rows] @ basis.transpose(0, 2, 1))
-        found = np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
-    else:
-        found = _inverse(state.information[rows])
-    total = np.trace(found, axis1=1, axis2=2)
-    return found * np.maximum(state.solved[rows] ** 2 / total, 1.0)[:, None, None]
+    def predict_error(self, row: int, push: int) -> tuple[float, float]:
+        """Predict the rms error of a taxel now and after a push at it, metres."""
+        alone = np.array([row])
+        before = self._covariances(alone)
+        _, less = self._lowered(alone, before[:, None], self.neighbours.rows[alone][:, :1], np.ones((1, 1)))
+        total = float(np.trace(before[0]))
+        return float(np.sqrt(total)), float(np.sqrt(max(total - float(less[0, push, 0]), 0.0)))
+
+    def predict_gains(self, rows: IntArray, others: float) -> FloatArray:
+        """Predict (m, d) by how much each push at the taxels `rows` (m,) lowers the sum of the rms errors, metres.
+
+        `others`, 0 to 1, is the weight of the neighbours relative to the taxel itself.
+        """
+        touched, weights = self.neighbours.rows[rows], self.neighbours.weights[rows]
+        before = self._covariances(touched.ravel()).reshape(*touched.shape, 3, 3)
+        total, less = self._lowered(rows, before, touched, weights)
+        after = np.sqrt(np.maximum(total - less, 0.0))
+        # No gain counts below half the wanted error: a well-known taxel needs no more pokes.
+        floor = self.wanted / 2.0
+        lower = np.maximum(np.sqrt(total), floor) - np.maximum(after, floor)
+        lower *= (weights > 0)[:, None] * self.open[touched][:, None]
+        return lower[:, :, 0] + others * lower[:, :, 1:].sum(axis=2)
+
+    def _lowered(
+        self, rows: IntArray, before: FloatArray, touched: IntArray, weights: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Compute (m, 1, k) the traces of the covariances `before` (m, k, 3, 3), and (m, d, k) their reduction by each push."""
+        (m, k), d = touched.shape, self.pushes.shape[1]
+        weights = np.maximum(weights, MIN_NEIGHBOUR_ANSWER_WEIGHT)
+        pairs = orthonormal_pair(self.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
+        away: FloatArray = self.places[touched] - self.sensor
+        lever: FloatArray = np.broadcast_to(away[:, None], (m, d, k, 3))
+        offsets: FloatArray = np.broadcast_to(offset_square(weights, self.noise)[:, None], (m, d, k))
+        every: FloatArray = np.broadcast_to(pairs, (m, d, k, 2, 3)).reshape(-1, 2, 3)
+        forces = np.full(m * d * k, EXPECTED_PUSH_FORCE_N)
+        precision = row_precision(every, lever.reshape(-1, 3), forces, offsets.reshape(-1), self.noise)
+        # The chance that it answers at all is about its share of the strongest answer.
+        beside = _inverse(precision).reshape(m, d, k, 2, 2) / weights[:, None, :, None, None]
+        # The trace of S J'(D + J S J')^-1 J S, the decrease of the trace of S by the contact.
+        moved: FloatArray = pairs @ before[:, None]
+        spread: FloatArray = moved @ pairs.transpose(0, 1, 2, 4, 3) + beside
+        inverse = _inverse(spread)
+        less = np.sum(moved * (inverse @ moved), axis=(-1, -2))
+        return np.trace(before, axis1=-2, axis2=-1)[:, None], less
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
 
 
-def predict_error(state: ChoiceState, row: int, push: int, noise: NoiseSettings) -> tuple[float, float]:
-    """Predict the rms error of a taxel now and after a push at it, metres."""
-    alone = np.array([row])
-    before = _covariances(state, alone)
-    _, less = _lowered(state, alone, before[:, None], state.neighbours.rows[alone][:, :1], np.ones((1, 1)), noise)
-    total = float(np.trace(before[0]))
-    return float(np.sqrt(total)), float(np.sqrt(max(total - float(less[0, push, 0]), 0.0)))
-
-
-def predict_gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, others: float) -> FloatArray:
-    """Predict (m, d) by how much each push at the taxels `rows` (m,) lowers the sum of the rms errors, metres.
-
-    `others`, 0 to 1, is the weight of the neighbours relative to the taxel itself.
-    """
-    touched, weights = state.neighbours.rows[rows], state.neighbours.weights[rows]
-    before = _covariances(state, touched.ravel()).reshape(*touched.shape, 3, 3)
-    total, less = _lowered(state, rows, before, touched, weights, noise)
-    after = np.sqrt(np.maximum(total - less, 0.0))
-    # No gain counts below half the wanted error: a well-known taxel needs no more pokes.
-    floor = state.wanted / 2.0
-    lower = np.maximum(np.sqrt(total), floor) - np.maximum(after, floor)
-    lower *= (weights > 0)[:, None] * state.open[touched][:, None]
-    return lower[:, :, 0] + others * lower[:, :, 1:].sum(axis=2)
-
-
-def _lowered(
-    state: ChoiceState, rows: IntArray, before: FloatArray, touched: IntArray, weights: FloatArray, noise: NoiseSettings
-) -> tuple[FloatArray, FloatArray]:
-    """Compute (m, 1, k) the traces of the covariances `before` (m, k, 3, 3), and (m, d, k) their reduction by each push."""
-    (m, k), d = touched.shape, state.pushes.shape[1]
-    weights = np.maximum(weights, MIN_NEIGHBOUR_ANSWER_WEIGHT)
-    pairs = orthonormal_pair(state.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
-    away: FloatArray = state.places[touched] - state.sensor
-    lever: FloatArray = np.broadcast_to(away[:, None], (m, d, k, 3))
-    offsets: FloatArray = np.broadcast_to(offset_square(weights, noise)[:, None], (m, d, k))
-    every: FloatArray = np.broadcast_to(pairs, (m, d, k, 2, 3)).reshape(-1, 2, 3)
-    forces = np.full(m * d * k, EXPECTED_PUSH_FORCE_N)
-    precision = row_precision(every, lever.reshape(-1, 3), forces, offsets.reshape(-1), noise)
-    # The chance that it answers at all is about its share of the strongest answer.
-    beside = _inverse(precision).reshape(m, d, k, 2, 2) / weights[:, None, :, None, None]
-    # The trace of S J'(D + J S J')^-1 J S, the decrease of the trace of S by the contact.
-    moved: FloatArray = pairs @ before[:, None]
-    spread: FloatArray = moved @ pairs.transpose(0, 1, 2, 4, 3) + beside
-    inverse = _inverse(spread)
-    less = np.sum(moved * (inverse @ moved), axis=(-1, -2))
-    return np.trace(before, axis1=-2, axis2=-1)[:, None], less
-
-
 class GainCache:
     """Gains of all pushes at n taxels, computed again only if something near the taxel changed."""
 
-    def __init__(self, count: int, noise: NoiseSettings) -> None:
-        self._noise = noise
+    def __init__(self, count: int) -> None:
         self._gains = np.full((count, PUSHES_PER_TAXEL), -np.inf)
         self._stale = np.ones(count, dtype=bool)
         self._others = np.nan
@@ -186,13 +182,13 @@ class GainCache:
         """Note that the information gains of some taxels, or of all, must be computed again."""
         self._stale[rows] = True
 
-    def gains(self, state: ChoiceState, rows: IntArray, others: float, skipped: dict[int, BoolArray]) -> FloatArray:
-        """Predict (m, d) gains at `rows` (m,); -inf for the pushes `skipped` (d,) of a taxel. `others` as `predict_gains`."""
+    def gains(self, choice: PokeChoice, rows: IntArray, others: float, skipped: dict[int, BoolArray]) -> FloatArray:
+        """Predict (m, d) gains at `rows` (m,) as `PokeChoice.predict_gains`; -inf for the pushes `skipped` (d,) of a taxel."""
         if others != self._others:
             self._others, self._stale[:] = others, True
         stale = rows[self._stale[rows]]
         if stale.size:
-            self._gains[stale] = predict_gains(state, stale, self._noise, others)
+            self._gains[stale] = choice.predict_gains(stale, others)
             for row in skipped.keys() & set(stale.tolist()):
                 self._gains[row, skipped[row]] = -np.inf
             self._stale[stale] = False

@@ -18,15 +18,13 @@ from skincal.guide.believed_positions import PlannedPlaces, believed_positions, 
 from skincal.guide.candidates import (
     PUSH_AZIMUTHS_TRIED,
     PUSHES_PER_TAXEL,
-    ChoiceState,
     GainCache,
+    PokeChoice,
     answer_offsets,
     candidate_pushes,
     find_answering,
     next_module_taxel,
     next_taxel,
-    predict_error,
-    predict_gains,
 )
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.moment import Moment
@@ -108,10 +106,10 @@ class Guide:
         self._unplanned: BoolArray = np.isnan(plan.places[:, 0])
         self._rig = 0.0
         self._others = NEIGHBOUR_GAIN_WEIGHT_IN_OWN_POKES
-        self._gains = GainCache(count, noise)
+        self._gains = GainCache(count)
         self._usable_tilt = self._pokes.tilt.usable
         self._find_neighbours()
-        self._state: ChoiceState | None = None
+        self._choice: PokeChoice | None = None
         # Taxel and push of the last target, while nothing but its numbers changed.
         self._kept: tuple[int, int] | None = None
         # Skipped pushes of each taxel, by its index; and the taxel skipped last, until the next poke.
@@ -256,7 +254,7 @@ class Guide:
                 np.array([has_touch(each.contacts, each.doubted) for each in estimates], dtype=bool)
             )
         recovered, self._covered = (covered != self._covered).tolist(), covered
-        numbers = self._own(), know.diversity, *self._lopsidedness(), know.last_shift, covered
+        numbers = self._own(), know.diversity, know.offset_size, know.depth_bias, know.last_shift, covered
         facts = zip(*map(np.ndarray.tolist, numbers), strict=True)
         unseen: tuple[Need, ...] | None = None
         for row, (estimate, each) in enumerate(zip(estimates, facts, strict=True)):
@@ -292,18 +290,14 @@ class Guide:
         """Pokes that the sheets need by their plan."""
         return planned_sheet_pokes(self.plan, self._noise, self.settings) or 0
 
-    def _lopsidedness(self) -> tuple[FloatArray, FloatArray]:
-        """Lengths (n,) of the contacts' offsets, and depth biases (n,), metres."""
-        return np.sqrt(np.sum(self._statistics.offset**2, axis=1)), self._statistics.depth_bias
-
     def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
         know, given_up = self._statistics, self._given_up()
         rms = np.array([np.inf if each.rms is None else each.rms for each in estimates])
         open_ = np.array([bool(each) for each in self._needs])
         open_[list(given_up)] = False
-        state = self._state = ChoiceState(
+        choice = self._choice = PokeChoice(
             self._places, self._pushes, self._neighbours, know.information, self._normals, self._pokes.sensor,
-            self.settings.wanted, self._in_plane, open_.astype(np.float64), self._solved,
+            self.settings.wanted, self._in_plane, open_.astype(np.float64), self._solved, self._noise,
         )  # fmt: skip
         phase, place = self._phase(open_)
         target = None
@@ -311,21 +305,17 @@ class Guide:
             normal = self._search.normals[place]
             target = Target(None, self._search.places[place], normal, -normal, 0.0, float("inf"), float("inf"))
         elif phase is not GuidePhase.ENOUGH:
-            target = self._target(state, phase)
+            target = self._target(choice, phase)
         if self.method is Method.MODULES:
             errors = np.array([improvable_error(each, self._noise.skin) for each in estimates])
-            modules, uncovered = self.plan.modules, ~self._covered
+            touches = 0 if self._surroundings is None else self._surroundings.count_touches(open_ & ~self._covered)
             if self._is_sheet:
-                touches = 0 if self._surroundings is None else self._surroundings.count_touches(open_ & uncovered)
                 pokes = int(know.own.sum())
                 count = count_sheet_pokes_left(self._planned_pokes, pokes, open_, errors, self.settings, touches)
             else:
-                own, around = self._own(), self._surroundings
-                count = count_module_pokes_left(open_, modules, own, errors, self.settings, uncovered, around)
+                count = count_module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings, touches)
         else:
-            offset, depth_bias = self._lopsidedness()
-            lopsided = np.maximum(offset, np.abs(depth_bias))
-            count = count_pokes_left(self.method, open_, know.own, rms, lopsided, know.last_shift, self.settings)
+            count = count_pokes_left(self.method, open_, know, rms, self.settings)
         interval = poke_interval(self._pokes.latest_starts())
         shown = np.flatnonzero(~self._unplanned | (know.contacts > 0))
         return Guidance(
@@ -364,10 +354,8 @@ class Guide:
         for row in {*np.flatnonzero(candidates).tolist(), *self._skips}:
             why = give_up_reason(
                 self._needs[row],
+                ContactFacts(int(know.own[row]), contacts=int(know.contacts[row]), unanswered=int(unanswered[row])),
                 settings,
-                own=int(know.own[row]),
-                contacts=int(know.contacts[row]),
-                unanswered=int(unanswered[row]),
                 patience_exhausted=bool(exhausted[row]),
                 all_sides_skipped=bool(self._skipped_pushes(row).all()),
                 tilt=self._usable_tilt,
@@ -387,17 +375,17 @@ class Guide:
         swept = len(self._pokes.contacts) >= self.settings.sweep * len(self.plan.channels)
         return (GuidePhase.OWN if self._in_plane or self._unplanned.all() or swept else GuidePhase.SWEEP), None
 
-    def _target(self, state: ChoiceState, phase: GuidePhase) -> Target | None:
-        if self._kept is not None and state.open[self._kept[0]] > 0:
+    def _target(self, choice: PokeChoice, phase: GuidePhase) -> Target | None:
+        if self._kept is not None and choice.open[self._kept[0]] > 0:
             # Only the tare after a poke came: the hand is on its way already.
-            return self._make_target(state, *self._kept)
-        rows = np.flatnonzero((state.open > 0) & np.isfinite(state.places).all(axis=1))
+            return self._make_target(choice, *self._kept)
+        rows = np.flatnonzero((choice.open > 0) & np.isfinite(choice.places).all(axis=1))
         # The one just skipped comes last.
         rows = others if (others := rows[rows != self._just_skipped]).size else rows
         if not rows.size:
             return None
         hand = self._pokes.hand(self._places)
-        way = np.zeros(len(rows)) if hand is None else np.sqrt(np.sum((state.places[rows] - hand) ** 2, axis=1))
+        way = np.zeros(len(rows)) if hand is None else np.sqrt(np.sum((choice.places[rows] - hand) ** 2, axis=1))
         seconds = travel_seconds(way, self.robot, self.settings)
         if self._in_plane:
             row = self._next_in_turn(rows, seconds)
@@ -407,11 +395,11 @@ class Guide:
             near = self._preselect(rows, seconds)
             self._others = NEIGHBOUR_GAIN_WEIGHT_IN_SWEEP if phase is GuidePhase.SWEEP else NEIGHBOUR_GAIN_WEIGHT_IN_OWN_POKES
             skipped = {row: self._skipped_pushes(row) for row in self._skips}
-            gains = self._gains.gains(state, rows[near], self._others, skipped) / seconds[near, None]
+            gains = self._gains.gains(choice, rows[near], self._others, skipped) / seconds[near, None]
             best = int(gains.argmax())
             row, push = int(rows[near[best // gains.shape[1]]]), best % gains.shape[1]
         self._kept = row, push
-        return self._make_target(state, row, push)
+        return self._make_target(choice, row, push)
 
     def _stay(self, rows: IntArray, seconds: FloatArray, phase: GuidePhase) -> tuple[IntArray, FloatArray]:
         """Keep a robot at the nearest open taxel, for pokes of several tilts in a row, once the sweep is over."""
@@ -493,8 +481,8 @@ class Guide:
         shares = (0.5 + number * np.array(CELL_SEQUENCE_STEPS)) % 1.0 - 0.5
         return 2.0 * TARGET_MAX_CELL_SHARE * self.plan.spacing * shares @ orthonormal_pair(self._normals[row][None])[0]
 
-    def _make_target(self, state: ChoiceState, row: int, push: int) -> Target:
-        direction = state.pushes[row, push]
+    def _make_target(self, choice: PokeChoice, row: int, push: int) -> Target:
+        direction = choice.pushes[row, push]
         if self._is_sheet:
             # A poke tells where the taxel is to the contact's noise; the rest of the sheet tells the error before.
             before, poke = float(self._solved[row]), 2.0 * (CONTACT_TO_PAD_CENTRE_SD_FACTOR * self._noise.contact) ** 2
@@ -504,12 +492,12 @@ class Guide:
             before, pokes = float(self._solved[row]), int(self._own()[row])
             after = before * float(np.sqrt(pokes / (pokes + 1.0))) if pokes else self.settings.wanted_by(self.method)
         else:
-            before, after = predict_error(state, row, push, self._noise)
-        cosine = -float(direction @ state.normals[row])
+            before, after = choice.predict_error(row, push)
+        cosine = -float(direction @ choice.normals[row])
         return Target(
             channel=int(self.plan.channels[row]),
             place=self._aim(row, direction, self._needs[row]),
-            normal=state.normals[row],
+            normal=choice.normals[row],
             push=direction,
             tilt=float(np.arccos(np.clip(cosine, -1.0, 1.0))),
             rms_now=before,
@@ -521,14 +509,14 @@ class Guide:
 
         `moment` is that of the last `update`.
         """
-        state, row = self._state, self._statistics.row_of.get(channel, -1)
-        if state is None or row < 0 or not np.isfinite(self._places[row]).all():
+        choice, row = self._choice, self._statistics.row_of.get(channel, -1)
+        if choice is None or row < 0 or not np.isfinite(self._places[row]).all():
             return None
         found, normal, estimate = moment.evidence([channel]), self._normals[row], self._estimates[row]
         pokes, drawn = found.pokes.tolist(), self._plan_positions()
         off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
         doubted: Mapping[int, float] = {} if estimate is None else estimate.doubted
-        worth = predict_gains(state, np.array([row]), self._noise, self._others)[0]
+        worth = choice.predict_gains(np.array([row]), self._others)[0]
         return AxisDiversity(
             channel=channel,
             normal=normal,

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from skincal.geometry import BoolArray, FloatArray, IntArray
 from skincal.guide.surroundings import Surroundings
+from skincal.guide.taxel_statistics import TaxelStatistics
+from skincal.model.scene import NoiseSettings
 from skincal.taxels.result import Estimate, Method, State
 
 MIN_CHECKED_POKES = 10
@@ -105,6 +107,10 @@ class ContactFacts:
     last_shift: float = float("inf")
     is_covered: bool = True
     """It is touched, or surrounded by touched taxels (see `Surroundings`); only the modules method needs it."""
+    contacts: int = 0
+    """Pokes that it answered."""
+    unanswered: int = 0
+    """Pokes at it as target that it did not answer."""
 
 
 def improvable_error(estimate: Estimate, skin: float) -> float:
@@ -148,11 +154,9 @@ def find_needs(
 
 def give_up_reason(
     missing: tuple[Need, ...],
+    facts: ContactFacts,
     settings: GuideSettings,
     *,
-    own: int,
-    contacts: int,
-    unanswered: int,
     patience_exhausted: bool,
     all_sides_skipped: bool,
     tilt: float,
@@ -161,19 +165,18 @@ def give_up_reason(
 
     Parameters
     ----------
-    own, contacts, unanswered : own pokes, pokes that it answered, and pokes at it as target that it did not answer
     tilt : rad, largest usable tilt
     """
     if not missing:
         return None
     if all_sides_skipped:
         return Why.OUT_OF_REACH
-    if contacts == 0:
-        return Why.NEVER_FIRED if unanswered >= settings.unanswered or patience_exhausted else None
+    if facts.contacts == 0:
+        return Why.NEVER_FIRED if facts.unanswered >= settings.unanswered or patience_exhausted else None
     if patience_exhausted:
         return Why.AMBIGUOUS if Need.DECISION in missing else Why.NOT_CONVERGED
     # Axes that all lean by one angle, evenly to all sides, have just that diversity; no others have more.
-    if Need.SIDES in missing and own >= settings.own_pokes and tilt < settings.diversity:
+    if Need.SIDES in missing and facts.own >= settings.own_pokes and tilt < settings.diversity:
         return Why.TILT
     return None
 
@@ -191,32 +194,22 @@ POKES_PER_INTERVAL_ESTIMATE = 20
 """Latest pokes from which the interval is measured."""
 
 
-def count_pokes_left(
-    method: Method,
-    open_: BoolArray,
-    own: IntArray,
-    rms: FloatArray,
-    offset: FloatArray,
-    last_shift: FloatArray,
-    settings: GuideSettings,
-) -> int:
+def count_pokes_left(method: Method, open_: BoolArray, know: TaxelStatistics, rms: FloatArray, settings: GuideSettings) -> int:
     """Predict the number of pokes until no taxel is open, by the free or the surface method.
 
     Parameters
     ----------
     open_ : (n,) taxels that need something and are not given up
-    own : (n,) own pokes
     rms : (n,) float, metres, predicted; infinite while unknown
-    offset : (n,) float, metres: length of the contacts' offset, or the size of the depth bias if that is larger
-    last_shift : (n,) float, metres
     """
+    own, offset = know.own, np.maximum(know.offset_size, np.abs(know.depth_bias))
     pokes, wanted = np.minimum(own, settings.patience - 1), settings.own_pokes - own
     # The variance falls as one over the pokes.
     error = np.where(np.isfinite(rms), rms, settings.wanted)
     exact = np.ceil(np.maximum(pokes, 1) * ((error / settings.wanted) ** 2 - 1.0))
     balance = np.where((offset > settings.balance) & (pokes > 0), POKES_TO_BALANCE_A_TAXEL, 0)
     first = np.maximum.reduce([wanted, exact, balance, np.zeros(len(own))])
-    unsettled = (first > 0) | ~(last_shift <= settings.settled)
+    unsettled = (first > 0) | ~(know.last_shift <= settings.settled)
     then = np.minimum(pokes + first, settings.patience).astype(np.int64)
     settling = np.where(unsettled, _pokes_until_settled(SINGLE_POKE_SD_M[method], settings)[then], 0.0)
     each = np.minimum(first + settling, settings.patience - pokes)
@@ -226,13 +219,7 @@ def count_pokes_left(
 
 
 def count_module_pokes_left(
-    open_: BoolArray,
-    modules: IntArray,
-    own: IntArray,
-    rms: FloatArray,
-    settings: GuideSettings,
-    uncovered: BoolArray | None = None,
-    surroundings: Surroundings | None = None,
+    open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings, touches: int
 ) -> int:
     """Predict the number of pokes until no module is open, by the modules method; else as `count_pokes_left`.
 
@@ -241,7 +228,7 @@ def count_module_pokes_left(
     modules : (n,) of each taxel
     own : (n,) pokes of its module
     rms : (n,) its `improvable_error`
-    uncovered : (n,) taxels that need a touch on or around them; none without `surroundings`
+    touches : that cover the taxels without a touch on or around them
     """
     count = 0
     for module in np.unique(modules[open_]).tolist():
@@ -249,7 +236,6 @@ def count_module_pokes_left(
         pokes, error = int(own[taxels].max()), float(np.max(np.where(np.isfinite(rms[taxels]), rms[taxels], 0.0)))
         exact = int(np.ceil(max(pokes, 1) * ((error / settings.module_wanted) ** 2 - 1.0)))
         count += max(settings.module_pokes - pokes, min(exact, settings.module_patience - pokes), 1)
-    touches = 0 if surroundings is None or uncovered is None else surroundings.count_touches(open_ & uncovered)
     return max(count, touches)
 
 
@@ -304,8 +290,10 @@ def _count_from_start(
     if method is Method.MODULES and not on_mesh:
         return settings.bare_pokes * len(np.unique(modules))
     if method is Method.MODULES:
-        return count_module_pokes_left(every, modules, nothing, unknown, settings, every, surroundings)
-    return count_pokes_left(method, every, nothing, unknown, np.zeros(count), unknown, settings)
+        touches = 0 if surroundings is None else surroundings.count_touches(every)
+        return count_module_pokes_left(every, modules, nothing, unknown, settings, touches)
+    know = TaxelStatistics(np.arange(count), NoiseSettings(), settings.unknown, in_plane=True)
+    return count_pokes_left(method, every, know, unknown, settings)
 
 
 def _pokes_until_settled(sd: float, settings: GuideSettings) -> FloatArray:

@@ -47,6 +47,11 @@ class TaxelStatistics:
         self.last_shift: FloatArray = np.full(count, np.inf)
         """(n,) float, metres: shift of the estimate by the last own poke; infinite without an own poke or with one contact."""
 
+    @property
+    def offset_size(self) -> FloatArray:
+        """(n,) float, metres: length of `offset`."""
+        return np.sqrt(np.sum(self.offset**2, axis=1))
+
     def recompute(
         self,
         channels: Collection[int],

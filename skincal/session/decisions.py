@@ -94,26 +94,19 @@ def is_undoable(action: Action) -> bool:
     return ACTION_KINDS[type(action)].describe is not None and action != BeginClosing()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ActionContext:
-    """Facts of a session that an action is checked against."""
-
-    scene: Scene
-    outcome_of: Callable[[int], Outcome | None]
-    """Gives a poke's outcome as the rig reported it, by its number."""
-    last_poke: int
-    """Number of the newest poke."""
-
-
-def apply_action(action: Action, now: Decisions, context: ActionContext) -> Decisions:
+def apply_action(action: Action, now: Decisions, scene: Scene, reported: Mapping[int, Outcome]) -> Decisions:
     """Apply an action other than undo and redo to decisions.
+
+    Parameters
+    ----------
+    reported : outcome of every poke as the rig reported it, by number
 
     Raises
     ------
     InputError
         There is no such poke, pose, landmark or channel, or its numbers make no sense.
     """
-    return ACTION_KINDS[type(action)].apply(action, now, context)
+    return ACTION_KINDS[type(action)].apply(action, now, scene, reported)
 
 
 def take_back(action: Action, before: Decisions, now: Decisions) -> Decisions:
@@ -138,9 +131,9 @@ def with_excluded(now: Decisions, poke: int, *, out: bool) -> Decisions:
     return replace(now, excluded=now.excluded | {poke} if out else now.excluded - {poke})
 
 
-def _with_poke(action: Exclude | Restore, now: Decisions, context: ActionContext) -> Decisions:
+def _with_poke(action: Exclude | Restore, now: Decisions, _: Scene, reported: Mapping[int, Outcome]) -> Decisions:
     poke, out = action.poke, isinstance(action, Exclude)
-    if not isinstance(context.outcome_of(poke), Contact):
+    if not isinstance(reported.get(poke), Contact):
         raise InputError(f"Poke {poke} is not an accepted poke of this session; expected the number of one.")
     if (poke in now.excluded) == out:
         raise InputError(f"Poke {poke} {'is already excluded' if out else 'counts already'}.")
@@ -151,8 +144,8 @@ def _without_poke(action: Exclude | Restore, before: Decisions, now: Decisions) 
     return with_excluded(now, action.poke, out=action.poke in before.excluded)
 
 
-def _with_pose(action: SetPose, now: Decisions, context: ActionContext) -> Decisions:
-    arm = context.scene.arm
+def _with_pose(action: SetPose, now: Decisions, scene: Scene, _: object) -> Decisions:
+    arm = scene.arm
     known = {} if arm is None else arm.poses
     if action.name and action.name not in known:
         expected = f"one of {', '.join(known)}" if known else "none, since the scene names no poses"
@@ -160,18 +153,18 @@ def _with_pose(action: SetPose, now: Decisions, context: ActionContext) -> Decis
     return replace(now, pose=action.name)
 
 
-def _with_thresholds(action: SetThresholds, now: Decisions, context: ActionContext) -> Decisions:
+def _with_thresholds(action: SetThresholds, now: Decisions, scene: Scene, _: object) -> Decisions:
     if len(action.names) != len(action.values) or len(set(action.names)) != len(action.names):
         numbers = f"{len(action.names)} names and {len(action.values)} values"
         raise InputError(f"Thresholds of a poke with {numbers}; expected a value each, and each name once.")
-    wanted = with_thresholds(context.scene.contacts, dict(zip(action.names, action.values, strict=True)))
+    wanted = with_thresholds(scene.contacts, dict(zip(action.names, action.values, strict=True)))
     if wanted == now.thresholds:
         raise InputError("These thresholds of a poke are in use already.")
     return replace(now, thresholds=wanted)
 
 
-def _with_channel(action: MarkDead | Revive, now: Decisions, context: ActionContext) -> Decisions:
-    channel, this, width = action.channel, {action.channel}, context.scene.skin.channels
+def _with_channel(action: MarkDead | Revive, now: Decisions, scene: Scene, _: object) -> Decisions:
+    channel, this, width = action.channel, {action.channel}, scene.skin.channels
     if not 0 <= channel < width:
         raise InputError(f"Channel {channel} does not exist; expected 0 to {width - 1}.")
     if isinstance(action, MarkDead):
@@ -179,7 +172,7 @@ def _with_channel(action: MarkDead | Revive, now: Decisions, context: ActionCont
     return replace(now, marked=now.marked - this, revived=now.revived | this)
 
 
-def _with_landmark(action: AddLandmark, now: Decisions, _context: ActionContext) -> Decisions:
+def _with_landmark(action: AddLandmark, now: Decisions, *_: object) -> Decisions:
     place = np.array([action.x, action.y, action.z])
     if not action.name.strip() or any(action.name == landmark.name for landmark in now.landmarks):
         raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
@@ -188,10 +181,12 @@ def _with_landmark(action: AddLandmark, now: Decisions, _context: ActionContext)
     return replace(now, landmarks=(*now.landmarks, Landmark(action.name, place, None)))
 
 
-def _with_landmark_poke(action: AtLandmark | FoundAtLandmark, now: Decisions, context: ActionContext) -> Decisions:
+def _with_landmark_poke(
+    action: AtLandmark | FoundAtLandmark, now: Decisions, _: Scene, reported: Mapping[int, Outcome]
+) -> Decisions:
     _check_landmark(now, action.name)
     poke, by_hand = action.poke, isinstance(action, AtLandmark)
-    outcome = context.outcome_of(poke)
+    outcome = reported.get(poke)
     if outcome is None or (action.name and not can_be_at_landmark(outcome)):
         raise InputError(f"Poke {poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered.")
     missed = None if by_hand else now.missed_landmarks.get(poke)
@@ -238,11 +233,16 @@ def _without_closing(_action: BeginClosing, before: Decisions, now: Decisions) -
     return replace(now, closings=(*now.closings[:at], *now.closings[at + 1 :]))
 
 
-def _with_closing_skip(action: SkipClosing, now: Decisions, context: ActionContext) -> Decisions:
+def _new_round(reported: Mapping[int, Outcome]) -> ClosingRound:
+    """Begin a closing check after the newest poke."""
+    return ClosingRound(max(reported, default=0))
+
+
+def _with_closing_skip(action: SkipClosing, now: Decisions, _: Scene, reported: Mapping[int, Outcome]) -> Decisions:
     if action.at and action.at not in (places.value for places in ClosingPlaces):
         expected = " or ".join(places.value for places in ClosingPlaces)
         raise InputError(f"The closing check has no places {action.at!r}; expected {expected}.")
-    *before, newest = now.closings or (ClosingRound(context.last_poke),)
+    *before, newest = now.closings or (_new_round(reported),)
     skipped = newest.skipped | {ClosingPlace(ClosingPlaces(action.at), action.name)} if action.at else newest.skipped
     return replace(now, closings=(*before, replace(newest, skipped=skipped, ended=newest.ended or not action.at)))
 
@@ -255,7 +255,7 @@ def _check_numbers(action: Action, sizes: set[int], *values: Sequence[float]) ->
         raise InputError(f"{type(action).__name__} has {[list(each) for each in values]}; expected {expected}.")
 
 
-def _with_request(action: AskLandmark | AskPoke | SkipPoke | SkipLandmark, now: Decisions, _: ActionContext) -> Decisions:
+def _with_request(action: AskLandmark | AskPoke | SkipPoke | SkipLandmark, now: Decisions, *_: object) -> Decisions:
     match action:
         case AskLandmark():
             _check_landmark(now, action.name)
@@ -282,7 +282,7 @@ def keep_decisions(_action: Action, _before: Decisions, now: Decisions) -> Decis
 class ActionKind:
     """A kind of action: all that a session knows of it."""
 
-    apply: Callable[[Any, Decisions, ActionContext], Decisions]
+    apply: Callable[[Any, Decisions, Scene, Mapping[int, Outcome]], Decisions]
     """Gives the decisions after an action. Raises InputError."""
     describe: Callable[[Any], str] | None = None
     """Describes an action for undo; `None` if undo passes over it: a request of the guide, a finding of the pipeline."""
@@ -313,25 +313,27 @@ ACTION_KINDS: dict[type[Action], ActionKind] = {
     AtLandmark: ActionKind(_with_landmark_poke, _describe_landmark_poke, _without_landmark_poke),
     FoundAtLandmark: ActionKind(_with_landmark_poke, _describe_landmark_poke, _without_landmark_poke),
     MissedLandmark: ActionKind(
-        lambda action, now, _: _name_poke(now, action.poke, None, action, by_hand=action.poke in now.named_by_hand)
+        lambda action, now, _scene, _reported: _name_poke(
+            now, action.poke, None, action, by_hand=action.poke in now.named_by_hand
+        )
     ),
     AskLandmark: ActionKind(_with_request),
     AskPoke: ActionKind(_with_request),
     SkipPoke: ActionKind(_with_request),
     SkipLandmark: ActionKind(_with_request),
     BeginClosing: ActionKind(
-        lambda _, now, context: replace(now, closings=(*now.closings, ClosingRound(context.last_poke))),
+        lambda _, now, _scene, reported: replace(now, closings=(*now.closings, _new_round(reported))),
         lambda _: "closing check",
         _without_closing,
     ),
     SkipClosing: ActionKind(_with_closing_skip),
     Correct: ActionKind(
-        lambda action, now, _: replace(now, corrections=with_correction(now.corrections, action)),
+        lambda action, now, _scene, _reported: replace(now, corrections=with_correction(now.corrections, action)),
         lambda action: f"correction of {CORRECTED_THINGS[action.of]}",
         _old_values("corrections"),
     ),
     Uncorrect: ActionKind(
-        lambda action, now, _: replace(now, corrections=without_correction(now.corrections, action)),
+        lambda action, now, _scene, _reported: replace(now, corrections=without_correction(now.corrections, action)),
         lambda action: f"end of the correction of {CORRECTED_THINGS[action.of]}",
         _old_values("corrections"),
     ),

@@ -27,7 +27,7 @@ from skincal.rig.correction import FRAME, RIG, Correction, CorrectionErrors, Use
 from skincal.rig.correction_fit import RigRequest
 from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fit
 from skincal.rig.tip_fusion import TipFusion
-from skincal.session.decisions import ActionContext, Decisions, apply_action, is_undoable, take_back, with_excluded
+from skincal.session.decisions import Decisions, apply_action, is_undoable, take_back, with_excluded
 from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.snapshot import PokeRecord, Snapshot, without_excluded
 from skincal.session.solving import Solving
@@ -236,7 +236,7 @@ class Session:
         self._changed()
 
     def _applied(self, action: Action) -> Decisions:
-        return apply_action(action, self.decisions, ActionContext(self.scene, self._reported.get, self.last_poke))
+        return apply_action(action, self.decisions, self.scene, self._reported)
 
     def _undo(self) -> None:
         at = self.history.undoable(self.decisions.excluded)

@@ -1,8 +1,11 @@
 """Calibration files that the window writes, and those without a display, say what was checked and what could not be."""
 
 import json
+import re
 import shutil
 from pathlib import Path
+
+import pytest
 
 from app import headless
 from app.dialogs.export_dialog import ExportDialog
@@ -10,6 +13,7 @@ from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest
 from app.text.message import NO_SESSION
 from skincal.cli import main
+from skincal.model.errors import InputError
 from skincal.model.scene import resource
 from skincal.taxels.result import Method
 
@@ -57,14 +61,13 @@ def test_a_fault_while_a_file_is_written_reaches_its_dialog(bench, tmp_path, mon
     bench.open(OpenRequest(session=resource("sessions/sample")))
     monkeypatch.setattr("skincal.files.export.write_calibration", fail)
     said, ended = [], []
-    bench.controller.export(
-        "csv", tmp_path / "c.csv", Method.FREE, None, said.append, said.append, ended=lambda: ended.append(1)
-    )
+    work = bench.controller.export_work("csv", tmp_path / "c.csv", Method.FREE, None)
+    bench.controller.compute(work, said.append, said.append, ended=lambda: ended.append(1))
     bench.until(lambda: ended == [1])
     assert "ZeroDivisionError" in said[0]
     bench.window.controller._end_recording()
-    bench.controller.export("csv", tmp_path / "c.csv", Method.FREE, None, said.append, said.append)
-    assert said[1] == NO_SESSION
+    with pytest.raises(InputError, match=re.escape(NO_SESSION)):
+        bench.controller.export_work("csv", tmp_path / "c.csv", Method.FREE, None)
 
 
 def test_without_a_display_the_file_and_the_output_say_it_too(tmp_path, monkeypatch, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import re
 import shutil
 import time
 from dataclasses import replace
@@ -20,6 +21,7 @@ from app.text.rig_text import offer_text, offer_words
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
 from skincal.guide.guidance import LANDMARK_POKE_MAX_OFFSET_M
 from skincal.model.actions import SetPose, Undo
+from skincal.model.errors import InputError
 from skincal.model.readings import LinkEvent, LinkState
 from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
@@ -338,7 +340,6 @@ def test_all_taxels_are_solved_anew_in_several_ticks_while_other_work_waits(poke
     # Meanwhile an action and an export wait, with a sentence.
     bench.controller.act(Undo())
     bench.until(lambda: not bench.snapshot.decisions.corrections, 5000)
-    refusals = []
     monkeypatch.setattr(controller, "MAX_UNSOLVED_TAXELS", 10)
     ticks = next(
         timer
@@ -350,8 +351,8 @@ def test_all_taxels_are_solved_anew_in_several_ticks_while_other_work_waits(poke
     assert not bench.snapshot.decisions.corrections
     assert not bench.controller.act(SetPose(""))
     assert bench.messages[-1].text == STILL_SOLVING
-    bench.controller.export("csv", tmp_path / "c.csv", Method.SURFACE, None, pytest.fail, refusals.append)
-    assert refusals == [STILL_SOLVING]
+    with pytest.raises(InputError, match=re.escape(STILL_SOLVING)):
+        bench.controller.export_work("csv", tmp_path / "c.csv", Method.SURFACE, None)
     ticks.start()
     bench.until(lambda: RIG in bench.snapshot.decisions.corrections, 5000)
     assert bench.controller.act(Undo())

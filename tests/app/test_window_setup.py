@@ -86,7 +86,7 @@ def device():
 
 @pytest.fixture
 def page(qtbot, tmp_path):
-    dialog = NewSessionDialog(PATCH, tmp_path / "new")
+    dialog = NewSessionDialog(OpenRequest(scene=PATCH, folder=tmp_path / "new"))
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
     qtbot.addWidget(dialog)
     with qtbot.waitExposed(dialog):
@@ -172,7 +172,7 @@ def test_what_is_there_is_listed_and_chosen_by_keys(qtbot, tmp_path, device, mon
     monkeypatch.setattr(
         "app.dialogs.new_session.list_ports", lambda: [("/dev/ttyUSB7", "FT232R USB UART"), (skin.address, "x")]
     )
-    dialog = NewSessionDialog(PATCH, tmp_path / "new", None, ("socket://192.168.0.9:7000",))
+    dialog = NewSessionDialog(OpenRequest(scene=PATCH, folder=tmp_path / "new"), None, ("socket://192.168.0.9:7000",))
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
     qtbot.addWidget(dialog)
     with qtbot.waitExposed(dialog):

@@ -10,7 +10,6 @@ from PySide6.QtCore import QEvent, QObject
 from PySide6.QtGui import QColor, QFontMetrics, QGuiApplication, QImage
 from PySide6.QtWidgets import QApplication, QWidget
 
-from app.panels.panel import PanelContext
 from app.panels.widgets import FittedLabel
 from app.state.policies import allowed
 from app.state.running import Running
@@ -18,7 +17,7 @@ from app.state.view_state import ViewState
 from app.theme import DARK, Colours
 from app.window import qpalette
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
-from skincal.following.background import run_at_once
+from skincal.following.background import Run, run_at_once
 from skincal.following.guided_session import GuidedSession
 from skincal.geometry import Arm, DhLink
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Stream
@@ -150,12 +149,11 @@ class Queue:
             run_at_once(*self.waiting[0][:2], ended=self.waiting.pop(0)[2])
 
 
-def context(of: Part | None = None, methods: Sequence[Method] = METHODS, **services: object) -> PanelContext:
+def context(of: Part | None = None, methods: Sequence[Method] = METHODS, compute: Run | None = None) -> GuidedSession:
     """What panels are made from, without a window."""
-    made = of or part()
-    usual = {"compute": Queue(), "read_positions": lambda *_: None, "folder": lambda: made.scene.path.parent, **services}
-    guided = GuidedSession(made, usual["compute"])
-    return PanelContext(made, tuple(methods), ChannelNames(made.scene.skin.layout), guided, **usual)
+    guided = GuidedSession(of or part(), compute or Queue())
+    guided.methods = tuple(methods)
+    return guided
 
 
 def shown(qtbot, widget, size=(420, 300)):

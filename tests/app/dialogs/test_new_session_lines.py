@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from app.dialogs.new_session import NewSessionDialog, line_markup
+from app.session.opening import OpenRequest
 from app.theme import DARK, LIGHT
 from skincal.model.readings import Stream
 from skincal.model.scene import resource
@@ -49,7 +50,7 @@ def test_the_last_line_of_a_link_without_readings_is_shown_and_hidden_with_readi
     line = "T0: 1,5 T1: 2,5 T2: 3,5"
     for name, text in (("unread", line), ("read", ",".join(map(str, range(64))))):
         (tmp_path / f"{name}.py").write_text(PRINTER.format(line=text), encoding="utf-8")
-    dialog = NewSessionDialog(resource("scenes/flat-patch/scene.toml"), tmp_path / "new")
+    dialog = NewSessionDialog(OpenRequest(scene=resource("scenes/flat-patch/scene.toml"), folder=tmp_path / "new"))
     qtbot.addWidget(dialog)
     with qtbot.waitExposed(dialog):
         dialog.open()

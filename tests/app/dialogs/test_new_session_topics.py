@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
 from app.dialogs.new_session import NewSessionDialog
-from app.session.opening import Addresses
+from app.session.opening import Addresses, OpenRequest
 from app.session.previews import list_topics
 from skincal.model.readings import SENSOR_STREAMS, LinkAnswer, Stream
 from skincal.model.scene import resource
@@ -21,7 +21,7 @@ def test_topics_of_a_robot_are_proposed_and_previewed_with_one_click(qtbot, tmp_
     monkeypatch.setattr("app.dialogs.new_session.list_topics", list_topics)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     with process("/ft=wrench", "/taxels=skin64", "/few=skin", "/joint_states=joints", hz=100):
-        dialog = NewSessionDialog(resource("scenes/flat-patch/scene.toml"), tmp_path / "new")
+        dialog = NewSessionDialog(OpenRequest(scene=resource("scenes/flat-patch/scene.toml"), folder=tmp_path / "new"))
         qtbot.addWidget(dialog)
         with qtbot.waitExposed(dialog):
             dialog.open()
@@ -47,7 +47,7 @@ def test_a_missing_package_is_said_where_the_proposal_stands(qtbot, tmp_path, mo
     monkeypatch.setattr("app.dialogs.new_session.list_topics", list_topics)
     monkeypatch.setitem(sys.modules, "cyclonedds", None)
     dds._module.cache_clear()
-    dialog = NewSessionDialog(resource("scenes/flat-patch/scene.toml"), tmp_path / "new")
+    dialog = NewSessionDialog(OpenRequest(scene=resource("scenes/flat-patch/scene.toml"), folder=tmp_path / "new"))
     qtbot.addWidget(dialog)
     with qtbot.waitExposed(dialog):
         dialog.open()

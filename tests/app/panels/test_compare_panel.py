@@ -288,7 +288,7 @@ def anchored(mirror: bool) -> Part:
 
 
 @pytest.mark.parametrize("mirror", [False, True])
-def test_a_mirrored_module_is_found_in_the_background_and_its_layout_can_be_saved(qtbot, mirror, monkeypatch):
+def test_a_mirrored_module_is_found_in_the_background_and_its_layout_can_be_saved(qtbot, mirror):
     queue, asked = Queue(), []
     panel = make_panel(qtbot, anchored(mirror), compute=queue)
 
@@ -311,7 +311,7 @@ def test_a_mirrored_module_is_found_in_the_background_and_its_layout_can_be_save
     assert approved("modules_check.misfits", count=1) in panel.health.text()
     assert approved("modules_check.mirrored_clause", module=10) in panel.health.text()
     assert "module 10: mirror = false" in panel.save_button.toolTip()
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: asked.append(1) or ("", ""))
+    panel.layout_wanted.connect(lambda: asked.append(1))
     QTest.keyClick(panel.save_button, Qt.Key.Key_Return)
     assert (asked, queue.waiting) == ([1], [])
     for _ in range(2):  # too few taxels of module 10

@@ -276,6 +276,17 @@ def open_errors(bench, folder) -> ErrorsPanel:
     return panel
 
 
+def test_the_followers_know_what_is_seen_and_nothing_of_widgets(bench, recorded):
+    """Each follower held a method of a widget, which outlives no window."""
+    open_errors(bench, recorded)
+    guided = bench.window.session_view.guided
+    assert (guided.shows_errors, guided.shows_modules) == (True, False)
+    bench.key(Qt.Key.Key_4)
+    assert (guided.shows_errors, guided.shows_modules) == (False, True)
+    bench.key(Qt.Key.Key_1)
+    assert (guided.shows_errors, guided.shows_modules) == (False, False)
+
+
 def test_the_error_against_truth_and_file_follows_an_exclusion_and_is_kept(bench, qtbot, recorded, tmp_path):
     panel = open_errors(bench, recorded)
     bench.until(lambda: panel.source_box.currentText() == approved("errors.against_truth", name="truth.json"), 5000)

@@ -192,9 +192,7 @@ def test_the_window_computes_the_diversity_of_the_focused_taxel_once(bench, reco
     view, asked = bench.window.session_view, []
     assert view.state.diversity.channel == view.state.target.channel
     of = view.guided.guide.axis_diversity
-    monkeypatch.setattr(
-        view.guided.guide, "axis_diversity", lambda channel, evidence: asked.append(channel) or of(channel, evidence)
-    )
+    monkeypatch.setattr(view.guided.guide, "axis_diversity", lambda channel: asked.append(channel) or of(channel))
     channels = bench.snapshot.pokes[0].outcome.channels.tolist()
     other = next(channel for channel in channels if channel != view.state.diversity.channel)
     view.select_taxel(other)

@@ -21,6 +21,7 @@ from skincal.guide.progress import (
     poke_interval,
     working_time,
 )
+from skincal.guide.taxel_statistics import TaxelStatistics
 from skincal.guide.tilt_limit import (
     FRICTION_ANGLES_RAD,
     FRICTION_PRIOR_RAD,
@@ -31,6 +32,7 @@ from skincal.guide.tilt_limit import (
     TILT_STEP_RAD,
     TiltLimit,
 )
+from skincal.model.scene import NoiseSettings
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 SETTINGS = GuideSettings()
@@ -109,8 +111,10 @@ def test_shared_errors_and_those_of_the_mesh_or_the_thickness_are_not_improvable
     ],
 )
 def test_a_taxel_is_given_up_only_if_more_pokes_would_not_help(missing, changes, why):
-    usual = {"own": 5, "contacts": 9, "unanswered": 0, "patience_exhausted": False, "all_sides_skipped": False}
-    assert give_up_reason(missing, SETTINGS, **{**usual, "tilt": SETTINGS.usable_tilt, **changes}) is why
+    facts = {"own": 5, "contacts": 9, "unanswered": 0}
+    usual = {**facts, "patience_exhausted": False, "all_sides_skipped": False, "tilt": SETTINGS.usable_tilt, **changes}
+    pokes = ContactFacts(**{name: usual.pop(name) for name in facts})
+    assert give_up_reason(missing, pokes, SETTINGS, **usual) is why
 
 
 # ---- pokes left ----
@@ -118,8 +122,9 @@ def test_a_taxel_is_given_up_only_if_more_pokes_would_not_help(missing, changes,
 
 def test_fewer_pokes_are_left_the_more_is_known():
     def left(own, rms=0.002, offset=0.0, shift=0.0, is_open=True):
-        numbers = [np.array([each]) for each in (own, rms, offset, shift)]
-        return count_pokes_left(Method.FREE, np.array([is_open]), *numbers, SETTINGS)
+        know = TaxelStatistics(np.array([0]), NoiseSettings(), SETTINGS.unknown, in_plane=False)
+        know.own[0], know.offset[0, 0], know.last_shift[0] = own, offset, shift
+        return count_pokes_left(Method.FREE, np.array([is_open]), know, np.array([rms]), SETTINGS)
 
     assert left(0, np.inf, 0.0, np.inf, is_open=False) == 0
     falling = [left(0, np.inf, 0.0, np.inf), left(2, 0.004, 0.0, 0.001), left(5, 0.002, 0.0, 0.001)]

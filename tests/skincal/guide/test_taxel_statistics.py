@@ -174,11 +174,11 @@ def test_pairs_are_those_of_comparing_all(rng, reach, flat):
 
 def state(information, in_plane=False):
     plan = grid()
-    return candidates.ChoiceState(
+    return candidates.PokeChoice(
         plan.places,
         candidates.candidate_pushes(plan.normals, GuideSettings().usable_tilt),
         candidates.find_answering(plan.places, 0.005, NOISE),
-        information, plan.normals, np.array([0.0, 0.0, -0.18]), 0.0, in_plane, np.ones(25), np.zeros(25),
+        information, plan.normals, np.array([0.0, 0.0, -0.18]), 0.0, in_plane, np.ones(25), np.zeros(25), NOISE,
     )  # fmt: skip
 
 
@@ -187,7 +187,7 @@ def test_a_gain_is_by_how_much_the_predicted_errors_fall():
     rng, force = np.random.default_rng(3), candidates.EXPECTED_PUSH_FORCE_N
     information = np.array([a @ a.T + 1e3 * np.eye(3) for a in 400 * rng.normal(size=(25, 3, 3))])
     here, rows = state(information), np.array([6, 12])
-    for row, gain in zip(rows, candidates.predict_gains(here, rows, NOISE, 0.3), strict=True):
+    for row, gain in zip(rows, here.predict_gains(rows, 0.3), strict=True):
         for push in range(candidates.PUSHES_PER_TAXEL):
             e, expected = np.linalg.svd(here.pushes[row, push][None])[2][1:], 0.0
             for place, (other, weight) in enumerate(zip(here.neighbours.rows[row], here.neighbours.weights[row], strict=True)):
@@ -201,14 +201,14 @@ def test_a_gain_is_by_how_much_the_predicted_errors_fall():
                 lower = np.sqrt(np.trace(np.linalg.inv(information[other]))) - np.sqrt(np.trace(np.linalg.inv(after)))
                 expected += lower * (1.0 if place == 0 else 0.3)
             assert gain[push] == pytest.approx(expected, rel=1e-9)
-    before, after = candidates.predict_error(here, 6, 4, NOISE)
+    before, after = here.predict_error(6, 4)
     assert before == pytest.approx(np.sqrt(np.trace(np.linalg.inv(information[6]))))
     assert after < before
 
 
 def test_an_uncertain_depth_wants_tilt_and_on_a_surface_none():
     information = np.tile(np.diag([1e6, 1e6, 1e4]), (25, 1, 1))
-    free, held = (candidates.predict_gains(state(information, flat), np.array([12]), NOISE, 0.0)[0] for flat in (False, True))
+    free, held = (state(information, flat).predict_gains(np.array([12]), 0.0)[0] for flat in (False, True))
     assert free[0] < 0.2 * free.max()
     assert free.argmax() > candidates.PUSH_AZIMUTHS_TRIED, "the largest tilt"
     assert held[0] > 0.95 * held.max()
