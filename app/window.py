@@ -27,7 +27,7 @@ from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.start_page import StartPage
 from app.panels.widgets import ElidedLabel, mix
 from app.session.controller import OPERATOR_PACES, Controller
-from app.session.opening import OpenRequest, dated_folder, find_scene, is_shipped, server_command
+from app.session.opening import Addresses, OpenRequest, dated_folder, find_scene, is_shipped, server_command
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from app.builder.page import BuilderPage
     from app.dialogs.import_dialog import ImportDialog
     from app.dialogs.messages_dialog import MessagesDialog
-    from app.session.opening import Addresses
     from app.session_view import SessionView
     from app.state.policies import Allowed
     from skincal.part.part import Part
