@@ -43,7 +43,6 @@ from app.sound.cues import CueMemory, due_cue
 from app.state.memo import Memo
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.view_state import ViewState, focused_channel
-from app.text.compare_text import saved_words
 from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORT_WORK, REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
@@ -59,6 +58,7 @@ from skincal.model.errors import InputError
 from skincal.part.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
+from skincal.words.compare_words import saved_words
 from skincal.words.verdict_words import verdict_sentence
 
 if TYPE_CHECKING:
