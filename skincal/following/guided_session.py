@@ -82,7 +82,7 @@ class GuidedSession:
         self.guide, self.coach = SessionGuide(part), PressCoach(part.surface)
         there = methods_of(part.scene, part.surface)
         self.methods = tuple(method for method in METHOD_ORDER if method in there)
-        """Methods of the scene, in the order in which they are offered."""
+        """Methods of the scene, in the order of the menu."""
         self.method = first_method(there, part)
         """Method that is shown, whose needs the guide follows."""
         self.errors, self.modules = ErrorFollower(part, run), ModulesCheck(part, run)

@@ -85,7 +85,7 @@ def candidate_pushes(normals: FloatArray, usable: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PokeChoice:
-    """Choice of the next poke at n taxels: what is known of them, and the predicted gain of each push."""
+    """Choice of the next poke: positions and errors of n taxels, and the predicted gain of each push."""
 
     places: FloatArray
     """(n, 3) float, metres, believed."""
