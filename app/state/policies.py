@@ -24,7 +24,7 @@ from skincal.rig.frame_check import FrameDiagnosis
 from skincal.session.corrections import offered
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, State
-from skincal.words.rig_words import frame_sentence
+from skincal.words.mistake_words import frame_sentence
 
 GOOD_RMS = GuideSettings().wanted  # m. Expected errors up to this are drawn as good: the goal of the guide.
 MAX_LISTED_WORST_TAXELS = 12  # Taxels in the list of the worst: as many as fit without scrolling

@@ -15,7 +15,8 @@ from skincal.session.corrections import used_of
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
 from skincal.words.layout_words import distance_sentences
-from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
+from skincal.words.mistake_words import frame_sentence
+from skincal.words.rig_words import correction_sentence, rig_sentences
 from skincal.words.units import DASH, cell, millimetres
 
 

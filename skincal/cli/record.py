@@ -339,8 +339,8 @@ def finish(
     from skincal.session.importing import KeptError, stream_findings
     from skincal.words.frame_words import frame_sentences
     from skincal.words.link_words import silent_links
+    from skincal.words.mistake_words import setup_sentences
     from skincal.words.poke_words import no_poke_sentence
-    from skincal.words.setup_words import setup_sentences
 
     snapshot = pipeline.snapshot()
     counts = output.poke_counts(snapshot)

@@ -110,7 +110,7 @@ def solve(
     from skincal.interface.session import Session
     from skincal.words.frame_words import frame_sentences
     from skincal.words.layout_words import sheet_findings
-    from skincal.words.setup_words import setup_sentences
+    from skincal.words.mistake_words import setup_sentences
 
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
@@ -251,7 +251,8 @@ def _tip_result(frame: TipFrame | None) -> tuple[dict[str, Any], list[str]]:
 def _rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
     """Summarise what landmark pokes say of sensor and arm, as JSON and in lines; both empty without such pokes."""
     from skincal.rig.correction import RIG
-    from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
+    from skincal.words.mistake_words import frame_sentence
+    from skincal.words.rig_words import correction_sentence, rig_sentences
 
     frame, answer, used = results.frame, results.rig, results.session.decisions.corrections
     if answer is None:

@@ -24,7 +24,8 @@ from skincal.session.session import Session
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
-from skincal.words.rig_words import frame_sentence, rig_sentences
+from skincal.words.mistake_words import frame_sentence
+from skincal.words.rig_words import rig_sentences
 from skincal.words.verdict_words import verdict_sentence
 
 

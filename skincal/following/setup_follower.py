@@ -9,11 +9,12 @@ from skincal.contacts.skin_condition import SkinCondition
 from skincal.following.background import BackgroundJob, Run
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.part.part import Part
-from skincal.rig.setup_check import MistakeKind, SetupDiagnosis, check_setup
+from skincal.rig.scene_mistakes import MistakeKind
+from skincal.rig.setup_check import SetupDiagnosis, check_setup
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
 from skincal.words.frame_words import frame_sentences
-from skincal.words.setup_words import setup_sentences
+from skincal.words.mistake_words import setup_sentences
 
 SKIN_CHECK_EACH_POKES = 6
 """New pokes from which the skin is judged again."""

@@ -28,9 +28,9 @@ from skincal.taxels.shared_errors import PredictedError
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
 from skincal.words.link_words import beside_words, outage_words
+from skincal.words.mistake_words import frame_sentence, setup_sentences
 from skincal.words.poke_words import REASON_WORDS, poke_count_words
-from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
-from skincal.words.setup_words import setup_sentences
+from skincal.words.rig_words import correction_sentence, rig_sentences
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words, unchecked_sentence
 from skincal.words.units import millimetres
 from skincal.words.verdict_words import agreement_words, check_words, closing_words, figures, left_words, verdict_sentence

@@ -25,15 +25,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
-from itertools import permutations, product
+from dataclasses import dataclass
 
 import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.pokes import LandmarkPokes, Pokes
-from skincal.rig.correction import NO_NOISE, Correction, RigPrior, RigState, rig_rows, rigid_motion
+from skincal.rig.correction import NO_NOISE, RigPrior, RigState, rig_rows, rigid_motion
+from skincal.rig.scene_mistakes import Mistake, MistakeKind, sensor_mistakes
 
 POKE_TO_LANDMARK_SD_M = 0.003
 """m, sd of an axis from its landmark, each direction, on a right rig: hand, sensor noise, a landmark off by 4 mm in space."""
@@ -61,22 +60,6 @@ FRAME_CHECK_MAX_POKES = 12
 """Pokes of a check: more take longer and add little about a mistake that is the same in all."""
 HAND_FORCE_RANGE_N = (3.0, 25.0)
 """N: range of a hand's pokes."""
-STANDARD_GRAVITY = 9.80665
-"""m/s^2: newtons in a kilogram-force."""
-UNIT_FACTORS = ((1.0, 1.0), (1.0, 1e-3), (1.0, 1e-2), (1.0, STANDARD_GRAVITY), (STANDARD_GRAVITY, 1.0))
-"""Factors of force and moment: none, moments in N mm, in N cm and in kgf m, forces in kgf."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameCorrection:
-    """Correction of a mistake in the sensor's frame."""
-
-    axes: FloatArray = field(default_factory=lambda: np.eye(3))
-    """(3, 3) float, one entry of 1 or -1 in each row: right axes = axes @ reported axes, of force and moment."""
-    force_scale: float = 1.0
-    moment_scale: float = 1.0
-    motion: FloatArray = field(default_factory=lambda: np.eye(4))
-    """(4, 4) float, metres: link_from_sensor = reported @ motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +87,8 @@ class FrameDiagnosis:
     """m: rms distance of the axes from the landmarks as reported."""
     corrected_miss: float
     """m: the same with the correction, without a poke that was at another point."""
-    correction: FrameCorrection
+    mistake: Mistake
+    """Of kind `NONE`, `AXES`, `UNITS` or `MOUNT`."""
     slip: Slip | None = None
     """The poke that was at another point; `None` without one."""
     wrench_frame: str = ""
@@ -113,7 +97,7 @@ class FrameDiagnosis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hypothesis:
-    correction: FrameCorrection
+    mistake: Mistake
     cost: float
     """Minus twice the log likelihood, up to a constant."""
     distances: FloatArray
@@ -168,17 +152,8 @@ def diagnose(
         explained=explained,
         miss=_miss(reported.distances, None),
         corrected_miss=best.miss,
-        correction=best.correction,
+        mistake=best.mistake,
         slip=slip,
-    )
-
-
-@lru_cache(maxsize=1)
-def _named() -> tuple[FrameCorrection, ...]:
-    """List every order and sign of the axes in every unit, as hypotheses; the first is the right frame."""
-    return tuple(
-        FrameCorrection(np.array(signs)[:, None] * np.eye(3)[list(order)], *units)
-        for order, signs, units in product(permutations(range(3)), product((1.0, -1.0), repeat=3), UNIT_FACTORS)
     )
 
 
@@ -251,16 +226,17 @@ class _Rows:
 
 
 def _discrete(evidence: _LandmarkEvidence) -> list[_Hypothesis]:
-    """Compute the cost of every order of the axes with signs, and every unit, in the order of `_named`."""
-    turned = np.array([mistake.axes for mistake in _named()]).transpose(0, 2, 1)
-    force_scales, moment_scales = np.array([[mistake.force_scale, mistake.moment_scale] for mistake in _named()]).T
+    """Compute the cost of every order of the axes with signs, and every unit, in the order of `sensor_mistakes`."""
+    tried = sensor_mistakes()
+    turned = np.array([mistake.axes for mistake in tried]).transpose(0, 2, 1)
+    force_scales, moment_scales = np.array([[mistake.force_scale, mistake.moment_scale] for mistake in tried]).T
     force = force_scales[:, None, None] * (evidence.pokes.force @ turned)
     moment = moment_scales[:, None, None] * (evidence.pokes.moment @ turned)
     rows = evidence.rows(force, moment, RigState.at_prior([""]))
     sides = evidence.cost_of_sides(force, evidence.pokes.link_from_sensor[:, :3, :3])
     costs, besides = _least(_costs(rows.misses, rows.covariances), sides)
     costs += _cost_of_size(force)
-    return [_Hypothesis(*row) for row in zip(_named(), costs.tolist(), rows.distances, besides, strict=True)]
+    return [_Hypothesis(*row) for row in zip(tried, costs.tolist(), rows.distances, besides, strict=True)]
 
 
 def _costs(misses: FloatArray, covariances: FloatArray) -> FloatArray:
@@ -320,16 +296,9 @@ def _elsewhere(evidence: _LandmarkEvidence, beside: int | None = None) -> _Hypot
         return _elsewhere(evidence, likely)
     whole = float(cost[0, 0] + sides[0] @ (1.0 - slipped) + WRONG_POINT_COST * np.sum(slipped) + _cost_of_size(force)[0])
     distances = evidence.rows(force, moment, _mounted(move)).distances[0]
-    return _Hypothesis(FrameCorrection(motion=motion), whole, distances, beside)
+    return _Hypothesis(Mistake(MistakeKind.MOUNT, motion=motion), whole, distances, beside)
 
 
 def _mounted(move: FloatArray) -> RigState:
     """Make a rig whose sensor is rotated by `move[:3]`, rad, and shifted by `move[3:]`, m."""
     return RigState(np.array([""]), np.zeros((6, 6)), move[None, :3], move[None, 3:])
-
-
-def frame_correction(found: FrameCorrection) -> Correction:
-    """Make the correction of every poke from the result of the sensor-frame check."""
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3], matrix[3:, 3:] = found.force_scale * found.axes, found.moment_scale * found.axes
-    return Correction(matrix, found.motion)

@@ -14,9 +14,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from enum import Enum
-from itertools import combinations, permutations, product
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 from typing import TypeAlias
 
 import numpy as np
@@ -33,7 +32,7 @@ from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, rigid_points
 from skincal.pokes import Pokes
 from skincal.rig.channel_order import channel_orders
-from skincal.rig.frame_check import STANDARD_GRAVITY
+from skincal.rig.scene_mistakes import Mistake, MistakeKind, sensor_mistakes
 
 SETUP_CHECK_MIN_POKES = 6
 SETUP_CHECK_MAX_POKES = 40
@@ -56,8 +55,6 @@ SCENE_FITS_BELOW_COST_PER_POKE = 0.7
 """Pokes that cost less fit the scene: nothing is tried."""
 LAYOUT_FITS_BELOW_COST_PER_POKE = 3.0
 """Pokes that cost less lie within 10 mm of their taxels: the layout as a whole is right. An ordinary rig's cost at most 2.5."""
-MOMENT_SCALES = (1.0, 1e-3, 1e-2, STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
-"""Right moments over reported ones: none wrong, in N mm, in N cm, in kgf m, forces in kgf."""
 ANGLE_STEP, ANGLE_STEPS = 1e-4, 4
 """rad, of the numeric slopes; Gauss-Newton steps."""
 MIN_TURN_DEG, TURN_STEP_DEG = 30, 15
@@ -77,57 +74,8 @@ PARALLEL_MAX_SINE = 0.05
 """Sine of the angle of two force axes below which they count as parallel."""
 
 
-class MistakeKind(Enum):
-    """Kinds of mistakes of a scene."""
-
-    AXES = "axes"
-    """The sensor's axes, their signs, or all of them (the reaction)."""
-    UNITS = "units"
-    FLANGE = "flange"
-    """The sensor is turned about one of its axes."""
-    MESH_ORIGIN = "mesh origin"
-    JOINTS_EXCHANGED = "joints exchanged"
-    JOINT_UNIT = "joint unit"
-    JOINT_SIGN = "joint sign"
-    JOINT_ANGLE = "joint angle"
-    """A joint that the scene fixes has another angle."""
-    OTHER_ARM = "other arm"
-    LAYOUT = "layout"
-    """The whole layout is mirrored or turned."""
-    MODULES = "modules"
-    """Two modules are exchanged."""
-    CHANNELS = "channels"
-    """Channels are connected in another order: blocks, rows or columns exchanged."""
-    WRENCH_FRAME = "wrench frame"
-    """The frame of the wrench is not known; everything else may follow from that."""
-    WRENCH_POINT = "wrench point"
-    """The moments are about another point than the origin of the frame that the messages name."""
-    WRENCH_LABEL = "wrench label"
-    """The wrench is in the sensor's frame, and its messages name another one."""
-
-
 OF_LAYOUT = (MistakeKind.LAYOUT, MistakeKind.MODULES, MistakeKind.CHANNELS)
 """Mistakes of the layout."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Mistake:
-    """A likely mistake of the scene."""
-
-    kind: MistakeKind
-    miss: float
-    """m, median distance of the pokes from the taxels that answered, if it is put right."""
-    axes: FloatArray = field(default_factory=lambda: np.eye(3))
-    """(3, 3) float: right axes = axes @ reported ones."""
-    scale: float = 1.0
-    """Right moments over reported ones."""
-    names: tuple[str, ...] = ()
-    """Joints, sensor and link of the other arm, ids of modules, channels and remedy, or the wrench's frame and its
-    right point."""
-    degrees: float = 0.0
-    mirrored: bool = False
-    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """(3,) float, m, link frame: from where the mesh is to where it belongs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,7 +169,7 @@ def check_setup(
 def _orders(layout: Layout) -> list[tuple[float, Mistake, IntArray]]:
     """List other orders of the channels as mistakes with their prior costs."""
     found = list(channel_orders(layout))
-    return [(_prior(len(found)), Mistake(MistakeKind.CHANNELS, 0.0, names=(what, how)), order) for what, how, order in found]
+    return [(_prior(len(found)), Mistake(MistakeKind.CHANNELS, names=(what, how)), order) for what, how, order in found]
 
 
 def _at_places(asked: _TaxelEvidence, used: Sequence[Contact], laid: PlacedLayout, order: IntArray) -> _TaxelEvidence:
@@ -327,7 +275,7 @@ def _prior(choices: int) -> float:
 def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, laid: PlacedLayout) -> _Hypotheses:
     assert scene.skin.layout is not None
     yield from _sensors(asked)
-    yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, 0.0), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)
+    yield 0.0, Mistake(MistakeKind.MESH_ORIGIN), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)
     if scene.arm is not None and (angles := _angles(used, scene.arm)) is not None:
         yield from _joints(asked, angles, scene.arm.arm)
         if scene.robot is not None:
@@ -337,24 +285,21 @@ def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, la
 
 def _sensors(asked: _TaxelEvidence) -> _Hypotheses:
     """Try other axes and units of the sensor, and a turned flange."""
-    for order, signs, scale in product(permutations(range(3)), product((1.0, -1.0), repeat=3), MOMENT_SCALES):
-        axes = np.array(signs)[:, None] * np.eye(3)[list(order)]
-        is_same = np.array_equal(axes, np.eye(3))
-        if is_same and scale == 1.0:
+    for mistake in sensor_mistakes():
+        if mistake.kind is MistakeKind.NONE:
             continue
-        prior = (0.0 if scale == 1.0 else _prior(4)) + (0.0 if is_same else _prior(2 if (axes == -np.eye(3)).all() else 47))
-        kind = MistakeKind.UNITS if is_same else MistakeKind.AXES
-        yield (
-            prior,
-            Mistake(kind, 0.0, axes=axes, scale=scale),
-            asked.with_pokes(force=asked.pokes.force @ axes.T, moment=scale * asked.pokes.moment @ axes.T),
-        )
+        has_unit, has_axes = mistake.force_scale != mistake.moment_scale, mistake.kind is MistakeKind.AXES
+        prior = (_prior(4) if has_unit else 0.0) + (_prior(2 if mistake.is_reaction else 47) if has_axes else 0.0)
+        # A force axis has no unit of forces: only that of moments against it counts.
+        scale, axes = mistake.moment_scale / mistake.force_scale, mistake.axes
+        moment = scale * asked.pokes.moment @ axes.T
+        yield prior, mistake, asked.with_pokes(force=asked.pokes.force @ axes.T, moment=moment)
     for axis, degrees in product(range(3), range(MIN_TURN_DEG, 361 - MIN_TURN_DEG, TURN_STEP_DEG)):
         if degrees % 90:
             turn = rotations(np.radians(degrees) * np.eye(3)[axis][None])[0]
             wrench = asked.with_pokes(force=asked.pokes.force @ turn.T, moment=asked.pokes.moment @ turn.T)
             signed = float(degrees if degrees < 180 else degrees - 360)
-            yield _prior(60), Mistake(MistakeKind.FLANGE, 0.0, names=("xyz"[axis],), degrees=signed), wrench
+            yield _prior(60), Mistake(MistakeKind.FLANGE, names=("xyz"[axis],), degrees=signed), wrench
 
 
 def distances_from_sensor(contacts: Sequence[Contact], frame: WrenchFrame) -> tuple[float, float]:
@@ -399,10 +344,10 @@ def _wrench_frames(asked: _TaxelEvidence, scene: Scene, frames: Sequence[WrenchF
     for name, place in others.items():
         moment = asked.pokes.moment + np.cross(place - point, asked.pokes.force)
         prior = 0.0 if name == frame.sensor else _prior(len(others))
-        yield prior, Mistake(MistakeKind.WRENCH_POINT, 0.0, names=(frame.name, name)), asked.with_pokes(moment=moment)
+        yield prior, Mistake(MistakeKind.WRENCH_POINT, names=(frame.name, name)), asked.with_pokes(moment=moment)
     if frame.turn >= np.radians(MIN_TURN_DEG):
         moment = (asked.pokes.moment - np.cross(point, asked.pokes.force)) @ turn
-        label = Mistake(MistakeKind.WRENCH_LABEL, 0.0, names=(frame.name, frame.sensor))
+        label = Mistake(MistakeKind.WRENCH_LABEL, names=(frame.name, frame.sensor))
         yield 0.0, label, asked.with_pokes(force=asked.pokes.force @ turn, moment=moment)
 
 
@@ -441,13 +386,13 @@ def _joints(asked: _TaxelEvidence, angles: FloatArray, arm: Arm | UrdfChain) -> 
     for one, other in combinations(range(count), 2):
         swapped = angles.copy()
         swapped[:, [one, other]] = angles[:, [other, one]]
-        mistake = Mistake(MistakeKind.JOINTS_EXCHANGED, 0.0, names=(names[one], names[other]))
+        mistake = Mistake(MistakeKind.JOINTS_EXCHANGED, names=(names[one], names[other]))
         yield _prior(count * (count - 1)), mistake, _with_angles(asked, arm, swapped)
     for name, right in (("radians", np.degrees(angles)), ("degrees", np.radians(angles))):
-        yield _prior(2), Mistake(MistakeKind.JOINT_UNIT, 0.0, names=(name,)), _with_angles(asked, arm, right)
+        yield _prior(2), Mistake(MistakeKind.JOINT_UNIT, names=(name,)), _with_angles(asked, arm, right)
     for column, name in enumerate(names):
         signs = np.where(np.arange(count) == column, -1.0, 1.0)
-        yield _prior(8 * count), Mistake(MistakeKind.JOINT_SIGN, 0.0, names=(name,)), _with_angles(asked, arm, signs * angles)
+        yield _prior(8 * count), Mistake(MistakeKind.JOINT_SIGN, names=(name,)), _with_angles(asked, arm, signs * angles)
 
 
 def _robots(asked: _TaxelEvidence, angles: FloatArray, robot: RobotSpec, link: str) -> _Hypotheses:
@@ -456,7 +401,7 @@ def _robots(asked: _TaxelEvidence, angles: FloatArray, robot: RobotSpec, link: s
     fixed = list(chain.fixed)
     for name, degrees in product(fixed, range(-180, 180, TRIED_FIXED_ANGLE_STEP_DEG)):
         tried = replace(chain, fixed={**chain.fixed, name: math.radians(degrees)})
-        mistake = Mistake(MistakeKind.JOINT_ANGLE, 0.0, names=(name,), degrees=float(degrees))
+        mistake = Mistake(MistakeKind.JOINT_ANGLE, names=(name,), degrees=float(degrees))
         yield _prior(36 * len(fixed)), mistake, _with_angles(asked, tried, angles)
     named = [other_side(name) for name in (robot.sensor, link)]
     try:
@@ -472,7 +417,7 @@ def _robots(asked: _TaxelEvidence, angles: FloatArray, robot: RobotSpec, link: s
     # The frames of both arms are mirrored in some way: by the signs of their axes.
     for signs in product((1.0, -1.0), repeat=3):
         mirrored = replace(moved, places=asked.places * signs, normals=asked.normals * signs)
-        yield _prior(8), Mistake(MistakeKind.OTHER_ARM, 0.0, names=names), mirrored
+        yield _prior(8), Mistake(MistakeKind.OTHER_ARM, names=names), mirrored
 
 
 _SIDE_RE = re.compile(r"(?<![a-zA-Z])(left|right|l|r)(?![a-zA-Z])", re.IGNORECASE)
@@ -505,7 +450,7 @@ def _modules(asked: _TaxelEvidence, used: Sequence[Contact], layout: Layout, lai
         for here, there in ((first, second), (second, first)):
             places[here.channels], normals[here.channels] = laid.places[there.channels], laid.normals[there.channels]
         centres, sides = _planned(used, replace(laid, places=places, normals=normals))
-        mistake = Mistake(MistakeKind.MODULES, 0.0, names=(str(first.id), str(second.id)))
+        mistake = Mistake(MistakeKind.MODULES, names=(str(first.id), str(second.id)))
         yield _prior(len(pairs)), mistake, replace(asked, places=centres, normals=sides)
 
 
@@ -528,7 +473,7 @@ def _layouts(
         if laid is None or not np.isfinite([laid.places[each.strongest_channel] for each in used]).all():
             continue
         centres, normals = _planned(used, laid)
-        mistake = Mistake(MistakeKind.LAYOUT, 0.0, mirrored=mirrored, degrees=90.0 * (quarters if quarters < 3 else -1))
+        mistake = Mistake(MistakeKind.LAYOUT, mirrored=mirrored, degrees=90.0 * (quarters if quarters < 3 else -1))
         yield _prior(7), mistake, replace(asked, places=centres, normals=normals)
 
 

@@ -17,7 +17,6 @@ from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.model.actions import Correct, Uncorrect
 from skincal.model.errors import InputError
 from skincal.rig.correction import FRAME, MAX_ARM_POSES_WITH_UNCERTAINTY, RIG, Correction, UsedCorrection
-from skincal.rig.frame_check import frame_correction
 
 if TYPE_CHECKING:
     from skincal.rig.correction_fit import RigAnswer
@@ -148,7 +147,7 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
         return None  # it would hide that the wrench is in another frame
     tried = rig.correction if rig.used else None
     if frame is not None and not frame.right and frame.explained and (frame.sure or tried is None):
-        found = frame_correction(frame.correction)
+        found = frame.mistake.correction
         # It was found on top of the frame correction in use, and replaces it.
         whole = found.after(used[FRAME].correction) if FRAME in used else found
         return correct_action(FRAME, whole, frame.miss, frame.corrected_miss, pokes)

@@ -1,11 +1,9 @@
-"""Sentences on sensor and arm: corrections, landmarks, the sensor frame and the final check."""
+"""Sentences on sensor and arm: corrections, landmarks and the final check."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import sqrt
-
-import numpy as np
 
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -16,11 +14,7 @@ from skincal.rig.correction_fit import (
     REPORT_LANDMARK_POKES_WITH_TRUST_BELOW,
     RigAnswer,
 )
-from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis
 from skincal.words.units import millimetres
-
-MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
-"""Landmark miss above which a sentence on a right frame names errors of sensor and arm; noise and hand cause 1 to 3 mm."""
 
 
 def closing_sentence(closing: Closing) -> str:
@@ -88,71 +82,3 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
         if trust < REPORT_LANDMARK_POKES_WITH_TRUST_BELOW
     ]
     return (first, *doubted)
-
-
-def frame_sentence(found: FrameDiagnosis) -> str:
-    """Say whether the sensor frame is right, with the error at landmarks as reported and as corrected."""
-    reported = millimetres(found.miss, 0)
-    if found.wrench_frame and not found.right:
-        return (
-            f"The landmark pokes miss their landmarks by {reported}. First settle the wrench's frame, {found.wrench_frame}: "
-            "[wrench] of the scene may name its frame, and the point of its moments (about)."
-        )
-    if not found.explained:
-        return (
-            f"The landmark pokes miss their landmarks by {reported}, and no known mistake of the sensor frame explains that. "
-            "Press the landmarks again, and check their positions in the scene."
-        )
-    slip = "."
-    if found.slip is not None:
-        off = millimetres(found.slip.miss, 0)
-        slip = f", but poke {found.slip.poke} misses {found.slip.name} by {off}: was it another point?"
-    passes = f"{millimetres(found.corrected_miss, 0)}{slip}"
-    if found.right:
-        # A right frame with a large error reads like a contradiction.
-        whose = (
-            " This comes from other errors of sensor and arm, not from the frame."
-            if found.corrected_miss > MENTION_RIG_ERRORS_ABOVE_MISS_M
-            else ""
-        )
-        return f"The sensor frame {'is' if found.sure else 'looks'} right: pokes miss their landmarks by {passes}{whose}"
-    wrong = f"The sensor frame looks wrong: {_mistake_words(found.correction)}."
-    return f"{wrong} Pokes miss their landmarks by {reported} now; corrected, by {passes}"
-
-
-def _mistake_words(found: FrameCorrection) -> str:
-    """Name the mistake of a frame that needs this correction."""
-    if not np.array_equal(found.motion, np.eye(4)):
-        turn, shift = found.motion[:3, :3], 1e3 * float(np.linalg.norm(found.motion[:3, 3]))
-        # arctan2 of both: the cosine is inaccurate for small angles, the sine near half a turn.
-        sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        angle = np.degrees(np.arctan2(sine, np.trace(turn) - 1.0))
-        return (
-            f"the sensor is mounted about {angle:.0f} degrees and {shift:.0f} mm from where the scene says, or its calibration "
-            "matrix is wrong"
-        )
-    return "; ".join(filter(None, (axes_words(found.axes), moment_unit_words(found.moment_scale / found.force_scale))))
-
-
-def moment_unit_words(moment_scale: float) -> str:
-    """Name the unit of moments by the factor from reported to right ones, for right forces; empty for newton metres."""
-    return {
-        1.0: "",
-        1e-3: "moments are in newton millimetres, not newton metres",
-        1e-2: "moments are in newton centimetres, not newton metres",
-        STANDARD_GRAVITY: "moments are in kilogram-force metres, forces in newtons",
-        1.0 / STANDARD_GRAVITY: "forces are in kilogram-force, moments in newton metres",
-    }[moment_scale]
-
-
-def axes_words(axes: np.ndarray) -> str:
-    """Name a wrong order of the axes or their signs; empty if they are as reported."""
-    # A row holds a single entry, 1 or -1: its sum is the sign.
-    order, signs = np.abs(axes).argmax(axis=1).tolist(), axes.sum(axis=1).tolist()
-    if order == [0, 1, 2]:
-        turned = ["xyz"[axis] for axis, sign in enumerate(signs) if sign < 0]
-        if len(turned) == 3:
-            return "it reports the reaction force: all signs are inverted"
-        return f"the sign of {', '.join(turned)} is inverted" if turned else ""
-    named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
-    return f"its axes are in another order: x, y, z are {', '.join(named)}"

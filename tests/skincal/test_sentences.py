@@ -11,11 +11,13 @@ from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdic
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
-from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis, Slip
+from skincal.rig.frame_check import FrameDiagnosis, Slip
+from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
 from skincal.taxels.result import Cause, StateReason
 from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
 from skincal.words.link_words import STREAM_NAMES, link_verdict_words, outage_words, silent_links
-from skincal.words.rig_words import correction_sentence, correction_words, frame_sentence, rig_sentences
+from skincal.words.mistake_words import frame_sentence
+from skincal.words.rig_words import correction_sentence, correction_words, rig_sentences
 from skincal.words.taxel_words import state_sentence, unchecked_sentence
 from tests.approved import approved
 
@@ -200,11 +202,11 @@ def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_do
     assert rig_sentences(replace(good, used=False)) == (approved("rig.left_as_is", misses=misses, below_mm=5.2), *doubted)
 
 
-RIGHT = FrameDiagnosis(True, True, True, 0.0024, 0.0024, FrameCorrection())
+RIGHT = FrameDiagnosis(True, True, True, 0.0024, 0.0024, Mistake(MistakeKind.NONE))
 
 
-def wrong(correction):
-    return replace(RIGHT, right=False, miss=0.051, corrected_miss=0.006, correction=correction)
+def wrong(mistake):
+    return replace(RIGHT, right=False, miss=0.051, corrected_miss=0.006, mistake=mistake)
 
 
 def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
@@ -218,25 +220,28 @@ def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
 
 
 @pytest.mark.parametrize(
-    ("correction", "words"),
+    ("mistake", "words"),
     [
-        (FrameCorrection(-np.eye(3)), approved("sensor_frame.reaction")),
-        (FrameCorrection(np.diag([-1.0, 1.0, -1.0])), approved("sensor_frame.signs_turned", axes="x, z")),
-        (FrameCorrection(np.eye(3)[[1, 0, 2]]), approved("sensor_frame.axes_order", order="y, x, z")),
-        (FrameCorrection(np.diag([1.0, 1.0, -1.0])[[2, 0, 1]]), approved("sensor_frame.axes_order", order="-z, x, y")),
-        (FrameCorrection(moment_scale=1e-3), approved("sensor_frame.moments_in_nmm")),
-        (FrameCorrection(moment_scale=1e-2), approved("sensor_frame.moments_in_ncm")),
-        (FrameCorrection(moment_scale=STANDARD_GRAVITY), approved("sensor_frame.moments_in_kgfm")),
-        (FrameCorrection(force_scale=STANDARD_GRAVITY), approved("sensor_frame.forces_in_kgf")),
+        (Mistake(MistakeKind.AXES, axes=-np.eye(3)), approved("sensor_frame.reaction")),
+        (Mistake(MistakeKind.AXES, axes=np.diag([-1.0, 1.0, -1.0])), approved("sensor_frame.signs_turned", axes="x, z")),
+        (Mistake(MistakeKind.AXES, axes=np.eye(3)[[1, 0, 2]]), approved("sensor_frame.axes_order", order="y, x, z")),
         (
-            FrameCorrection(-np.eye(3), STANDARD_GRAVITY),
+            Mistake(MistakeKind.AXES, axes=np.diag([1.0, 1.0, -1.0])[[2, 0, 1]]),
+            approved("sensor_frame.axes_order", order="-z, x, y"),
+        ),
+        (Mistake(MistakeKind.UNITS, moment_scale=1e-3), approved("sensor_frame.moments_in_nmm")),
+        (Mistake(MistakeKind.UNITS, moment_scale=1e-2), approved("sensor_frame.moments_in_ncm")),
+        (Mistake(MistakeKind.UNITS, moment_scale=STANDARD_GRAVITY), approved("sensor_frame.moments_in_kgfm")),
+        (Mistake(MistakeKind.UNITS, force_scale=STANDARD_GRAVITY), approved("sensor_frame.forces_in_kgf")),
+        (
+            Mistake(MistakeKind.AXES, axes=-np.eye(3), force_scale=STANDARD_GRAVITY),
             approved("sensor_frame.reaction_and_force_unit"),
         ),
     ],
 )
-def test_a_wrong_frame_says_its_mistake_and_both_misses(correction, words):
+def test_a_wrong_frame_says_its_mistake_and_both_misses(mistake, words):
     said = approved("sensor_frame.wrong", mistake=words, miss_mm=51, then_mm=6)
-    assert frame_sentence(wrong(correction)) == said
+    assert frame_sentence(wrong(mistake)) == said
 
 
 @pytest.mark.parametrize("degrees", [0.0, 25.0, 100.0, 180.0])
@@ -244,7 +249,7 @@ def test_a_sensor_that_sits_elsewhere_says_by_how_much(degrees):
     motion = np.eye(4)
     motion[:3, :3] = rotations(np.radians(degrees) * np.array([[0.6, 0.0, 0.8]]))[0]
     motion[:3, 3] = [0.0, 0.03, 0.04]
-    said = frame_sentence(wrong(FrameCorrection(motion=motion)))
+    said = frame_sentence(wrong(Mistake(MistakeKind.MOUNT, motion=motion)))
     assert approved("sensor_frame.elsewhere", degrees=f"{degrees:.0f}", aside_mm=50) in said
 
 

@@ -28,8 +28,7 @@ from skincal.session.replay import apply_item, load, replay
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_sentences
-from skincal.words.rig_words import frame_sentence
-from skincal.words.setup_words import setup_sentences
+from skincal.words.mistake_words import frame_sentence, setup_sentences
 from skincal.words.verdict_words import verdict_sentence
 from tests.skincal.ros_support import WRENCH_TYPE, make_message, wrench_message
 from tests.skincal.wrench_frame_support import (

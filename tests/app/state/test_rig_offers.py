@@ -20,11 +20,13 @@ from skincal.model.scene import Landmark
 from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
-from skincal.rig.frame_check import FrameCorrection, FrameDiagnosis
+from skincal.rig.frame_check import FrameDiagnosis
+from skincal.rig.scene_mistakes import Mistake, MistakeKind
 from skincal.session.corrections import correction_of
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
-from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
+from skincal.words.mistake_words import frame_sentence
+from skincal.words.rig_words import correction_sentence, rig_sentences
 from skincal.words.units import DASH
 from tests.app.scene3d_support import decided, estimate
 from tests.app.window_support import PLAN, arm_scene, context, frame, part, session, shown, slip, touch
@@ -34,8 +36,8 @@ CORNER, OTHER = (Landmark(name, np.array([x, 0.0, 0.0]), None) for name, x in ((
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 MATRIX = 1.02 * np.eye(6)
 NOBODY = np.empty(0)
-RIGHT = FrameDiagnosis(True, True, True, 0.0074, 0.0074, FrameCorrection())
-WRONG = FrameDiagnosis(False, True, True, 0.051, 0.006, FrameCorrection(TURN, 1.0, 1e-3))
+RIGHT = FrameDiagnosis(True, True, True, 0.0074, 0.0074, Mistake(MistakeKind.NONE))
+WRONG = FrameDiagnosis(False, True, True, 0.051, 0.006, Mistake(MistakeKind.AXES, axes=TURN, moment_scale=1e-3))
 
 
 def rig(*, used: bool = True, correction: Correction | None = None, distances: Mapping | None = None, doubted: float = 1.0):

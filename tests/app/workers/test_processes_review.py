@@ -24,7 +24,8 @@ from skincal.session.session import Session
 from skincal.simulation.contacts import poke_landmarks
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
-from skincal.words.rig_words import frame_sentence, rig_sentences
+from skincal.words.mistake_words import frame_sentence
+from skincal.words.rig_words import rig_sentences
 from tests.app.whole_window import OPEN_MS
 from tests.app.workers.process_support import is_running
 from tests.approved import approved

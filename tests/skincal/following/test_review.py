@@ -21,7 +21,7 @@ from skincal.session.session import Session
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
-from skincal.words.rig_words import frame_sentence
+from skincal.words.mistake_words import frame_sentence
 from tests.approved import approved_pattern
 from tests.build import session_of
 from tests.skincal.poke_script import small_scene

@@ -35,7 +35,8 @@ from skincal.simulation.contacts import poke_landmarks, simulate_contacts, ungui
 from skincal.simulation.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
-from skincal.words.rig_words import correction_sentence, frame_sentence
+from skincal.words.mistake_words import frame_sentence
+from skincal.words.rig_words import correction_sentence
 from skincal.words.taxel_words import state_sentence
 from skincal.words.verdict_words import agreement_words, check_words, figures, verdict_sentence
 from tests.approved import approved

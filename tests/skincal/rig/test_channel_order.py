@@ -12,7 +12,7 @@ from skincal.part.part import load_part
 from skincal.rig.setup_check import check_setup
 from skincal.session.replay import load
 from skincal.taxels.result import Method
-from skincal.words.setup_words import setup_sentences
+from skincal.words.mistake_words import setup_sentences
 from tests.skincal.soldered_board import Board, errors, import_board, layout_text, poke, write_rig
 
 BOARD = Board(rows=6, columns=8, pokes_each=2, pitch=0.012)

@@ -10,12 +10,13 @@ from skincal.geometry import rotations
 from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import FRAME, RIG, Correction, RigPrior
 from skincal.rig.correction_fit import RigAnswer
-from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, diagnose, frame_correction
+from skincal.rig.frame_check import diagnose
+from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
 from skincal.session.corrections import offered
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulation.contacts import poke_landmarks
 from skincal.simulation.rig_errors import RigErrors
-from skincal.words.rig_words import frame_sentence
+from skincal.words.mistake_words import frame_sentence
 from tests.approved import approved
 from tests.skincal.sim_support import make_rig
 
@@ -74,13 +75,13 @@ def said_right(trial):
         lambda pokes: replace(pokes, link_from_sensor=pokes.link_from_sensor @ motion),
     )[kind]
     said = diagnose(change(pokes), normals)
-    plain = np.array_equal(said.correction.axes, np.eye(3))
+    plain = np.array_equal(said.mistake.axes, np.eye(3))
     return (
         said.right,
-        np.array_equal(said.correction.axes, axes) and said.correction.moment_scale == 1.0,
-        plain and said.correction.moment_scale == 1e-3 and "newton millimetres" in frame_sentence(said),
-        plain and said.correction.force_scale == STANDARD_GRAVITY and "kilogram-force" in frame_sentence(said),
-        not np.array_equal(said.correction.motion, np.eye(4)) and said.corrected_miss < said.miss,
+        np.array_equal(said.mistake.axes, axes) and said.mistake.moment_scale == 1.0,
+        plain and said.mistake.moment_scale == 1e-3 and "newton millimetres" in frame_sentence(said),
+        plain and said.mistake.force_scale == STANDARD_GRAVITY and "kilogram-force" in frame_sentence(said),
+        not np.array_equal(said.mistake.motion, np.eye(4)) and said.corrected_miss < said.miss,
     )[kind]
 
 
@@ -114,7 +115,7 @@ def test_on_such_a_rig_another_order_of_the_axes_is_named(count):
     named = 0
     for pokes, normals, axes in on_bad_rigs(count):
         said = diagnose(turned_by(pokes, axes), normals)
-        named += np.array_equal(said.correction.axes, axes) and said.correction.moment_scale == 1.0
+        named += np.array_equal(said.mistake.axes, axes) and said.mistake.moment_scale == 1.0
     assert named >= 0.95 * BAD
 
 
@@ -140,7 +141,7 @@ def test_a_right_frame_is_left_and_a_wrong_one_is_corrected_by_what_is_offered()
     found = diagnose(turned, normals)
     assert approved("sensor_frame.axes_order_clause", order="y, x, z") in frame_sentence(found)
     assert f"{found.miss * 1e3:.0f} mm" in frame_sentence(found)
-    same_pokes(frame_correction(found.correction).corrected_pokes(turned), pokes)
+    same_pokes(found.mistake.correction.corrected_pokes(turned), pokes)
 
 
 def one_elsewhere(count, seed):
@@ -180,7 +181,7 @@ def test_a_wrong_frame_is_named_beside_a_poke_at_another_landmark():
         axes = other_axes(np.random.default_rng([seed, 96]))
         said = diagnose(turned_by(pokes, axes), normals)
         named += (
-            np.array_equal(said.correction.axes, axes)
+            np.array_equal(said.mistake.axes, axes)
             and said.explained
             and said.slip is not None
             and said.slip.poke == slip.number
@@ -233,7 +234,7 @@ def test_a_reaction_is_shown_by_the_surface_where_landmarks_have_no_normal():
     blind = diagnose(reaction, [None] * 3)
     assert (blind.right, blind.sure) == (True, False), "without normals the reaction cannot be seen"
     assert diagnose(pokes[:2], normals[:2]) is None
-    same_pokes(frame_correction(FrameCorrection()).corrected_pokes(pokes), pokes)
+    same_pokes(Mistake(MistakeKind.NONE).correction.corrected_pokes(pokes), pokes)
     away = replace(bare[0], place=bare[0].place + 0.05 * normals[0])
     own = replace(away, normal=np.array([0.0, 0.0, 1.0]))
     found = landmark_normals([away, own], rig.surface)

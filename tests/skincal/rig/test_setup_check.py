@@ -25,8 +25,8 @@ from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, check_setup, mirrored
 from skincal.simulation.operator import Habits
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.virtual_session import simulate_session
+from skincal.words.mistake_words import setup_sentences
 from skincal.words.poke_words import POLARITY_ADVICE, rejection_advice, rejection_words
-from skincal.words.setup_words import setup_sentences
 from tests.skincal.sim_support import SLOW_DEVICES
 
 POSES = "[robot.poses]\na = [94.0, 0.0]\nb = [60.0, -40.0]\nc = [30.0, 30.0]\n[contacts]\npitch_max = 0.025\n"

@@ -15,7 +15,7 @@ from skincal.model.actions import AtLandmark, Correct, Exclude, Uncorrect, Undo,
 from skincal.model.errors import InputError
 from skincal.rig.correction import FRAME, MAX_ARM_POSES_WITH_UNCERTAINTY, RIG, Correction, CorrectionErrors
 from skincal.rig.correction_fit import RigRequest, correct_rig
-from skincal.rig.frame_check import diagnose, frame_correction
+from skincal.rig.frame_check import diagnose
 from skincal.session.corrections import correct_action, corrected_progress, used_of
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
@@ -142,7 +142,7 @@ def test_a_frame_that_is_named_wrong_is_put_right():
 
     found = diagnosis()
     assert not found.right
-    correction = frame_correction(found.correction)
+    correction = found.mistake.correction
     np.testing.assert_array_equal(correction.matrix, np.kron(np.diag([1.0, 1e-3]), TURN.T))
     session.act(correct_action(FRAME, correction, found.miss, found.corrected_miss, 6))
     again = diagnosis()

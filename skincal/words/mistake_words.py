@@ -1,4 +1,4 @@
-"""Sentences of the setup check: how far pokes miss, the likely mistake of the scene, and its remedy."""
+"""Sentences on mistakes of the scene: how far pokes miss landmarks or taxels, the likely mistake, and its remedy."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.rig.setup_check import Mistake, MistakeKind, SetupDiagnosis
-from skincal.words.rig_words import axes_words, moment_unit_words
+from skincal.rig.frame_check import FrameDiagnosis
+from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
+from skincal.rig.setup_check import SetupDiagnosis
 from skincal.words.units import millimetres
+
+MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
+"""Landmark miss above which a sentence on a right frame names errors of sensor and arm; noise and hand cause 1 to 3 mm."""
 
 CORRECT_SENSOR = (
     "correct the sensor's pose in the scene or its origin in the URDF, or press three landmarks and use the correction that is "
@@ -31,7 +35,7 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
     what, remedy = mistake_words(first)
     misses = (
         ""
-        if _is_reaction(first)
+        if first.is_reaction
         else f" {found.pokes} pokes miss the taxels that answer by {millimetres(found.miss, 0)} (median), and with this change "
         f"by {millimetres(first.miss, 0)}."
     )
@@ -39,10 +43,6 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
         f"The scene does not fit the pokes: {what}. To mend it, {remedy}.{misses}",
         *(f"Also possible: {what}. Then {remedy}." for what, remedy in map(mistake_words, others)),
     )
-
-
-def _is_reaction(mistake: Mistake) -> bool:
-    return mistake.kind is MistakeKind.AXES and np.array_equal(mistake.axes, -np.eye(3))
 
 
 _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
@@ -77,10 +77,10 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
 
 def mistake_words(mistake: Mistake) -> tuple[str, str]:
     """Name a mistake, and its remedy as an order; neither has a full stop."""
-    if _is_reaction(mistake):
+    if mistake.is_reaction:
         return "the sensor reports the reaction force, so pokes seem to push from inside", "change [wrench] sign in the scene"
     if mistake.kind in (MistakeKind.AXES, MistakeKind.UNITS):
-        words = filter(None, (_turn_words(mistake.axes), moment_unit_words(mistake.scale)))
+        words = filter(None, (_turn_words(mistake.axes), _moment_unit_words(mistake.moment_scale / mistake.force_scale)))
         remedy = CORRECT_SENSOR if mistake.kind is MistakeKind.AXES else "set the sensor's unit in its address or its program"
         return "; ".join(words), remedy
     if mistake.kind is MistakeKind.LAYOUT:
@@ -102,7 +102,7 @@ def _turn_words(axes: FloatArray) -> str:
         first, second = (fixed[0] + 1) % 3, (fixed[0] + 2) % 3
         degrees = round(float(np.degrees(np.arctan2(axes[second, first], axes[first, first]))))
         return f"the sensor is turned by {180 if degrees == -180 else degrees} degrees about its {'xyz'[fixed[0]]} axis"
-    words = axes_words(axes)
+    words = _axes_words(axes)
     return f"the sensor: {words}" if words else ""
 
 
@@ -112,3 +112,71 @@ def _layout_words(mistake: Mistake) -> tuple[str, str]:
     turn = f"turn x of [skin.anchor] by {mistake.degrees:.0f} degrees about its normal" if mistake.degrees else ""
     flip = "change mirror of every module, and the signs of its x of place_mm and its angle_deg" if mistake.mirrored else ""
     return f"the layout of the skin is {what}", ", and ".join(filter(None, (flip, turn)))
+
+
+def frame_sentence(found: FrameDiagnosis) -> str:
+    """Say whether the sensor frame is right, with the error at landmarks as reported and as corrected."""
+    reported = millimetres(found.miss, 0)
+    if found.wrench_frame and not found.right:
+        return (
+            f"The landmark pokes miss their landmarks by {reported}. First settle the wrench's frame, {found.wrench_frame}: "
+            "[wrench] of the scene may name its frame, and the point of its moments (about)."
+        )
+    if not found.explained:
+        return (
+            f"The landmark pokes miss their landmarks by {reported}, and no known mistake of the sensor frame explains that. "
+            "Press the landmarks again, and check their positions in the scene."
+        )
+    slip = "."
+    if found.slip is not None:
+        off = millimetres(found.slip.miss, 0)
+        slip = f", but poke {found.slip.poke} misses {found.slip.name} by {off}: was it another point?"
+    passes = f"{millimetres(found.corrected_miss, 0)}{slip}"
+    if found.right:
+        # A right frame with a large error reads like a contradiction.
+        whose = (
+            " This comes from other errors of sensor and arm, not from the frame."
+            if found.corrected_miss > MENTION_RIG_ERRORS_ABOVE_MISS_M
+            else ""
+        )
+        return f"The sensor frame {'is' if found.sure else 'looks'} right: pokes miss their landmarks by {passes}{whose}"
+    wrong = f"The sensor frame looks wrong: {_frame_words(found.mistake)}."
+    return f"{wrong} Pokes miss their landmarks by {reported} now; corrected, by {passes}"
+
+
+def _frame_words(found: Mistake) -> str:
+    """Name a mistake of the sensor's frame."""
+    if found.kind is MistakeKind.MOUNT:
+        turn, shift = found.motion[:3, :3], 1e3 * float(np.linalg.norm(found.motion[:3, 3]))
+        # arctan2 of both: the cosine is inaccurate for small angles, the sine near half a turn.
+        sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        angle = np.degrees(np.arctan2(sine, np.trace(turn) - 1.0))
+        return (
+            f"the sensor is mounted about {angle:.0f} degrees and {shift:.0f} mm from where the scene says, or its calibration "
+            "matrix is wrong"
+        )
+    return "; ".join(filter(None, (_axes_words(found.axes), _moment_unit_words(found.moment_scale / found.force_scale))))
+
+
+def _moment_unit_words(moment_scale: float) -> str:
+    """Name the unit of moments by the factor from reported to right ones, for right forces; empty for newton metres."""
+    return {
+        1.0: "",
+        1e-3: "moments are in newton millimetres, not newton metres",
+        1e-2: "moments are in newton centimetres, not newton metres",
+        STANDARD_GRAVITY: "moments are in kilogram-force metres, forces in newtons",
+        1.0 / STANDARD_GRAVITY: "forces are in kilogram-force, moments in newton metres",
+    }[moment_scale]
+
+
+def _axes_words(axes: np.ndarray) -> str:
+    """Name a wrong order of the axes or their signs; empty if they are as reported."""
+    # A row holds a single entry, 1 or -1: its sum is the sign.
+    order, signs = np.abs(axes).argmax(axis=1).tolist(), axes.sum(axis=1).tolist()
+    if order == [0, 1, 2]:
+        turned = ["xyz"[axis] for axis, sign in enumerate(signs) if sign < 0]
+        if len(turned) == 3:
+            return "it reports the reaction force: all signs are inverted"
+        return f"the sign of {', '.join(turned)} is inverted" if turned else ""
+    named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
+    return f"its axes are in another order: x, y, z are {', '.join(named)}"
