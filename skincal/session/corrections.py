@@ -150,22 +150,21 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
         found = frame.mistake.correction
         # It was found on top of the frame correction in use, and replaces it.
         whole = found.after(used[FRAME].correction) if FRAME in used else found
-        return correct_action(FRAME, whole, frame.miss, frame.corrected_miss, pokes)
+        return correct_action(UsedCorrection(FRAME, whole, frame.miss, frame.corrected_miss, pokes))
     if tried is None:
         return None
-    ratio = 0.0 if np.isnan(rig.ratio) else rig.ratio
-    return correct_action(RIG, tried, rig.before, rig.after, pokes, ratio, rig.noisier)
+    return correct_action(UsedCorrection(RIG, tried, rig.before, rig.after, pokes, rig.ratio, rig.noisier))
 
 
-def correct_action(
-    of: str, correction: Correction, before: float, after: float, pokes: int, ratio: float = 0.0, noisier: float = 1.0
-) -> Correct:
+def correct_action(used: UsedCorrection) -> Correct:
     """Make the action that uses a correction; see `Correct`."""
+    correction, ratio = used.correction, 0.0 if np.isnan(used.ratio) else used.ratio
     spread = correction.root[np.triu_indices(len(correction.root))].tolist()
     # Six digits suffice for an uncertainty, and halve the file.
     root = tuple(float(f"{value:.6g}") for value in spread)
     quadratic = tuple(correction.quadratic.ravel().tolist())
-    return Correct(of, *_numbers(correction), before, after, pokes, root, quadratic, ratio, noisier)
+    of_pokes = used.before, used.after, used.pokes
+    return Correct(used.of, *_numbers(correction), *of_pokes, root, quadratic, ratio, used.noisier)
 
 
 def _numbers(correction: Correction) -> tuple[tuple[float, ...], tuple[float, ...], tuple[str, ...], tuple[float, ...]]:

@@ -23,7 +23,7 @@ from skincal.guide.guidance import LANDMARK_POKE_MAX_OFFSET_M
 from skincal.model.actions import SetPose, Undo
 from skincal.model.errors import InputError
 from skincal.model.readings import LinkEvent, LinkState
-from skincal.rig.correction import RIG, Correction
+from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.session import solving
 from skincal.session.corrections import correct_action
 from skincal.simulation.contacts import poke_landmarks
@@ -326,7 +326,7 @@ def test_all_taxels_are_solved_anew_in_several_ticks_while_other_work_waits(poke
     bench.controller.ticked.connect(lambda it: shown.append((it.snapshot, it.unsolved, poked.now.headline.text())))
     before = bench.snapshot
     matrix = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
-    assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
+    assert bench.controller.act(correct_action(UsedCorrection(RIG, Correction(matrix), 0.009, 0.002, 6)))
     bench.until(lambda: RIG in bench.snapshot.decisions.corrections, 5000)
 
     waiting = [left for snapshot, left, _ in shown if snapshot is before]
@@ -347,7 +347,7 @@ def test_all_taxels_are_solved_anew_in_several_ticks_while_other_work_waits(poke
         if timer.isActive()
     )
     ticks.stop()
-    assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
+    assert bench.controller.act(correct_action(UsedCorrection(RIG, Correction(matrix), 0.009, 0.002, 6)))
     assert not bench.snapshot.decisions.corrections
     assert not bench.controller.act(SetPose(""))
     assert bench.messages[-1].text == STILL_SOLVING

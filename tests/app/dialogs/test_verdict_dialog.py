@@ -334,7 +334,7 @@ def test_on_a_screen_of_720_pixels_the_buttons_are_seen_and_the_words_scroll(qtb
 
 def test_what_is_known_of_the_rig_is_said():
     used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
-    offer = Offer(correct_action(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6))
+    offer = Offer(correct_action(UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)))
     assert rig_state((offer,), (), None).endswith(approved("verdict.rig_offer", after_mm=5.6))
     assert rig_state((), (used,), None) == correction_sentence(used)
     assert rig_state((), (), None).startswith(approved("verdict.rig_unchecked"))

@@ -25,7 +25,7 @@ from skincal.mesh.load import load_surface
 from skincal.model.actions import FoundAtLandmark, TimedAction, action_to_json
 from skincal.model.readings import Chunk, LinkEvent
 from skincal.model.scene import resource
-from skincal.rig.correction import RIG, Correction
+from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import GREETING
 from skincal.session.corrections import correct_action
@@ -122,7 +122,7 @@ def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked
         force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
         away = np.cross(poke.place - axis_point(force, moment), force) / np.linalg.norm(force)
         assert np.linalg.norm(away) < 0.006, "sensor noise and 0.7 mm of the hand: the axis passes its landmark"
-    assert bench.controller.act(correct_action(RIG, Correction(1.02 * np.eye(6)), 7e-3, 2e-3, len(made)))
+    assert bench.controller.act(correct_action(UsedCorrection(RIG, Correction(1.02 * np.eye(6)), 7e-3, 2e-3, len(made))))
     bench.until(lambda: RIG in bench.snapshot.decisions.corrections)
     bench.window.close()
     without_a_window(folder, lived)

@@ -18,7 +18,7 @@ from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
 from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
 from skincal.model.scene import Scene, load_scene, resource
-from skincal.rig.correction import RIG, Correction
+from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.simulation.contacts import poke_landmarks
@@ -213,7 +213,7 @@ def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     session.add(replace(session.outcome(1), end_s=9.0))
     client.follow_session(session.snapshot())
     assert [len(request.landmarks) for request in asked] == [1, 2, 2, 2, 2]
-    session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
+    session.act(correct_action(UsedCorrection(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6)))
     client.follow_session(session.snapshot())
     assert [RIG in request.used for request in asked] == [False] * 5 + [True]
 
@@ -267,7 +267,7 @@ def test_a_review_that_took_long_is_passed_on_although_newer_was_asked(session, 
     monkeypatch.setattr(ThreadService, "submit", lambda _service, work, done, _failed: waiting.append((work.args, done)))
     tell(session, client, 1)
     used = session.snapshot().decisions.corrections
-    session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
+    session.act(correct_action(UsedCorrection(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6)))
     tell(session, client, 2)
     waiting[0][1](review_rig(waiting[0][0][-1]))
     (review,) = heard.reviews

@@ -27,7 +27,7 @@ from skincal.following.error_history import (
 from skincal.model.actions import Exclude, MarkDead, Restore, Revive, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
-from skincal.rig.correction import RIG, Correction, RigPrior
+from skincal.rig.correction import RIG, Correction, RigPrior, UsedCorrection
 from skincal.session.corrections import correct_action
 from skincal.session.replay import load
 from skincal.session.session import Session
@@ -183,7 +183,7 @@ def test_recounted_points_carry_what_the_correction_in_use_does_not_know(sample)
     pipeline, _, contacts = sample
     correction = Correction(np.eye(6), np.eye(4), {}, np.diag(0.3 * RigPrior().scales(0)))
     session = poked(pipeline, contacts)
-    session.act(correct_action(RIG, correction, 0.01, 0.001, 20))
+    session.act(correct_action(UsedCorrection(RIG, correction, 0.01, 0.001, 20)))
     live, late = history_of(pipeline, None), history_of(pipeline, None)
     for contact in contacts:
         session.act(Exclude(contact.poke))

@@ -13,7 +13,7 @@ from skincal.methods import estimate_taxels
 from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
-from skincal.rig.correction import FRAME, RIG, Correction
+from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import correct_rig
 from skincal.rig.frame_check import diagnose
 from skincal.session.corrections import correct_action
@@ -47,12 +47,12 @@ def session(poked):
 
 def correct_rig_of(session):
     answer = correct_rig(session.rig_request())
-    session.act(correct_action(RIG, answer.correction, answer.before, answer.after, 8))
+    session.act(correct_action(UsedCorrection(RIG, answer.correction, answer.before, answer.after, 8)))
 
 
 def change_frame(session):
     matrix = np.diag([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
-    session.act(correct_action(FRAME, Correction(matrix), 0.05, 0.004, 8))
+    session.act(correct_action(UsedCorrection(FRAME, Correction(matrix), 0.05, 0.004, 8)))
 
 
 def places(session, contacts):

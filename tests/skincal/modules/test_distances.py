@@ -17,7 +17,7 @@ from skincal.modules.distances import DistanceUse, apply_distances
 from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import ModuleModel, join_poses
 from skincal.modules.pose_fit import fit_modules_from_pokes, whitened_rows
-from skincal.rig.correction import RIG, Correction
+from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.simulation.contacts import simulate_contacts, unguided
@@ -224,7 +224,7 @@ def test_a_session_is_the_same_to_the_bit_in_parts_and_after_a_poke_was_out():
     rig, contacts = poked(1)
     scene = replace(rig.scene, distances=measured(rig, 1))
     at_once, in_parts = (Session(scene, rig.surface) for _ in range(2))
-    action = correct_action(RIG, Correction(np.eye(6) + 1e-4), 0.009, 0.002, 6)
+    action = correct_action(UsedCorrection(RIG, Correction(np.eye(6) + 1e-4), 0.009, 0.002, 6))
     for session in (at_once, in_parts):
         for contact in contacts:
             session.add(contact)

@@ -13,7 +13,7 @@ from skincal.geometry import axis_point, move_wrench
 from skincal.methods import estimate_taxels
 from skincal.model.actions import AtLandmark, Correct, Exclude, Uncorrect, Undo, action_from_json, action_to_json
 from skincal.model.errors import InputError
-from skincal.rig.correction import FRAME, MAX_ARM_POSES_WITH_UNCERTAINTY, RIG, Correction, CorrectionErrors
+from skincal.rig.correction import FRAME, MAX_ARM_POSES_WITH_UNCERTAINTY, RIG, Correction, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose
 from skincal.session.corrections import correct_action, corrected_progress, used_of
@@ -51,7 +51,9 @@ def bad(poked):
 def found_in(session):
     answer = correct_rig(session.rig_request())
     assert answer.used
-    return correct_action(RIG, answer.correction, answer.before, answer.after, len(session.landmark_pokes), answer.ratio)
+    return correct_action(
+        UsedCorrection(RIG, answer.correction, answer.before, answer.after, len(session.landmark_pokes), answer.ratio)
+    )
 
 
 def mean_error(session, rig, method=Method.MODULES):
@@ -113,7 +115,7 @@ def test_a_poke_that_comes_later_is_corrected_too(bad):
 def test_another_frame_drops_what_was_found_under_the_one_before(bad):
     session, _ = bad
     rig = found_in(session)
-    frame = correct_action(FRAME, Correction(np.eye(6)), 0.05, 0.004, 3)
+    frame = correct_action(UsedCorrection(FRAME, Correction(np.eye(6)), 0.05, 0.004, 3))
     session.act(rig)
     session.act(frame)
     assert list(session.snapshot().decisions.corrections) == [FRAME]
@@ -144,7 +146,7 @@ def test_a_frame_that_is_named_wrong_is_put_right():
     assert not found.right
     correction = found.mistake.correction
     np.testing.assert_array_equal(correction.matrix, np.kron(np.diag([1.0, 1e-3]), TURN.T))
-    session.act(correct_action(FRAME, correction, found.miss, found.corrected_miss, 6))
+    session.act(correct_action(UsedCorrection(FRAME, correction, found.miss, found.corrected_miss, 6)))
     again = diagnosis()
     assert again.right
     assert again.miss == pytest.approx(found.corrected_miss)
@@ -160,7 +162,7 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, rng, again):
     root, quadratic = np.triu(1e-3 * rng.standard_normal((168, 168))), 1e-5 * rng.standard_normal((6, 21))
     matrix = np.eye(6) + 0.02 * rng.standard_normal((6, 6))
     correction = Correction(matrix, motions={reported.pokes[0].outcome.pose: motion}, root=root, quadratic=quadratic)
-    pipeline.act(correct_action(RIG, correction, 0.007, 0.001, 21, 1.3), 10**18)
+    pipeline.act(correct_action(UsedCorrection(RIG, correction, 0.007, 0.001, 21, 1.3)), 10**18)
     assert not same_estimates(pipeline.snapshot(), reported)
     pipeline.close()
     other = again(tmp_path / "s")
@@ -196,7 +198,7 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, rng, again):
 )
 def test_what_is_no_correction_is_refused(change):
     session = Session(small_scene(), None)
-    good = correct_action(RIG, Correction(np.eye(6), root=1e-3 * np.eye(36)), 0.007, 0.001, 21, 1.2)
+    good = correct_action(UsedCorrection(RIG, Correction(np.eye(6), root=1e-3 * np.eye(36)), 0.007, 0.001, 21, 1.2))
     session.act(good)
     session.act(Undo())
     assert action_from_json(json.loads(json.dumps(action_to_json(good)))) == good
@@ -225,7 +227,7 @@ def some_correction(poses, rng, quadratic=True):
 def test_an_action_is_the_correction_again(rng, poses, quadratic):
     """To six digits of what is not known, and to the bit of the rest; as JSON it takes no more with hundreds of poses."""
     there = some_correction(poses, rng, quadratic)
-    action = correct_action(RIG, there, 0.007, 0.001, 21, 1.25, 2.8)
+    action = correct_action(UsedCorrection(RIG, there, 0.007, 0.001, 21, 1.25, 2.8))
     line = json.dumps(action_to_json(action))
     assert len(line) < 2e6
     used = used_of(action_from_json(json.loads(line)))
@@ -233,7 +235,9 @@ def test_an_action_is_the_correction_again(rng, poses, quadratic):
     for name in ("matrix", "quadratic"):
         assert np.array_equal(getattr(used.correction, name), getattr(there, name))
     np.testing.assert_allclose(used.correction.root, there.root, rtol=1e-5, atol=0)
-    assert correct_action(RIG, used.correction, 0.007, 0.001, 21, 1.25, 2.8) == action, "again it is the same to the bit"
+    assert correct_action(UsedCorrection(RIG, used.correction, 0.007, 0.001, 21, 1.25, 2.8)) == action, (
+        "again it is the same to the bit"
+    )
 
 
 def test_an_action_of_old_is_a_correction_that_is_taken_for_exact(bad):
@@ -258,7 +262,7 @@ def test_an_action_of_old_is_a_correction_that_is_taken_for_exact(bad):
 
 def test_a_frame_and_the_rig_together_are_uncertain_as_the_rig_is_under_that_frame(bad):
     session, _ = bad
-    frame = correct_action(FRAME, Correction(np.eye(6)), 0.05, 0.004, 3)
+    frame = correct_action(UsedCorrection(FRAME, Correction(np.eye(6)), 0.05, 0.004, 3))
     rig = found_in(session)
     session.act(rig)
     alone = session.snapshot()
@@ -291,7 +295,7 @@ def test_a_pose_poked_only_after_the_correction_is_uncertain_and_played_again_to
     for poke, name in now.at_landmarks.items():
         again.act(AtLandmark(poke, name))
     used = now.decisions.corrections[RIG]
-    again.act(correct_action(RIG, used.correction, used.before, used.after, used.pokes, used.ratio))
+    again.act(correct_action(UsedCorrection(RIG, used.correction, used.before, used.after, used.pokes, used.ratio)))
     assert same_estimates(again.snapshot(), now)
 
 
@@ -343,7 +347,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
 def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp_path):
     session, _ = bad
     found = correct_rig(session.rig_request())
-    session.act(correct_action(RIG, found.correction, found.before, found.after, 21))
+    session.act(correct_action(UsedCorrection(RIG, found.correction, found.before, found.after, 21)))
     session.act(Exclude(session.contacts[0].poke))
     calibration = replace(session.calibration(), rig=found)
     write_calibration(calibration, "json", tmp_path / "c.json", Method.MODULES)

@@ -10,7 +10,7 @@ import pytest
 
 from skincal.model.actions import Exclude, MarkDead, Undo
 from skincal.model.errors import InputError
-from skincal.rig.correction import RIG, Correction
+from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.session import solving
 from skincal.session.corrections import correct_action
 from skincal.session.solving import MODULES_AT_ONCE, TAXELS_AT_ONCE
@@ -23,7 +23,7 @@ from tests.skincal.poke_script import same_estimates
 from tests.skincal.sim_support import make_rig
 
 MATRIX = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
-ACTION = correct_action(RIG, Correction(MATRIX, np.eye(4)), 0.009, 0.002, 6)
+ACTION = correct_action(UsedCorrection(RIG, Correction(MATRIX, np.eye(4)), 0.009, 0.002, 6))
 
 
 @pytest.fixture(scope="module")
