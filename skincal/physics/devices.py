@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,27 +10,20 @@ from skincal.geometry import FloatArray
 from skincal.model.readings import Stream
 from skincal.physics.engine import PERIOD_S
 from skincal.physics.rig import SimulatedRobot
-from skincal.simulation.board_formats import Encoder, make_encoder
+from skincal.simulation.boards import (
+    BOARD_CLOCK_WRAP_US,
+    BOARD_HEADER_PERIOD_S,
+    US_PER_S,
+    board_encoder,
+    board_headers,
+    encode_header,
+)
 
 CONTROL_PERIODS_PER_SENT_BLOCK = 5
 BLOCK_S = CONTROL_PERIODS_PER_SENT_BLOCK * PERIOD_S
 """s of readings that are sent together; also the time between two skin frames: 50 Hz, as in the paper (section III-B)."""
 CONTROL_PERIODS_PER_JOINT_RECORD = 2
 """Periods between two records of the joints: 125 Hz."""
-BOARD_HEADER_PERIOD_S = 2.0
-"""s between two headers of a board."""
-US_PER_S = 1_000_000
-CLOCK_WRAP_US = 2**32
-
-
-@dataclass(frozen=True, slots=True)
-class Board:
-    """A board that sends one stream."""
-
-    stream: Stream
-    encoder: Encoder
-    header: str
-    width: int
 
 
 class RobotDevices:
@@ -44,21 +36,19 @@ class RobotDevices:
         self._robot = robot
         scene = robot.scene
         self.channels = scene.skin.channels
-        self._boards = {
-            Stream.WRENCH: _board(Stream.WRENCH, f"board=ft,rate={1 / PERIOD_S:g},unit=N,kind=ft,fw=1", 6),
-            Stream.SKIN: _board(
-                Stream.SKIN,
-                f"board={scene.name},n={self.channels},rate={1 / BLOCK_S:g},unit=raw,kind=taxel,"
-                f"polarity={'up' if scene.skin.polarity > 0 else 'down'},fw=1",
-                self.channels,
-                (scene.skin.range or (0.0, 255.0))[1],
-            ),
+        rates = {
+            Stream.WRENCH: 1 / PERIOD_S,
+            Stream.SKIN: 1 / BLOCK_S,
+            Stream.JOINTS: 1 / (CONTROL_PERIODS_PER_JOINT_RECORD * PERIOD_S),
         }
-        if scene.arm is not None:
-            header = f"board=arm,rate={1 / (CONTROL_PERIODS_PER_JOINT_RECORD * PERIOD_S):g},unit=deg,kind=joints,fw=1"
-            self._boards[Stream.JOINTS] = _board(Stream.JOINTS, header, max(scene.arm.arm.joints, default=-1) + 1)
+        top = (scene.skin.range or (0.0, 255.0))[1]
+        self._headers = board_headers(scene, rates, top, rises=scene.skin.polarity > 0)
+        self._encoders = {
+            stream: board_encoder("skb", stream, top if stream is Stream.SKIN else 255.0, header.width)
+            for stream, header in self._headers.items()
+        }
         self._periods = 0
-        self._readings: dict[Stream, list[tuple[int, FloatArray]]] = {stream: [] for stream in self._boards}
+        self._readings: dict[Stream, list[tuple[int, FloatArray]]] = {stream: [] for stream in self._headers}
         self._next_header_s = 0.0
         self.now = 0.0
         """s, end of the encoded time."""
@@ -67,7 +57,7 @@ class RobotDevices:
     @property
     def links(self) -> dict[str, Stream]:
         """Name of each link and its stream."""
-        return {stream.value: stream for stream in self._boards}
+        return {stream.value: stream for stream in self._headers}
 
     @property
     def is_block_full(self) -> bool:
@@ -75,35 +65,31 @@ class RobotDevices:
 
     def _collect(self) -> None:
         self._periods += 1
-        time_us = round(self._periods * PERIOD_S * US_PER_S) % CLOCK_WRAP_US
+        time_us = round(self._periods * PERIOD_S * US_PER_S) % BOARD_CLOCK_WRAP_US
         self._readings[Stream.WRENCH].append((time_us, self._robot.reading))
         if self._periods % CONTROL_PERIODS_PER_SENT_BLOCK == 0:
             self._readings[Stream.SKIN].append((time_us, self._robot.skin_frame()))
-        if self._periods % CONTROL_PERIODS_PER_JOINT_RECORD == 0 and Stream.JOINTS in self._boards:
+        if self._periods % CONTROL_PERIODS_PER_JOINT_RECORD == 0 and Stream.JOINTS in self._headers:
             self._readings[Stream.JOINTS].append((time_us, np.degrees(self._robot.joint_record())))
 
     def greeting(self, link: str) -> bytes:
         """Return the header that a board sends when a host connects or asks."""
-        board = self._boards[Stream(link)]
-        return board.encoder.header(round(self.now * US_PER_S) % CLOCK_WRAP_US, board.header, board.width)
+        stream = Stream(link)
+        return encode_header(self._encoders[stream], self._headers[stream], round(self.now * US_PER_S))
 
     def advance(self) -> list[tuple[int, str, bytes]]:
         """Encode the readings since the last call: (simulated nanoseconds, link, bytes)."""
         sent: list[tuple[int, str, bytes]] = []
         has_header = self.now >= self._next_header_s
         self.now = self._periods * PERIOD_S
-        for stream, board in self._boards.items():
+        for stream, encoder in self._encoders.items():
             data = self.greeting(stream.value) if has_header else b""
             readings, self._readings[stream] = self._readings[stream], []
             if readings:
                 times, values = zip(*readings, strict=True)
-                data += board.encoder.encode(stream, np.array(times), np.array(values))
+                data += encoder.encode(stream, np.array(times), np.array(values))
             if data:
                 sent.append((round(self.now * 1e9), stream.value, data))
         if has_header:
             self._next_header_s += BOARD_HEADER_PERIOD_S
         return sent
-
-
-def _board(stream: Stream, header: str, width: int, top: float = 255.0) -> Board:
-    return Board(stream, make_encoder("skb", top, width if stream is Stream.SKIN else 0), header, width)

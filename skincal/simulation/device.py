@@ -14,16 +14,22 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import Stream
-from skincal.simulation.board_formats import Encoder, make_encoder
+from skincal.simulation.board_formats import Encoder
+from skincal.simulation.boards import (
+    BOARD_CLOCK_WRAP_US,
+    BOARD_HEADER_PERIOD_S,
+    US_PER_S,
+    BoardHeader,
+    board_encoder,
+    board_headers,
+    encode_header,
+)
 from skincal.simulation.emulated_devices import MAKERS
 from skincal.simulation.operator import HandPress, Move, Operator, OperatorAction
 from skincal.simulation.rig_errors import RigErrors, WrenchNoise
 from skincal.simulation.simulated_rig import Rig, SimulatedArmPose
 
-US_PER_S = 1_000_000
 NS_PER_S = 1_000_000_000
-CLOCK_WRAP_S = 2**32 / US_PER_S
-"""s, range of a device's clock."""
 QUIET_TIME_AFTER_LAST_ACTION_S = 0.5
 """s from the last action to the end: the quiet for the tare (0.2 s) and the slowest link's latency."""
 
@@ -46,7 +52,7 @@ class DeviceSettings:
     """N m, change of the last moment from reading to reading: the last digit of a sensor without noise."""
     block_s: float = 0.010
     """s, readings computed and sent together: one USB poll."""
-    header_s: float = 2.0
+    header_s: float = BOARD_HEADER_PERIOD_S
     """s between a board's headers (SKT/1)."""
     start_quiet_s: float = 1.0
     """s before the operator's first action."""
@@ -56,13 +62,13 @@ class Clock:
     """A device's clock, with a random start and a small rate error."""
 
     def __init__(self, errors: RigErrors, rng: np.random.Generator) -> None:
-        self._start = rng.uniform(1.0, CLOCK_WRAP_S)
+        self._start = rng.uniform(1.0, BOARD_CLOCK_WRAP_US / US_PER_S)
         self._rate = 1.0 + errors.clock_skew * rng.standard_normal()
 
     def us(self, times: FloatArray) -> IntArray:
         """Return the clock at true times (n,), s: (n,) microseconds, wrapped."""
         total = np.round((self._start + self._rate * times) * US_PER_S).astype(np.int64)
-        return total % 2**32
+        return total % BOARD_CLOCK_WRAP_US
 
 
 class LossyLink:
@@ -104,15 +110,14 @@ class SimulatedDevice:
     clock: Clock
     encoder: Encoder
     line: LossyLink
-    header: str
-    width: int
+    header: BoardHeader
     made: int = 0
     """Number of readings so far."""
     next_header: float = 0.0
 
     def greeting(self, now: float) -> bytes:
         """Return the header at `now`, s."""
-        return self.encoder.header(int(self.clock.us(np.array([now]))[0]), self.header, self.width)
+        return encode_header(self.encoder, self.header, int(self.clock.us(np.array([now]))[0]))
 
     def due(self, end: float) -> FloatArray:
         """Return the times (n,) of the readings before `end`, s, and count them."""
@@ -263,21 +268,14 @@ class DeviceTimeline:
 
 
 def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> list[SimulatedDevice]:
-    errors, top, skin, arm = rig.errors, rig.range[1], rig.scene.skin, rig.scene.arm
-    bits, polarity = int(np.ceil(np.log2(top + 1))), "up" if rig.polarity > 0 else "down"
-    ft_header = f"board=ft,rate={settings.wrench_hz:g},unit=N,kind=ft,fw=1"
-    header = f"board={rig.scene.name},n={skin.channels},rate={settings.skin_hz:g},unit=raw,bits={bits}"
-    wanted = [
-        (Stream.WRENCH, settings.wrench_hz, errors.wrench_latency, 6, ft_header),
-        (Stream.SKIN, settings.skin_hz, errors.skin_latency, skin.channels, f"{header},kind=taxel,polarity={polarity},fw=1"),
-    ]
-    if arm is not None:
-        header = f"board=arm,rate={settings.joints_hz:g},unit=deg,kind=joints,fw=1"
-        wanted.append((Stream.JOINTS, settings.joints_hz, errors.skin_latency, max(arm.arm.joints) + 1, header))
+    errors, top = rig.errors, rig.range[1]
+    rates = {Stream.WRENCH: settings.wrench_hz, Stream.SKIN: settings.skin_hz, Stream.JOINTS: settings.joints_hz}
+    headers = board_headers(rig.scene, rates, top, rises=rig.polarity > 0)
     boards: list[SimulatedDevice] = []
     # Always three random streams, so that the others do not change with the arm.
-    for (stream, hz, latency, width, header), own in zip(wanted, rng.spawn(3), strict=False):
-        clock = Clock(errors, own)
+    for (stream, header), own in zip(headers.items(), rng.spawn(3), strict=False):
+        clock, hz = Clock(errors, own), rates[stream]
+        latency = errors.wrench_latency if stream is Stream.WRENCH else errors.skin_latency
         if stream in settings.emulated:
             maker = MAKERS[settings.emulated[stream]]
             # TCP damages nothing, and UDP no delivered datagram.
@@ -285,7 +283,7 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
             encoder, link, hz = maker.encoder(), LossyLink(latency, damage, own), maker.hz or hz
             encoder.joint_names = () if rig.scene.robot is None else rig.scene.robot.columns
         else:
-            encoder = make_encoder(settings.format, top, width if stream is Stream.SKIN else 0)
+            encoder = board_encoder(settings.format, stream, top, header.width)
             link = LossyLink(latency, errors, own)
-        boards.append(SimulatedDevice(stream.value, stream, hz, clock, encoder, link, header, width))
+        boards.append(SimulatedDevice(stream.value, stream, hz, clock, encoder, link, header))
     return boards

@@ -1,0 +1,59 @@
+"""Boards that send readings: header, clock and encoder of a stream, for the simulated rig and the physics engine's robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.model.readings import Stream
+from skincal.model.scene import Scene
+from skincal.simulation.board_formats import Encoder, make_encoder
+
+US_PER_S = 1_000_000
+BOARD_CLOCK_WRAP_US = 2**32
+"""us, range of a board's clock."""
+BOARD_HEADER_PERIOD_S = 2.0
+"""s between two headers of a board."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoardHeader:
+    """Header of a board, and the number of values in its readings."""
+
+    fields: str
+    """`key=value,...`."""
+    width: int
+
+
+def board_headers(scene: Scene, hz: Mapping[Stream, float], top: float, *, rises: bool) -> dict[Stream, BoardHeader]:
+    """Make the headers of a scene's boards; joints have one if the scene has an arm.
+
+    Parameters
+    ----------
+    hz : rate of each stream
+    top : largest raw value of the skin
+    rises : whether raw values rise under pressure
+    """
+    skin, arm = scene.skin, scene.arm
+    bits, polarity = int(np.ceil(np.log2(top + 1))), "up" if rises else "down"
+    of_skin = f"board={scene.name},n={skin.channels},rate={hz[Stream.SKIN]:g},unit=raw,bits={bits}"
+    headers = {
+        Stream.WRENCH: BoardHeader(f"board=ft,rate={hz[Stream.WRENCH]:g},unit=N,kind=ft,fw=1", 6),
+        Stream.SKIN: BoardHeader(f"{of_skin},kind=taxel,polarity={polarity},fw=1", skin.channels),
+    }
+    if arm is not None:
+        fields = f"board=arm,rate={hz[Stream.JOINTS]:g},unit=deg,kind=joints,fw=1"
+        headers[Stream.JOINTS] = BoardHeader(fields, max(arm.arm.joints, default=-1) + 1)
+    return headers
+
+
+def board_encoder(format_: str, stream: Stream, top: float, width: int) -> Encoder:
+    """Make the encoder of a board; see `make_encoder`."""
+    return make_encoder(format_, top, width if stream is Stream.SKIN else 0)
+
+
+def encode_header(encoder: Encoder, header: BoardHeader, time_us: int) -> bytes:
+    """Encode a header with the time of the board's clock, which wraps."""
+    return encoder.header(time_us % BOARD_CLOCK_WRAP_US, header.fields, header.width)
