@@ -33,15 +33,6 @@ WINDOW_PARTS = tuple(
 CHECK_ARGUMENTS = {
     "ruff check": ("-m", "ruff", "check"),
     "ruff format --check": ("-m", "ruff", "format", "--check"),
-    "pytest of the core": (
-        *PYTEST_ARGUMENTS,
-        "-m",
-        "not quiet",
-        "tests",
-        *(f"--ignore={folder}" for folder in ("tests/app", *SLOW_CORE_TESTS, *READER_TESTS)),
-    ),
-    "pytest of the readers": (*PYTEST_ARGUMENTS, "-m", "not quiet", *READER_TESTS),
-    f"pytest {' '.join(SLOW_CORE_TESTS)}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *SLOW_CORE_TESTS),
     "pytest of the window": (
         *PYTEST_ARGUMENTS,
         "-m",
@@ -49,7 +40,16 @@ CHECK_ARGUMENTS = {
         "tests/app",
         *(f"--ignore={folder}" for folder in WINDOW_PARTS),
     ),
+    f"pytest {' '.join(SLOW_CORE_TESTS)}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *SLOW_CORE_TESTS),
+    "pytest of the core": (
+        *PYTEST_ARGUMENTS,
+        "-m",
+        "not quiet",
+        "tests",
+        *(f"--ignore={folder}" for folder in ("tests/app", *SLOW_CORE_TESTS, *READER_TESTS)),
+    ),
     "pytest of the window's parts": (*PYTEST_ARGUMENTS, "-m", "not quiet", *WINDOW_PARTS),
+    "pytest of the readers": (*PYTEST_ARGUMENTS, "-m", "not quiet", *READER_TESTS),
     "pyright": ("-m", "pyright"),
     **{
         f"pytest as on {caps}": (*PYTEST_ARGUMENTS, "-m", "pixels", "tests/app/scene3d/test_pixels.py")
