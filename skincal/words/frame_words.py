@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.model.errors import plural
 from skincal.model.wrench_frames import FrameKind, WrenchFrame
 from skincal.rig.setup_check import distances_from_sensor, is_point_doubted
-from skincal.words.units import millimetres
+from skincal.words.units import count, millimetres
 
 TCP_FRAME = "tool0_controller"
 """Frame of Universal Robots' driver: the tool centre point that is set at the robot. No URDF has it."""
@@ -19,10 +18,10 @@ SHOWN_TURN_MIN_DEG, SHOWN_SHIFT_MIN_MM = 0.05, 0.05
 
 def frame_words(readings: Mapping[str, int]) -> str:
     """Name the frames of a recorded wrench by their numbers of readings, to follow the name of its topic; empty for none."""
-    named = {name: count for name, count in readings.items() if name}
+    named = {name: number for name, number in readings.items() if name}
     if len(readings) < 2:
         return "".join(f", in the frame {name}" for name in named)
-    each = [f"{name or 'no named frame'} ({plural(count, 'reading')})" for name, count in readings.items()]
+    each = [f"{name or 'no named frame'} ({count(number, 'reading')})" for name, number in readings.items()]
     return f", in {len(readings)} frames: {', '.join(each)}"
 
 

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.model.errors import plural
 from skincal.model.skin import KINDS, Layout, SkinKind
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
-from skincal.words.units import millimetres
+from skincal.words.units import count, millimetres
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
@@ -116,7 +115,7 @@ def distance_sentences(tried: Sequence[TriedDistance]) -> list[str]:
     """Count the used known distances between modules, then say why each other one is not used; empty without any."""
     if not tried:
         return []
-    said = [f"{sum(each.used for each in tried)} of {plural(len(tried), 'known distance')} between modules used."]
+    said = [f"{sum(each.used for each in tried)} of {count(len(tried), 'known distance')} between modules used."]
     for each in (each for each in tried if not each.used):
         kind, (one, other) = "taxels" if each.distance.of_taxels else "modules", each.distance.ends
         found, told = "", millimetres(each.distance.length)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, plural
+from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS
 from skincal.model.readings import Freeze, LinkAnswer, LinkHealth, LinkVerdict, Outages, SideReading, Stream
+from skincal.words.units import count
 
 FILE_SCHEME = "file:"
 CHARS_KEPT_FOR_NEXT_SENTENCE = 30
@@ -128,7 +129,7 @@ def link_verdict_words(verdict: LinkVerdict) -> str:
             found = STREAM_NAMES[verdict.found or Stream.SKIN]
             return f"this is the {found} ({verdict.width} values a line). Exchange the addresses?"
         case LinkAnswer.OTHER_WIDTH:
-            return f"{plural(verdict.width, 'value')} where {EXPECTED_BY[verdict.stream or Stream.SKIN]} {verdict.expected}"
+            return f"{count(verdict.width, 'value')} where {EXPECTED_BY[verdict.stream or Stream.SKIN]} {verdict.expected}"
         case LinkAnswer.FROZEN:
             return "it sends the same reading again and again"
         case LinkAnswer.LISTENING | LinkAnswer.NO_ANSWER:

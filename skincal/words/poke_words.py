@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from skincal.contacts.outcome import RAW_UNIT, BeforePokes, Reason, Rejection
 from skincal.contacts.poke_counts import PokeCounts
 from skincal.model.actions import MissedLandmark
-from skincal.model.errors import plural
 from skincal.model.readings import LinkHealth, Loss, Stream
 from skincal.model.scene import ContactSettings
 from skincal.words.link_words import link_name
@@ -125,7 +124,7 @@ def late_angles_sentence(rejections: Sequence[Rejection]) -> str:
     if not pokes:
         return ""
     return (
-        f"joints: {plural(pokes, 'poke')} without joint angles: the last ones before are too old, and the next ones differ or "
+        f"joints: {count(pokes, 'poke')} without joint angles: the last ones before are too old, and the next ones differ or "
         "never came. Their arm pose is unknown, and they do not count."
     )
 
@@ -177,7 +176,7 @@ def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequ
             "No poke was found: the force/torque readings and the skin readings never overlap in time. "
             "Check that the recordings belong together."
         )
-    looked = f"No poke was found in {plural(seen.samples, 'skin reading')} with force, over {seen.seconds:.0f} s"
+    looked = f"No poke was found in {count(seen.samples, 'skin reading')} with force, over {seen.seconds:.0f} s"
     if not seen.tared and seen.gaps * thresholds.quiet_s > GAPS_MIN_SHARE * seen.seconds:
         skin = next((link for link in links if link.link == Stream.SKIN.value), None)
         unpaired = 0 if skin is None else sum(skin.losses.get(loss, 0) for loss in (Loss.UNPAIRED, Loss.LATE))
@@ -193,7 +192,7 @@ def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequ
             "Check the noise of the force/torque sensor and the unit of its readings."
         )
     if seen.answered:
-        skin, check = f"{plural(seen.answered, 'taxel')} answered", "the unit of the force"
+        skin, check = f"{count(seen.answered, 'taxel')} answered", "the unit of the force"
     elif seen.fell:
         skin = f"no taxel answered, but the readings of {seen.fell} fell"
         check = "the skin's polarity in the scene and the unit of the force"

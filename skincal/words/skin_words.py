@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from skincal.contacts.crowding import CrowdKind, find_crowd
 from skincal.contacts.outcome import Reason, Rejection
-from skincal.model.errors import plural
+from skincal.words.units import count
 
 if TYPE_CHECKING:
     from skincal.contacts.crowding import Crowd
@@ -83,7 +83,7 @@ def _drifting(at: SkinCondition) -> str:
         return ""
     way = "rise" if at.drift > 0 else "fall"
     return (
-        f"its values at rest {way} by {abs(at.drift):.3g} raw units a second (median of {plural(at.drifting, 'poke')}). "
+        f"its values at rest {way} by {abs(at.drift):.3g} raw units a second (median of {count(at.drifting, 'poke')}). "
         "Answers of these pokes are measured from the line between the rest before and after them, so they count. To end the "
         "drift, let the skin and its board warm up, and check their supply and reference voltage."
     )
@@ -100,7 +100,7 @@ def _clipped(at: SkinCondition) -> str:
         else " Only one taxel at a time is there, so positions stay as good."
     )
     return (
-        f"pressed taxels reach {at.range_end:g}, the end of its range, in {at.clipped} of {plural(at.pokes, 'poke')} that "
+        f"pressed taxels reach {at.range_end:g}, the end of its range, in {at.clipped} of {count(at.pokes, 'poke')} that "
         "were held still."
         f"{together} Press softer, or lower the gain of the board."
     )
@@ -109,7 +109,7 @@ def _clipped(at: SkinCondition) -> str:
 def _crowded(crowd: Crowd | None) -> str:
     if crowd is None:
         return ""
-    begin = f"{crowd.crowded} of {plural(crowd.pokes, 'poke')} are rejected because too many taxels answer, "
+    begin = f"{crowd.crowded} of {count(crowd.pokes, 'poke')} are rejected because too many taxels answer, "
     if crowd.kind is CrowdKind.GHOSTS:
         software = (
             f"Until then write response_share = {crowd.response_share:g} in [contacts] of the scene and read the recording "

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from skincal.model.errors import list_channels, plural
+from skincal.model.errors import list_channels
 from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, State, StateReason
 from skincal.taxels.shared_errors import PredictedError, known_error
-from skincal.words.units import grouped, millimetres
+from skincal.words.units import count, grouped, millimetres
 
 STATE_SENTENCES = {
     Cause.UNPOKED: "No accepted poke touched this taxel.",
@@ -127,7 +127,7 @@ def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
         return NOT_KNOWN_YET
     words = f"{millimetres(found.mean)} mean, {millimetres(found.worst)} worst"
     if found.unknown:
-        words += f", {NOT_KNOWN_YET} for {plural(found.unknown, 'taxel')}"
+        words += f", {NOT_KNOWN_YET} for {count(found.unknown, 'taxel')}"
     if not apart or not found.whole:
         return words
     return (
@@ -156,7 +156,7 @@ def unchecked_sentence(off: float, landmark_pokes: int) -> str:
     advice = "Press landmarks to measure them."
     if landmark_pokes:
         advice = (
-            f"{plural(landmark_pokes, 'landmark poke')} cannot rule that out. Press landmarks again, also in other arm poses: "
+            f"{count(landmark_pokes, 'landmark poke')} cannot rule that out. Press landmarks again, also in other arm poses: "
             "more pokes narrow it down."
         )
     return (

@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from skincal.guide.progress import MIN_CHECKED_POKES, GuideSettings, Need, Why
 from skincal.guide.surroundings import SURROUNDING_MAX_SPACINGS
 from skincal.guide.verdict import Left, Verdict
-from skincal.model.errors import plural
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, LandmarkAgreement
 from skincal.taxels.result import Method
 from skincal.words.poke_words import poke_count_words
 from skincal.words.rig_words import closing_sentence, earlier_closings
 from skincal.words.taxel_words import counted_states_words, error_words, predicted_words
-from skincal.words.units import duration, millimetres
+from skincal.words.units import count, duration, millimetres
 
 NEED_WORDS: Mapping[Need, str] = {
     Need.POKES: "own pokes",
@@ -55,23 +54,23 @@ def verdict_headline(verdict: Verdict) -> str:
 
 def _progress_words(verdict: Verdict) -> str:
     """Count the finished taxels, or name what is missing."""
-    taxels, given_up = plural(verdict.used, "taxel"), verdict.used - verdict.done
+    taxels, given_up = count(verdict.used, "taxel"), verdict.used - verdict.done
     missing = list[str]()
     if verdict.is_finished:
         if given_up:
             return f"{verdict.done} of {taxels} are finished, {given_up} could not be finished"
         used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
-        return f"All {plural(verdict.used, f'{used}taxel')} are finished" if verdict.used > 1 else "The only taxel is finished"
+        return f"All {count(verdict.used, f'{used}taxel')} are finished" if verdict.used > 1 else "The only taxel is finished"
     if verdict.enough and not verdict.done:
         return f"Not finished: none of {taxels} could be finished"
     if given_up:
         missing.append(f"{verdict.done} of {taxels} are finished")
     if verdict.landmarks_left:
-        missing.append(f"{plural(verdict.landmarks_left, 'landmark poke')} left")
+        missing.append(f"{count(verdict.landmarks_left, 'landmark poke')} left")
     if verdict.tests_missing and verdict.enough:
         missing.append(f"only {verdict.check.checked} of {MIN_CHECKED_POKES} test pokes could be predicted")
     elif verdict.tests_missing:
-        missing.append(f"{plural(verdict.tests_missing, 'test poke')} left")
+        missing.append(f"{count(verdict.tests_missing, 'test poke')} left")
     return f"Not finished: {', '.join(missing)}" if missing else "Not finished yet"
 
 
@@ -148,7 +147,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
     """List the numbers behind the verdict, each with its name."""
     states = f": {counted_states_words(verdict.states)}" if verdict.states else ""
     return (
-        ("Finished", f"{verdict.done} of {plural(verdict.used, 'taxel')} by the {verdict.method.value} method{states}"),
+        ("Finished", f"{verdict.done} of {count(verdict.used, 'taxel')} by the {verdict.method.value} method{states}"),
         ("Expected error", error_words(verdict.predicted, verdict.unchecked)),
         ("Finished means", done_words(verdict.method, verdict.wanted)),
         ("Test pokes", check_words(verdict)),
@@ -176,7 +175,7 @@ def check_words(verdict: Verdict) -> str:
     check = verdict.check
     if not check.checked:
         return "none yet"
-    words = f"{check.inside} of {plural(check.checked, 'test poke')} inside the expected range"
+    words = f"{check.inside} of {count(check.checked, 'test poke')} inside the expected range"
     if check.believed and not check.has_enough:
         return f"{words}: too few for a statement, {MIN_CHECKED_POKES} are needed"
     if check.believed and check.off_plan is not None:
@@ -194,7 +193,7 @@ def agreement_words(landmarks: LandmarkAgreement | None) -> str:
         return f"not checked: needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} landmarks"
     how = "sensor and arm corrected without them" if landmarks.corrected else "sensor and arm not corrected"
     how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
-    words = f"errors of {plural(landmarks.pokes, 'landmark poke')} are {landmarks.ratio:.1f} x the expected size ({how})"
+    words = f"errors of {count(landmarks.pokes, 'landmark poke')} are {landmarks.ratio:.1f} x the expected size ({how})"
     if landmarks.agrees:
         return words
     return f"{words}: too large. Check the positions of the landmarks, the sensor and the arm."

@@ -239,6 +239,8 @@ def test_a_headline_says_what_is_missing_and_finished_only_of_what_was_tested():
     assert verdict_headline(replace(verdict(), done=0)) == approved("verdict.none_determined") + "."
     assert verdict_headline(verdict(used=1)) == approved("verdict.only_one") + "."
     assert [verdict(checked=Check(n, n)).is_finished for n in (9, 10)] == [False, True]
+    large = replace(verdict(used=4200), states={State.INFERRED: 4200})
+    assert verdict_sentence(large).count("4\N{NARROW NO-BREAK SPACE}200") == 2, "one form of a number"
 
 
 @pytest.mark.parametrize("why", list(Why))
