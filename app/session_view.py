@@ -50,6 +50,7 @@ from app.text.rig_text import corrected_words, offer_news, rig_state
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 from skincal.files.formats import ExportOptions
+from skincal.following.guided_session import GuidedSession
 from skincal.following.review import Review
 from skincal.following.session_guide import ModulesEnough
 from skincal.guide.progress import AxisDiversity
@@ -63,7 +64,6 @@ from skincal.words.verdict_words import verdict_sentence
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
-    from skincal.following.guided_session import GuidedSession
     from skincal.guide.verdict import Verdict
 
 DEMO_VERDICT_DELAY_MS = 3000  # The demonstration shows that it is finished for this long before the verdict opens

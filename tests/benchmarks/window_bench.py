@@ -249,8 +249,8 @@ class Sounds:
         if self._full:
             self._since = item.host_ns * 1e-9
 
-    def _play(self, call: Call, player: Any, sound: Cue, word: str = "") -> None:
-        if sound.name == "HELD":
+    def _play(self, call: Call, player: Any, sound: Cue | None, word: str = "") -> None:
+        if sound is not None and sound.name == "HELD":
             self._asked, self._since = self._since, None
         call(player, sound, word)
 
