@@ -63,4 +63,5 @@ def test_a_file_tells_touched_taxels_from_inferred_ones(calibration, format_):
 
 
 def test_a_taxel_with_a_position_is_touched_by_its_own_contacts_alone():
-    assert (placed_state(0), placed_state(1), placed_state(12)) == (State.INFERRED, State.TOUCHED, State.TOUCHED)
+    assert [placed_state(contacts, {}) for contacts in (0, 1, 12)] == [State.INFERRED, State.TOUCHED, State.TOUCHED]
+    assert [placed_state(contacts, {7: 0.4}) for contacts in (1, 2)] == [State.INFERRED, State.TOUCHED]

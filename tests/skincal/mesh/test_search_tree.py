@@ -9,11 +9,12 @@ from mesh_support import KINDS, folded, nearest_from, part_of, poked, random_met
 from skincal.mesh import search
 from skincal.mesh.search import build_tree, find_fans, nearest_in_metric, surface_in_solver
 from skincal.mesh.surface import make_surface
+from skincal.solver.tables import NODE_CHILDREN
 
 
 def nodes_of(level):
     """Eight numbers a node: centre, radius, middle of the normals, sine."""
-    return level.astype(float).reshape(-1, 8, search.WIDTH).transpose(0, 2, 1).reshape(-1, 8)
+    return level.astype(float).reshape(-1, 8, NODE_CHILDREN).transpose(0, 2, 1).reshape(-1, 8)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 63, 64, 65, 513, 700, 4097])
@@ -25,7 +26,7 @@ def test_every_triangle_is_in_the_ball_and_the_cone_of_each_node_above_it(count)
     np.testing.assert_array_equal(built.order[built.places], np.arange(count))
     corners, normals = surface.corners[built.order] - built.origin, surface.normals[built.order]
     for height, level in enumerate(built.levels):
-        node = np.arange(count) // search.WIDTH**height
+        node = np.arange(count) // NODE_CHILDREN**height
         numbers = nodes_of(level)[node]
         centre, radius, middle, sine = numbers[:, :3], numbers[:, 3], numbers[:, 4:7], numbers[:, 7]
         away = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
