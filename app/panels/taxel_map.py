@@ -66,7 +66,7 @@ ZOOM_FACTOR_PER_STEP = 1.25  # Factor of one notch of the wheel, or key
 MAX_TAXEL_MARK_RADIUS_PX = 16.0  # Largest radius of a mark when the map is enlarged
 SMALL_TAXEL_MARK_RADIUS_PX = 3.0
 """Below this radius a quarter looks like a half; strength tells the state in addition to the shape."""
-MARK_OPACITY = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.INFERRED: 0.55, Mark.ROUGH: 0.75, Mark.DONE_INFERRED: 0.75}
+MARK_OPACITY = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.INFERRED: 0.55, Mark.ROUGH: 0.75, Mark.FINISHED_INFERRED: 0.75}
 """Of a small mark."""
 MARK_RADIUS_OVER_TAXEL_SPACING = 0.30
 """Radius of a mark over the distance of neighbours: marks do not touch, and an answer shows around them."""
@@ -97,8 +97,8 @@ LEGEND_WORDS: dict[Mark, tuple[str, str]] = {
     Mark.INFERRED: ("\N{BULLSEYE}", State.INFERRED.value),
     Mark.ROUGH: ("\N{CIRCLE WITH RIGHT HALF BLACK}", f"{State.TOUCHED.value}, error > {GOOD_MM}"),
     Mark.GOOD: ("\N{BLACK CIRCLE}", f"{State.TOUCHED.value}, error \N{LESS-THAN OR EQUAL TO} {GOOD_MM}"),
-    Mark.DONE_INFERRED: ("\N{WHITE SQUARE CONTAINING BLACK SMALL SQUARE}", f"{State.INFERRED.value}, finished"),
-    Mark.DONE: ("\N{BLACK SQUARE}", f"{State.TOUCHED.value}, finished"),
+    Mark.FINISHED_INFERRED: ("\N{WHITE SQUARE CONTAINING BLACK SMALL SQUARE}", f"{State.INFERRED.value}, finished"),
+    Mark.FINISHED: ("\N{BLACK SQUARE}", f"{State.TOUCHED.value}, finished"),
     Mark.DEAD: ("\N{BALLOT X}", State.DEAD.value),
 }
 
@@ -173,9 +173,9 @@ def mark_path(mark: Mark) -> QPainterPath:
         bar.addRect(QRectF(-0.5, -0.08, 1.0, 0.16))
         return QTransform().rotate(45).map(bar).united(QTransform().rotate(-45).map(bar))
     # Odd and even: the hole of a ring or a frame is empty, and full where the pie or the dot is.
-    if mark in (Mark.DONE, Mark.DONE_INFERRED):
+    if mark in (Mark.FINISHED, Mark.FINISHED_INFERRED):
         path.addRect(QRectF(-0.5, -0.5, 1.0, 1.0))
-        if mark is Mark.DONE_INFERRED:
+        if mark is Mark.FINISHED_INFERRED:
             path.addRect(QRectF(-0.37, -0.37, 0.74, 0.74))
             path.addRect(QRectF(-0.17, -0.17, 0.34, 0.34))
         return path

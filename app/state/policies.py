@@ -187,8 +187,8 @@ class Mark(Enum):
     INFERRED = 2
     ROUGH = 3
     GOOD = 4
-    DONE_INFERRED = 5
-    DONE = 6
+    FINISHED_INFERRED = 5
+    FINISHED = 6
     DEAD = 7
 
 
@@ -207,7 +207,7 @@ def marks(estimates: Sequence[Estimate], width: int, done: Collection[int] = ())
     for estimate in estimates:
         if estimate.state is not State.UNSEEN:
             is_done = estimate.channel in done and estimate.state is not State.DEAD
-            finished = Mark.DONE_INFERRED if estimate.state is State.INFERRED else Mark.DONE
+            finished = Mark.FINISHED_INFERRED if estimate.state is State.INFERRED else Mark.FINISHED
             result[estimate.channel] = (finished if is_done else mark_of(estimate)).value
     return result
 

@@ -30,8 +30,8 @@ MARK_WORDS: Mapping[Mark, str] = {
     Mark.INFERRED: f"{State.INFERRED.value} (no contact of its own that counts)",
     Mark.ROUGH: f"{State.TOUCHED.value}, expected error above {millimetres(GOOD_RMS, 0)}",
     Mark.GOOD: f"{State.TOUCHED.value}, expected error up to {millimetres(GOOD_RMS, 0)}",
-    Mark.DONE_INFERRED: f"{State.INFERRED.value} (no contact of its own that counts), finished",
-    Mark.DONE: f"{State.TOUCHED.value}, finished",
+    Mark.FINISHED_INFERRED: f"{State.INFERRED.value} (no contact of its own that counts), finished",
+    Mark.FINISHED: f"{State.TOUCHED.value}, finished",
     Mark.DEAD: State.DEAD.value,
 }
 

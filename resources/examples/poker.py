@@ -29,7 +29,7 @@ TRAVEL, APPROACH, PRESS = 0.10, 0.015, 0.005
 """m/s."""
 TOUCH, FORCE_LIMIT = 1.0, 20.0
 """N above the tare: the part is felt; the tip goes back."""
-FRESH_S, SILENCE_S, PERIOD_S, TARE_S, SETTLE_S = 0.1, 3.0, 0.02, 0.3, 5.0
+FORCE_MAX_AGE_S, SILENCE_S, PERIOD_S, TARE_S, SETTLE_S = 0.1, 3.0, 0.02, 0.3, 5.0
 """s: oldest force that allows a motion; silence that is a fault; time of a step; of taring; to reach the force."""
 
 
@@ -147,7 +147,7 @@ class Poker:
         end_s = time.monotonic() + SILENCE_S
         while True:
             _, force, age_s = self.arm.read()
-            if age_s <= FRESH_S:
+            if age_s <= FORCE_MAX_AGE_S:
                 return force
             if is_pressing or time.monotonic() > end_s:
                 raise Fault("no fresh force reading")

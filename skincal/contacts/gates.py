@@ -70,6 +70,7 @@ def _failed_gates(
         return
     yield _at_most(Reason.TOO_HARD, size, contacts.force_max, "N")
     yield _at_most(Reason.NOT_STILL, mean.spread, contacts.still_change, "1")
+    # A tip that slips along the skin.
     yield _at_most(Reason.SLID, mean.travel, contacts.slide_max, "m")
     # One contact without a torque has a small |f . m|/|f|^2 (eq. 3).
     yield _at_most(Reason.TWO_CONTACTS, abs(float(pitch(wrench[:3], wrench[3:]))), contacts.pitch_max, "m")

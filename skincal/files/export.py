@@ -156,7 +156,7 @@ def _is_mirrored(module: Module, taxels: PlacedTaxels) -> bool:
     return fits_better_mirrored(module.pads[own], taxels.positions[placed], normal / length)
 
 
-COLUMNS = (
+CSV_COLUMNS = (
     "channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm",
     "gain_raw_per_N", "gain_sd_raw_per_N", "gain_pokes", "normal_sd_deg",
 )  # fmt: skip
@@ -171,7 +171,7 @@ def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow(CSV_COLUMNS)
     for method, estimates in calibration.estimates.items():
         for estimate, gain in zip(estimates, calibration.gains(method), strict=True):
             channel, module = estimate.channel, calibration.module_id(estimate.channel)

@@ -512,7 +512,9 @@ class ModulesEnough:
         touched = {estimate.channel for estimate in known if estimate.contacts}
         dead = {estimate.channel for estimate in known if estimate.state is State.DEAD}
         channels = self._plan.channels
-        covered = None if self._surroundings is None else self._surroundings.covered(np.isin(channels, list(touched)))
+        covered = (
+            None if self._surroundings is None else self._surroundings.touched_or_surrounded(np.isin(channels, list(touched)))
+        )
         return covered is None or set(channels[~covered].tolist()) <= dead
 
     def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:

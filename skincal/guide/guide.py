@@ -250,7 +250,7 @@ class Guide:
         know, changed = self._statistics, list[int]()
         covered = self._covered
         if self._surroundings is not None:
-            covered = self._surroundings.covered(
+            covered = self._surroundings.touched_or_surrounded(
                 np.array([has_touch(each.contacts, each.doubted) for each in estimates], dtype=bool)
             )
         recovered, self._covered = (covered != self._covered).tolist(), covered

@@ -49,7 +49,7 @@ class Surroundings:
         # (n,) taxels whose neighbours, touched or not, are all on one line.
         self._is_on_line: BoolArray = ~self._has_area(np.ones(len(self._others), dtype=bool))
 
-    def covered(self, touched: BoolArray) -> BoolArray:
+    def touched_or_surrounded(self, touched: BoolArray) -> BoolArray:
         """Tell (n,) which taxels are touched, or surrounded by touched ones; `touched` is (n,)."""
         counted = touched[self._others]
         taxels, angles = self._taxels[counted], self._angles[counted]

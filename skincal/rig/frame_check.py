@@ -63,7 +63,7 @@ HAND_FORCE_RANGE_N = (3.0, 25.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Slip:
+class PokeAtOtherPoint:
     """A poke that was likely at another point than its landmark."""
 
     poke: int
@@ -89,7 +89,7 @@ class FrameDiagnosis:
     """m: the same with the correction, without a poke that was at another point."""
     mistake: Mistake
     """Of kind `NONE`, `AXES`, `UNITS` or `MOUNT`."""
-    slip: Slip | None = None
+    other_point: PokeAtOtherPoint | None = None
     """The poke that was at another point; `None` without one."""
     wrench_frame: str = ""
     """Frame of the wrench's messages that may explain a wrong frame, and is to be settled first; empty for none."""
@@ -142,10 +142,10 @@ def diagnose(
     explained = best is reported or best.miss <= max(
         EXPLAINED_POKES_MAX_RMS_MISS_M, 0.5 * _miss(reported.distances, best.beside)
     )
-    slip = None
+    other_point = None
     if best.beside is not None:
         at = best.beside
-        slip = Slip(int(used.number[at]), str(used.name[at]), float(best.distances[at]))
+        other_point = PokeAtOtherPoint(int(used.number[at]), str(used.name[at]), float(best.distances[at]))
     return FrameDiagnosis(
         right=best is reported,
         sure=second - first >= MIN_COST_GAP_TO_BE_SURE and (best.beside is None or count > FRAME_CHECK_MIN_POKES),
@@ -153,7 +153,7 @@ def diagnose(
         miss=_miss(reported.distances, None),
         corrected_miss=best.miss,
         mistake=best.mistake,
-        slip=slip,
+        other_point=other_point,
     )
 
 

@@ -88,9 +88,9 @@ class PokeSettings:
     """s, time constant of the low-pass filter of the force along the push."""
     axis_filter_s: float = 0.1
     """s, time constant of the low-pass filter of the wrench from which the aim is corrected."""
-    fresh_s: float = 0.10
+    force_max_age_s: float = 0.10
     """s. Older readings allow no motion towards the part."""
-    silence_s: float = 1.0
+    give_up_age_s: float = 1.0
     """s of old readings after which the client gives the target up."""
     held_wait_s: float = 1.5
     """s after the asked hold to wait for `held`."""
@@ -167,7 +167,7 @@ class PokingClient:
         self._answer: Answer | None = None
         """To send once the tip has let go."""
         self._since_s = self._expected_s = self._reported_s = arm.time_s
-        self._fresh_s = -np.inf
+        self._newest_s = -np.inf
         """Time of the newest reading."""
         self._aim, self._shift = AimCorrection(), np.zeros(3)
         """Correction of the robot's frame, and the one of the present poke: true less believed position, (3,), metres."""
@@ -272,9 +272,9 @@ class PokingClient:
 
     def _read_wrench(self) -> None:
         reading = self.arm.read_wrench()
-        if reading is None or reading.time_s <= self._fresh_s:
+        if reading is None or reading.time_s <= self._newest_s:
             return
-        passed_s, self._fresh_s = reading.time_s - self._fresh_s, reading.time_s
+        passed_s, self._newest_s = reading.time_s - self._newest_s, reading.time_s
         sensor = self.arm.link_from_sensor()[:3, 3]
         wrench = np.concatenate([reading.force, reading.moment + crossed(sensor, reading.force)])
         off = wrench - self._tare
@@ -292,7 +292,7 @@ class PokingClient:
 
     @property
     def _is_fresh(self) -> bool:
-        return self.arm.time_s - self._fresh_s <= self.settings.fresh_s
+        return self.arm.time_s - self._newest_s <= self.settings.force_max_age_s
 
     @property
     def _is_too_strong(self) -> bool:
@@ -305,7 +305,7 @@ class PokingClient:
             return False
         if self._is_fresh or self.phase in (Phase.IDLE, Phase.TARE_AT_REST, Phase.TARE, Phase.RELEASE):
             return True
-        if self.phase in (Phase.PRESS, Phase.HOLD) or self.arm.time_s - self._fresh_s > self.settings.silence_s:
+        if self.phase in (Phase.PRESS, Phase.HOLD) or self.arm.time_s - self._newest_s > self.settings.give_up_age_s:
             self._fail(NO_FRESH_READING)
         else:
             self.arm.stop()

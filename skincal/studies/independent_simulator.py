@@ -73,7 +73,7 @@ MESH_BUMP_CORRELATION_LENGTH_M = 0.020
 """m: how far bumps of a mesh reach: it bends between the points it was scanned or drawn at."""
 FINGER_WIDTH_M = 0.008
 """m between the two places that a finger touches: its breadth, a little more than the pitch of the taxels."""
-LANDMARK_POKES_PER_POSE = 10
+SIMULATED_LANDMARK_POKES_PER_POSE = 10
 """Pokes at landmarks in each arm pose, if the scene has landmarks."""
 GUIDED_LANDMARK_POKES = (6, 3, 3, 3, 2, 2, 2)
 """Landmark pokes in each arm pose that the guide asks for: 21 in seven poses."""
@@ -580,7 +580,7 @@ def simulate_session(
     operator = Operator(world, unit(part.nearest(places)[1].mean(axis=0)), hand)
     targets = np.concatenate([hand.permutation(len(places)) for _ in range(-(-per_pose * len(reported) // len(places)))])
     landmarks = np.array([landmark.place for landmark in scene.landmarks]).reshape(-1, 3)
-    known = LANDMARK_POKES_PER_POSE if len(landmarks) else 0
+    known = SIMULATED_LANDMARK_POKES_PER_POSE if len(landmarks) else 0
     parts: list[tuple[Any, ...]] = []
     for pose in range(len(reported)):
         # Each arm pose continues after the last landmark that the guide asked for.

@@ -1,4 +1,7 @@
-"""Sentences on links to devices."""
+"""Sentences on links to devices.
+
+Why a link is lost is said by its transport (`streams/transports/`), its headline by `app/text/now_text.py`.
+"""
 
 from __future__ import annotations
 

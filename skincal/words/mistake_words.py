@@ -127,11 +127,11 @@ def frame_sentence(found: FrameDiagnosis) -> str:
             f"The landmark pokes miss their landmarks by {reported}, and no known mistake of the sensor frame explains that. "
             "Press the landmarks again, and check their positions in the scene."
         )
-    slip = "."
-    if found.slip is not None:
-        off = millimetres(found.slip.miss, 0)
-        slip = f", but poke {found.slip.poke} misses {found.slip.name} by {off}: was it another point?"
-    passes = f"{millimetres(found.corrected_miss, 0)}{slip}"
+    other_point = "."
+    if found.other_point is not None:
+        off = millimetres(found.other_point.miss, 0)
+        other_point = f", but poke {found.other_point.poke} misses {found.other_point.name} by {off}: was it another point?"
+    passes = f"{millimetres(found.corrected_miss, 0)}{other_point}"
     if found.right:
         # A right frame with a large error reads like a contradiction.
         whose = (

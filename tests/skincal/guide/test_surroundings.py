@@ -32,7 +32,7 @@ def test_a_taxel_is_covered_if_the_hull_of_touched_neighbours_holds_it(seed):
     for channel in range(63):
         near = touched & (np.linalg.norm(places - places[channel], axis=1) <= reach)
         expected.append(bool(touched[channel]) or (near.any() and in_hull(places[channel], places[near])))
-    found = Surroundings(layout, layout.channels).covered(touched)
+    found = Surroundings(layout, layout.channels).touched_or_surrounded(touched)
     assert found.tolist() == expected
     assert np.sum(found) > 0
 
@@ -42,10 +42,10 @@ def test_touched_taxels_on_one_line_do_not_surround_those_between_them():
     layout = grid("5x5@5mm")
     row, and_one_more = np.isin(np.arange(25), [10, 12, 14]), np.isin(np.arange(25), [10, 12, 14, 2])
     around = Surroundings(layout, layout.channels)
-    assert not around.covered(row)[[11, 13]].any()
-    assert around.covered(and_one_more)[[11, 13]].all()
+    assert not around.touched_or_surrounded(row)[[11, 13]].any()
+    assert around.touched_or_surrounded(and_one_more)[[11, 13]].all()
     strip = grid("1x5@5mm")
-    assert Surroundings(strip, strip.channels).covered(np.isin(np.arange(5), [0, 2, 4])).all()
+    assert Surroundings(strip, strip.channels).touched_or_surrounded(np.isin(np.arange(5), [0, 2, 4])).all()
 
 
 def test_corners_must_be_touched_and_edges_every_few_taxels():
@@ -53,18 +53,18 @@ def test_corners_must_be_touched_and_edges_every_few_taxels():
     corners = np.isin(np.arange(36), [0, 5, 30, 35])
     around = Surroundings(layout, layout.channels)
     # From 0 to 5 are five spacings.
-    covered = around.covered(corners | (np.arange(36) == 14))
+    covered = around.touched_or_surrounded(corners | (np.arange(36) == 14))
     assert covered[[2, 3, 12, 32]].all()
     assert not covered[[1, 4]].any(), "one corner is beyond three spacings"
-    without = around.covered(~corners)
+    without = around.touched_or_surrounded(~corners)
     assert not without[corners].any()
     assert without[~corners].all()
-    assert not around.covered(np.zeros(36, dtype=bool)).any()
+    assert not around.touched_or_surrounded(np.zeros(36, dtype=bool)).any()
 
 
 def test_a_single_taxel_and_modules_of_other_planes_are_no_neighbours():
     one = grid("1x1@5mm")
-    assert Surroundings(one, one.channels).covered(np.array([False])).tolist() == [False]
+    assert Surroundings(one, one.channels).touched_or_surrounded(np.array([False])).tolist() == [False]
     text = parse_grid("1x3@5mm").layout_text()
     anchor = "anchor = { at_mm = [0, 0], point_mm = [0, 0, 0], x = [1, 0, 0], normal = [0, 0, 1] }\n"
     second = (
@@ -75,9 +75,11 @@ def test_a_single_taxel_and_modules_of_other_planes_are_no_neighbours():
     )
     apart = read_layout(f"{text}\n[[modules]]{second}{anchor}", Path("two.modules.toml"), 6)
     touched = np.array([True, False, True, False, False, True])
-    assert Surroundings(apart, apart.channels).covered(touched).tolist() == [True, True, True, False, False, True]
+    assert Surroundings(apart, apart.channels).touched_or_surrounded(touched).tolist() == [True, True, True, False, False, True]
     joined = read_layout(f"{text}\n[[modules]]{second}", Path("two.modules.toml"), 6)
-    assert Surroundings(joined, joined.channels).covered(touched).all(), "without the anchor they are one row of six"
+    assert Surroundings(joined, joined.channels).touched_or_surrounded(touched).all(), (
+        "without the anchor they are one row of six"
+    )
 
 
 def test_the_number_of_touches_is_that_of_squares_of_three_spacings():

@@ -165,7 +165,7 @@ def test_a_poke_at_another_landmark_is_no_wrong_frame(count, found):
         said = diagnose(pokes, normals)
         right += said.right
         blamed += not said.right and said.sure
-        named += said.slip is not None and (said.slip.poke, said.slip.name) == (slip.number, slip.name)
+        named += said.other_point is not None and (said.other_point.poke, said.other_point.name) == (slip.number, slip.name)
         # Two pokes that are left tell no frame surely.
         assert not (count == 3 and said.right and said.corrected_miss < said.miss and said.sure)
     assert blamed <= 1
@@ -183,8 +183,8 @@ def test_a_wrong_frame_is_named_beside_a_poke_at_another_landmark():
         named += (
             np.array_equal(said.mistake.axes, axes)
             and said.explained
-            and said.slip is not None
-            and said.slip.poke == slip.number
+            and said.other_point is not None
+            and said.other_point.poke == slip.number
         )
     assert named >= 0.9 * SLIPS
 

@@ -195,7 +195,7 @@ def test_a_stop_ends_every_motion_and_lets_go_of_the_part(phase, line):
 def test_without_a_fresh_reading_nothing_moves_towards_the_part(phase):
     bench = Bench().ask(target(1)).until_phase(phase).rest(0.02)
     bench.arm.is_silent = True
-    bench.rest(PokeSettings().fresh_s + 0.01)
+    bench.rest(PokeSettings().force_max_age_s + 0.01)
     bench.arm.course.clear()
     bench.run(answered)
     assert (np.diff([place[2] for place, _, _ in bench.arm.course]) >= -1e-12).all()
