@@ -1,6 +1,6 @@
 """Sentences on links to devices.
 
-Why a link is lost is said by its transport (`streams/transports/`), its headline by `app/text/now_text.py`.
+A transport words the reason of a lost link (`streams/transports/`); `app/text/now_text.py` has the headline.
 """
 
 from __future__ import annotations

@@ -213,8 +213,8 @@ def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
     assert frame_sentence(RIGHT) == approved("sensor_frame.right", miss_mm=2)
     assert frame_sentence(replace(RIGHT, sure=False)).startswith(approved("sensor_frame.looks_right_begin"))
     assert frame_sentence(replace(RIGHT, corrected_miss=0.0074)).endswith(approved("sensor_frame.rig_errors", miss_mm=7))
-    slip = replace(RIGHT, slip=PokeAtOtherPoint(12, "wrist", 0.044))
-    assert frame_sentence(slip).endswith(approved("sensor_frame.other_point", miss_mm=2, poke=12, landmark="wrist", slip_mm=44))
+    slip = replace(RIGHT, other_point=PokeAtOtherPoint(12, "wrist", 0.044))
+    assert frame_sentence(slip).endswith(approved("sensor_frame.slip", miss_mm=2, poke=12, landmark="wrist", slip_mm=44))
     nothing = replace(RIGHT, right=False, explained=False, miss=0.05)
     assert frame_sentence(nothing).startswith(approved("sensor_frame.unexplained_misses", miss_mm=50))
 

@@ -171,8 +171,9 @@ def test_the_buttons_of_the_export_stay_in_their_place(qtbot, tmp_path):
 def test_the_window_ends_each_task_of_a_dialog(bench, monkeypatch):
     """Also where the controller calls neither `done` nor `failed`."""
     bench.open(OpenRequest(session=resource("sessions/sample")))
+    monkeypatch.setattr(bench.controller, "compute", lambda *_, ended: ended())
+    monkeypatch.setattr(bench.controller, "apply", lambda *given: given[-1]())
     for kind, shown in (("export", ExportDialog), ("apply", ApplyDialog)):
-        monkeypatch.setattr(bench.controller, kind, lambda *given: given[-1]())
         bench.window.commands.actions[kind].trigger()
         dialog = bench.window.findChild(shown)
         dialog.start.click()

@@ -97,7 +97,7 @@ class Resting:
         self.links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in self.line.links.items()]
         self.pipeline = Pipeline(rig.scene, self.links, rig.surface)
         self.said, self.answers = [], []
-        server = SimpleNamespace(send=self.said.extend, take=lambda: [self.answers.pop()] if self.answers else [])
+        server = SimpleNamespace(send=self.said.extend, read_answers=lambda: [self.answers.pop()] if self.answers else [])
         self.guide = RobotGuide(self.pipeline, server, Method.MODULES)
 
     def hear(self, state=LinkState.OPEN):

@@ -12,6 +12,7 @@ import numpy as np
 
 from skincal.model.readings import Chunk, LinkState, Stream
 from skincal.simulation.board_formats import make_encoder
+from skincal.simulation.boards import BoardHeader
 from skincal.simulation.device import Clock, LossyLink, SimulatedDevice
 from skincal.simulation.emulated_devices import MAKERS
 from skincal.simulation.emulated_transports import MakerOutlets, RdtOutlet, TalkOutlet
@@ -69,7 +70,8 @@ class Orchestra:
                     self.outlets[link] = makers.open(name, stream, tcp=not PTYS)
                 if name == "lines":
                     self.outlets[link].address = self.outlets[link].address.replace("socket:", "lines:")
-                boards.append(SimulatedDevice(link, stream, hz, Clock(errors, rng), encoder, way, "fw=1", width or 6))
+                header = BoardHeader("fw=1", width or 6)
+                boards.append(SimulatedDevice(link, stream, hz, Clock(errors, rng), encoder, way, header))
         self.line._boards = boards
         self.links = {name: LinkSpec(name, outlet.address, (self.line.links[name],)) for name, outlet in self.outlets.items()}
 
