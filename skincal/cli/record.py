@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.solve import Json
+from skincal.cli.stop_event import StopEvent
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json
@@ -161,7 +162,7 @@ def _asking(targets: str | None) -> Generator[OpenTargets | None]:
 @contextlib.contextmanager
 def stopping() -> Generator[threading.Event]:
     """Yield an event that Ctrl-C or a termination signal sets: an exception might strike while a file is written."""
-    stop = threading.Event()
+    stop = StopEvent()
 
     def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
         stop.set()

@@ -34,7 +34,6 @@ from skincal.files.tactile_urdf import tactile_urdf_text
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.findings import MeshFinding
 from skincal.mesh.lay import PlacedLayout, place_layout
-from skincal.mesh.load import load_surface
 from skincal.mesh.search import nearest_points, nearest_pushed_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError, list_channels, plural
@@ -523,6 +522,8 @@ def _shape_of(calibration: Calibration) -> _Shape:
 @lru_cache(maxsize=1)
 def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[MeshFinding, ...]]:
     """Load a mesh once for the files of one calibration, which are written one after another."""
+    from skincal.mesh.load import load_surface  # a part without a mesh needs no reader
+
     return load_surface(spec)
 
 
