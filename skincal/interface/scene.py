@@ -15,7 +15,6 @@ from skincal.model.errors import InputError
 from skincal.model.scene import scene_file
 from skincal.part.part import Part, load_part
 from skincal.part.part_draft import PartDraft
-from skincal.part.scene_draft import write_scene
 from skincal.session.solving import methods_of
 
 if TYPE_CHECKING:
@@ -164,6 +163,8 @@ class Scene:
 
 def _write(out: Path, draft: PartDraft, entries: PartEntries) -> Scene:
     """Complete a draft with the entries, and write it as a scene."""
+    from skincal.part.scene_draft import write_scene  # it loads readers of meshes
+
     if unknown := sorted(entries.keys() - PartEntries.__annotations__.keys()):
         raise InputError(f"{unknown[0]}: is no entry of a part; expected one of {', '.join(PartEntries.__annotations__)}.")
     anchor = entries.get("anchor")
