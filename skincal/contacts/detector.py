@@ -44,7 +44,7 @@ from skincal.contacts.skin_condition import SkinCondition, SkinWatch
 from skincal.contacts.skin_drift import SkinDrift
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
 from skincal.geometry import FloatArray, IntArray, axis_point, length_of, move_wrench
-from skincal.model.readings import Sample
+from skincal.model.readings import Sample, is_silent
 from skincal.model.scene import ContactSettings, Scene
 from skincal.streams.intervals import longest_interval_of_groups, usual_interval
 
@@ -165,12 +165,14 @@ class ContactDetector:
     def reset(self, host_s: float | None = None, *, is_loss: bool = True) -> list[Outcome]:
         """Start again after a break at `host_s`, or at the last sample: a device was lost, or a recording ended.
 
-        A poke in progress ends: as "readings lost" if the break `is_loss`, else it is judged by its readings. Pending pokes
-        become final, and the tare is dropped. Numbers go on.
+        A poke in progress ends: as "readings lost" if the break `is_loss` or the samples were silent (`is_silent`) before it,
+        else it is judged by its readings. Pending pokes become final, and the tare is dropped. Numbers go on.
         """
         outcomes: list[Outcome] = []
         if (press := self._press) is not None:
-            lost = 0.0 if host_s is None else host_s - self.last_s
+            end_s = self.last_s if host_s is None else host_s
+            # The newest samples may still be on their way at the end of a session: of a group, or without their wrench.
+            lost = end_s - self.last_s if is_loss or is_silent(self.last_s, end_s) else 0.0
             if is_loss:
                 # Just over the limit at least: the break itself is the loss, however soon it is known.
                 lost = max(lost, MAX_SAMPLE_GAP_IN_SKIN_PERIODS * self._period_s * (1 + 1e-9))

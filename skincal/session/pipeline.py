@@ -299,8 +299,8 @@ class Pipeline:
         self._current_pose(None)
 
     def end_session(self, host_ns: int) -> None:
-        """End a poke in progress and finalize those that wait."""
-        self._commit(SessionClosed(host_ns), self._detector.reset(is_loss=False))
+        """End a poke in progress and finalize those that wait; `host_ns` is of the items' clock."""
+        self._commit(SessionClosed(host_ns), self._detector.reset(host_ns * 1e-9, is_loss=False))
 
     def close(self) -> None:
         """Finish the journal; the session stays."""

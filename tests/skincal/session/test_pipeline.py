@@ -94,6 +94,32 @@ def test_a_poke_that_is_held_at_the_end_of_a_session_counts(end):
     assert [type(poke) for poke in outcomes_of(pipeline)] == [Contact]
 
 
+@pytest.mark.parametrize("end", ["closed", "ended"])
+@pytest.mark.parametrize("silent", ["skin", "wrench"])
+def test_a_poke_is_lost_if_a_device_is_silent_until_the_session_ends(silent, end):
+    """The other device goes on for 11 s: nothing says what happened to the poke since."""
+    held = as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS, hold_s=12.0).samples)[:-12]
+    silent_ns = held[0].host_ns + 4_000_000_000
+    pipeline = played(item for item in held if item.link != silent or item.host_ns < silent_ns)
+    if end == "closed":
+        pipeline.close()
+    else:
+        for link in pipeline.links:
+            pipeline.feed(LinkEvent(link.name, held[-1].host_ns, LinkState.ENDED))
+    (poke,) = outcomes_of(pipeline)
+    assert poke.reason is Reason.READINGS_LOST
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.5])
+def test_a_poke_counts_although_the_last_samples_before_the_end_are_on_their_way(late_s):
+    script = Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS, hold_s=2.0)
+    items = as_chunks(script.samples)[:-12]
+    until_ns = items[-1].host_ns - round(late_s * 1e9)
+    pipeline = played(item for item in items if item.link != "skin" or item.host_ns <= until_ns)
+    pipeline.close()
+    assert [type(poke) for poke in outcomes_of(pipeline)] == [Contact]
+
+
 def repeating(items, since_ns, until_ns, *, zeros=False):
     """The same bytes, but in between the sensor repeats its last reading, or zeros, under new numbers and times."""
     held = next(item for item in items if isinstance(item, Chunk) and item.link == "wrench" and item.host_ns >= since_ns)
