@@ -227,6 +227,7 @@ class Window(QMainWindow):
         self.messages.file_wanted.connect(self.open_file)
         self.stack.currentChanged.connect(lambda _: self.messages.show_newest())
         controller.said.connect(self.tell)
+        controller.unsaid.connect(self.messages.withdraw)
         controller.stored.connect(self._show_storage)
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self.commands.update_actions)

@@ -94,6 +94,7 @@ class Controller(QObject):
     ticked = Signal(object)  # `ViewState` of the session, without what the view of it adds
     running_changed = Signal(object)  # `Running`
     said = Signal(object)  # `Message`
+    unsaid = Signal(object)  # `Message` that is no longer true
     reviewed = Signal(object)  # `Review` of sensor and arm; `None` if there is none any more
     truth_found = Signal(object)  # `TaxelPositions`: positions of the taxels of a simulated rig
     recorded_elsewhere = Signal(object, str)  # `Path` of a session that another process records, and a sentence
@@ -427,6 +428,8 @@ class Controller(QObject):
         live = pipeline.live(reached_ns)
         is_recording = self.running is Running.STREAMING
         guided.follow_session(pipeline, snapshot, now_ns, self._targets, is_recording=is_recording, seen_ns=reached_ns)
+        for sentence in guided.setup.take_untrue():
+            self.unsaid.emit(Message(sentence, error=True))
         for sentence in reversed(guided.setup.take_news()):  # the newest message is on top
             self.said.emit(Message(sentence, error=True))
         guided.coach.follow_reading(live.progress, None if guided.guidance is None else guided.guidance.target)

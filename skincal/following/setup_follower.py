@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from skincal.contacts.skin_condition import SkinCondition
 from skincal.following.background import BackgroundJob, Run
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.part.part import Part
+from skincal.rig.correction import UsedCorrection
 from skincal.rig.scene_mistakes import MistakeKind
 from skincal.rig.setup_check import SetupDiagnosis, check_setup
 from skincal.session.skin_findings import session_skin_sentences
@@ -32,6 +33,13 @@ class SetupFollower:
         self._news: list[str] = []
         self._named: tuple[MistakeKind, tuple[str, ...]] | None = None
         """Mistake that the last check named first."""
+        self._told: tuple[str, ...] = ()
+        """Sentences of a check that the operator got, and that are still true."""
+        self._untrue: list[str] = []
+        self._corrections: Mapping[str, UsedCorrection] = {}
+        """In use when the last check began."""
+        self._is_due = False
+        """Whether the corrections have changed since the last check."""
         self._frames: Sequence[WrenchFrame] = ()
         self._of_frames: tuple[str, ...] = ()
         self._of_pokes: tuple[str, ...] = ()
@@ -54,25 +62,51 @@ class SetupFollower:
         self._news += [sentence for sentence in self._of_skin if _first_words(sentence) not in before]
 
     def check_snapshot(self, snapshot: Snapshot, frames: Sequence[WrenchFrame] = ()) -> None:
-        """Check a snapshot if enough pokes were added since the last check; `frames` are those of the wrench's messages."""
+        """Check a snapshot if enough pokes were added since the last check, or if a correction began or ended.
+
+        Parameters
+        ----------
+        frames : that the messages of the wrench name
+        """
         if frames is not self._frames:
             self._frames, self._of_frames = frames, frame_sentences(frames)
             self._news += self._of_frames
-        part, count = self._part, len(snapshot.contacts)
-        if part.laid is None or self._job.is_busy or self._next >= len(CHECK_AT_POKES) or count < CHECK_AT_POKES[self._next]:
+        part, count, corrections = self._part, len(snapshot.contacts), snapshot.decisions.corrections
+        if corrections != self._corrections:
+            # The finding is of pokes as they were: its remedy would be applied on top of the correction.
+            self._corrections, self._is_due = corrections, True
+            self._replace_finding((), None)
+        enough = self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]
+        if part.laid is None or self._job.is_busy or not (enough or self._is_due):
             return
+        self._is_due = False
         while self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]:
             self._next += 1
         contacts = snapshot.contacts
-        self._job.start(lambda: check_setup(contacts, part.scene, part.laid, part.surface, frames), self._finish)
+
+        def finish(diagnosis: SetupDiagnosis | None) -> None:
+            if corrections == self._corrections:
+                self._finish(diagnosis)
+
+        self._job.start(lambda: check_setup(contacts, part.scene, part.laid, part.surface, frames), finish)
 
     def _finish(self, diagnosis: SetupDiagnosis | None) -> None:
         first = diagnosis.mistakes[0] if diagnosis is not None and diagnosis.mistakes else None
         named = None if first is None else (first.kind, first.names)
-        sentences = setup_sentences(diagnosis)
+        self._replace_finding(setup_sentences(diagnosis), named)
+
+    def _replace_finding(self, sentences: tuple[str, ...], named: tuple[MistakeKind, tuple[str, ...]] | None) -> None:
         if named != self._named:
+            self._untrue += self._told
+            self._news = [sentence for sentence in self._news if sentence not in self._told]
             self._news += sentences
+            self._told = sentences
         self._of_pokes, self._named = sentences, named
+
+    def take_untrue(self) -> list[str]:
+        """Return sentences that the operator got and that are no longer true, once."""
+        untrue, self._untrue = self._untrue, []
+        return untrue
 
     def take_news(self) -> list[str]:
         """Return new sentences for the operator, once."""

@@ -72,8 +72,8 @@ class Mistake:
     motion: FloatArray = field(default_factory=lambda: np.eye(4))
     """(4, 4) float, metres: right link_from_sensor = reported @ motion."""
     names: tuple[str, ...] = ()
-    """Joints, sensor and link of the other arm, ids of modules, channels and remedy, or the wrench's frame and its
-    right point."""
+    """Joints, sensor and link of the other arm, ids of modules, channels and remedy, the wrench's frame and its right
+    point, or the force that the scene names and its opposite."""
     degrees: float = 0.0
     mirrored: bool = False
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))

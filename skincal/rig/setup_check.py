@@ -77,6 +77,9 @@ PARALLEL_MAX_SINE = 0.05
 OF_LAYOUT = (MistakeKind.LAYOUT, MistakeKind.MODULES, MistakeKind.CHANNELS)
 """Mistakes of the layout."""
 
+FORCE_BY_SIGN = ("force on the part", "reaction force")
+"""Force that the sensor reports by [wrench] sign 1, and by -1."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupDiagnosis:
@@ -274,7 +277,7 @@ def _prior(choices: int) -> float:
 
 def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, laid: PlacedLayout) -> _Hypotheses:
     assert scene.skin.layout is not None
-    yield from _sensors(asked)
+    yield from _sensors(asked, scene)
     yield 0.0, Mistake(MistakeKind.MESH_ORIGIN), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)
     if scene.arm is not None and (angles := _angles(used, scene.arm)) is not None:
         yield from _joints(asked, angles, scene.arm.arm)
@@ -283,7 +286,7 @@ def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, la
     yield from _modules(asked, used, scene.skin.layout, laid)
 
 
-def _sensors(asked: _TaxelEvidence) -> _Hypotheses:
+def _sensors(asked: _TaxelEvidence, scene: Scene) -> _Hypotheses:
     """Try other axes and units of the sensor, and a turned flange."""
     for mistake in sensor_mistakes():
         if mistake.kind is MistakeKind.NONE:
@@ -293,6 +296,8 @@ def _sensors(asked: _TaxelEvidence) -> _Hypotheses:
         # A force axis has no unit of forces: only that of moments against it counts.
         scale, axes = mistake.moment_scale / mistake.force_scale, mistake.axes
         moment = scale * asked.pokes.moment @ axes.T
+        if mistake.is_reaction:
+            mistake = replace(mistake, names=FORCE_BY_SIGN[:: scene.wrench_sign])
         yield prior, mistake, asked.with_pokes(force=asked.pokes.force @ axes.T, moment=moment)
     for axis, degrees in product(range(3), range(MIN_TURN_DEG, 361 - MIN_TURN_DEG, TURN_STEP_DEG)):
         if degrees % 90:

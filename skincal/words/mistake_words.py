@@ -78,7 +78,9 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
 def mistake_words(mistake: Mistake) -> tuple[str, str]:
     """Name a mistake, and its remedy as an order; neither has a full stop."""
     if mistake.is_reaction:
-        return "the sensor reports the reaction force, so pokes seem to push from inside", "change [wrench] sign in the scene"
+        says, opposite = mistake.names
+        what = f"by [wrench] sign of the scene the sensor reports the {says}, but the pokes show the {opposite}"
+        return what, "invert that sign, or use the correction of the sensor frame, not both"
     if mistake.kind in (MistakeKind.AXES, MistakeKind.UNITS):
         words = filter(None, (_turn_words(mistake.axes), _moment_unit_words(mistake.moment_scale / mistake.force_scale)))
         remedy = CORRECT_SENSOR if mistake.kind is MistakeKind.AXES else "set the sensor's unit in its address or its program"

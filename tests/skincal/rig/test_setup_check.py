@@ -4,6 +4,7 @@ import shutil
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,9 @@ from skincal.part.draft_preview import PartPreviewer
 from skincal.part.part import load_part
 from skincal.part.part_draft import PartDraft
 from skincal.part.scene_draft import write_scene
+from skincal.rig.correction import FRAME, Correction, UsedCorrection
 from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, check_setup, mirrored_layout, other_side
+from skincal.session.decisions import Decisions
 from skincal.simulation.operator import Habits
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.virtual_session import simulate_session
@@ -151,7 +154,7 @@ MISTAKES = {
     "sensor turned by 90": (turned("z", 90), "turned by -90 degrees about its z axis", "press three landmarks"),
     "sensor turned by 180": (turned("x", 180), "turned by 180 degrees about its x axis", "origin in the URDF"),
     "sensor turned by 45": (turned("z", 45), "turned by about -45 degrees about its z axis", "correct the sensor's pose"),
-    "sign of the wrench": (wrenches(-np.eye(3)), "reports the reaction force", "change [wrench] sign"),
+    "sign of the wrench": (wrenches(-np.eye(3)), "the force on the part, but the pokes show the reaction", "invert that sign"),
     "mesh origin": (moved, "mesh and layout must move by (-1", "correct the origin of the mesh"),
     "joint columns": (angles(lambda a: a[::-1]), "columns of l_elbow and l_wrist_prosup are exchanged", "exchange them"),
     "radians": (angles(np.radians), "joint angles are in radians", "send degrees"),
@@ -186,10 +189,49 @@ def test_an_open_session_says_it_once(rig):
     follower = SetupFollower(part, run_at_once)
     said = []
     for count in range(len(wrong) + 1):
-        follower.check_snapshot(type("Snapshot", (), {"contacts": wrong[:count]})())
+        follower.check_snapshot(SimpleNamespace(contacts=wrong[:count], decisions=Decisions()))
         said.append(follower.take_news())
     assert [count for count, news in enumerate(said) if news] == [SETUP_CHECK_MIN_POKES]
     assert "about its z axis" in follower.sentences[0]
+
+
+def test_a_finding_goes_when_a_correction_begins_and_returns_when_it_ends(rig):
+    part, contacts = rig
+    _, _, wrong = wrenches(-np.eye(3))(part, contacts)
+    jobs = []
+    follower = SetupFollower(part, lambda work, done, *, ended: jobs.append((work, done, ended)))
+
+    def follow(seen, corrections):
+        follower.check_snapshot(SimpleNamespace(contacts=seen, decisions=Decisions(corrections=corrections)))
+
+    def work_off():
+        while jobs:
+            work, done, ended = jobs.pop(0)
+            done(work())
+            ended()
+
+    follow(wrong, {})
+    work_off()
+    (told,) = follower.take_news()
+    assert follower.sentences == (told,)
+    assert follower.take_untrue() == []
+
+    corrections = {FRAME: UsedCorrection(FRAME, Correction(-np.eye(6)), 0.001, 0.001, 6)}
+    follow(contacts, corrections)
+    assert follower.sentences == ()
+    assert (follower.take_untrue(), follower.take_news()) == ([told], [])
+    work_off()
+    assert follower.sentences == ()
+    assert follower.take_news() == []
+
+    follow(wrong, {})
+    follow(contacts, corrections)
+    work_off()
+    assert follower.sentences == (), "the check began before the correction"
+    follow(wrong, {})
+    work_off()
+    assert follower.sentences == (told,)
+    assert follower.take_news() == [told]
 
 
 def test_a_check_that_fails_is_made_again_with_more_pokes(rig, monkeypatch):
@@ -201,7 +243,7 @@ def test_a_check_that_fails_is_made_again_with_more_pokes(rig, monkeypatch):
         raise RuntimeError("of the check")
 
     def follow(count):
-        follower.check_snapshot(type("Snapshot", (), {"contacts": wrong[:count]})())
+        follower.check_snapshot(SimpleNamespace(contacts=wrong[:count], decisions=Decisions()))
 
     with monkeypatch.context() as fault:
         fault.setattr("skincal.following.setup_follower.check_setup", broken)
