@@ -73,7 +73,7 @@ class Table:
         self._values = dict(values)
         self.where = where
         for key in self._values:
-            _require_plain(key, where)
+            require_plain(key, where)
 
     @property
     def keys(self) -> list[str]:
@@ -97,7 +97,7 @@ class Table:
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             raise InputError(f"{self.where}: {key} is {shown(value)}; expected {_TYPE_NAMES[kind]}.")
         if isinstance(value, str):
-            _require_plain(value, f"{self.where}: {key}")
+            require_plain(value, f"{self.where}: {key}")
         if isinstance(value, float) and not np.isfinite(value):
             raise InputError(f"{self.where}: {key} is {value}; expected a finite number.")
         return value
@@ -144,7 +144,7 @@ class Table:
         if not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
             raise InputError(f"{self.where}: {key} is {shown(names)}; expected a list of different names.")
         for name in names:
-            _require_plain(name, f"{self.where}: {key}")
+            require_plain(name, f"{self.where}: {key}")
         return names
 
     def lengths_mm(self, key: str, shape: tuple[int | None, ...], default: Any = ..., *, gaps: bool = False) -> FloatArray:
@@ -194,7 +194,7 @@ _TYPE_NAMES = {
 }  # fmt: skip
 
 
-def _require_plain(text: str, where: str) -> None:
+def require_plain(text: str, where: str) -> None:
     """Refuse text that a terminal or a file's header would take for a command."""
     if plain_text(text) != text:
         raise InputError(f"{where}: {shown(text)} holds a control character; expected plain text.")

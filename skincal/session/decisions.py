@@ -32,7 +32,7 @@ from skincal.model.actions import (
 )
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, Landmark, Scene, with_thresholds
-from skincal.model.tables import MAX_LENGTH_M
+from skincal.model.tables import MAX_LENGTH_M, require_plain
 from skincal.rig.closing import ClosingPlace, ClosingPlaces
 from skincal.rig.correction import UsedCorrection
 from skincal.session.corrections import CORRECTED_THINGS, with_correction, without_correction
@@ -174,6 +174,8 @@ def _with_channel(action: MarkDead | Revive, now: Decisions, scene: Scene, _: ob
 
 def _with_landmark(action: AddLandmark, now: Decisions, *_: object) -> Decisions:
     place = np.array([action.x, action.y, action.z])
+    # As in scene files. An array of names would also drop NUL characters at their ends.
+    require_plain(action.name, "The name of the landmark")
     if not action.name.strip() or any(action.name == landmark.name for landmark in now.landmarks):
         raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
     if not np.isfinite(place).all() or np.abs(place).max() > MAX_LENGTH_M:

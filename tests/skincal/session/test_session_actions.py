@@ -100,6 +100,8 @@ REFUSED = [
     (a.AddLandmark("A", 0.0, 0.0, 0.0), "no other one has"),
     (a.AddLandmark("", 0.0, 0.0, 0.0), "no other one has"),
     (a.AddLandmark("far", 20.0, 0.0, 0.0), "expected metres"),
+    (a.AddLandmark("B\0", 0.0, 0.0, 0.0), "The name of the landmark: 'B.*holds a control character; expected plain text"),
+    (a.AddLandmark("a\nb", 0.0, 0.0, 0.0), "holds a control character"),
     (a.Uncorrect("rig"), approved_pattern("rig.not_in_use", of="rig")),
     (Redo(), "nothing to redo"),
     (SetThresholds(("force_least",), (4.0,)), "force_least"),
