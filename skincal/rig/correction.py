@@ -200,6 +200,15 @@ class RigState:
             self.shifts + of_poses[:, 1],
         )
 
+    def pose_rows(self, poses: NameArray) -> IntArray:
+        """Find the rows (m,) of arm poses (m,) by their names; `KeyError` for a name that is not among them."""
+        rows = np.searchsorted(self.names, poses)
+        # `searchsorted` gives a row for unknown names too.
+        is_known = np.concatenate([self.names, [""]])[rows] == poses
+        if not (is_known & (rows < len(self.names))).all():
+            raise KeyError(f"arm poses {set(poses.tolist()) - set(self.names.tolist())} are not of this state")
+        return rows
+
     def unknowns(self, scales: FloatArray) -> FloatArray:
         """Compute the unknowns (n,) in standard deviations of the prior."""
         of_poses = np.concatenate([self.turns[:, None], self.shifts[:, None]], axis=1)
@@ -222,7 +231,7 @@ def rig_rows(
     spread : (m, 3, 3) float, m^2: covariance of the contact about P, link frame
     scales : of the rig's unknowns (`RigPrior.scales`)
     """
-    wrenches, reported, poses = pokes.wrench, pokes.link_from_sensor, np.searchsorted(state.names, pokes.pose)
+    wrenches, reported, poses = pokes.wrench, pokes.link_from_sensor, state.pose_rows(pokes.pose)
     features = _features(wrenches, state.matrix.shape[1])
     corrected = wrenches + features @ state.matrix.T
     force, moment = corrected[:, :3], corrected[:, 3:]

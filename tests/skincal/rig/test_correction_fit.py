@@ -71,6 +71,14 @@ def test_a_right_rig_misses_by_nothing_and_in_metres_by_how_far_the_point_is_off
     np.testing.assert_allclose(rig_rows(exact, right, places + aside, NOWHERE, FLAT, scales).distances, 0.004, rtol=1e-9)
 
 
+@pytest.mark.parametrize("unknown", ["", "ice", "zoo"])
+def test_a_pose_that_the_state_does_not_have_takes_no_other_ones_row(rng, unknown):
+    pokes, state, places, scales = some_rows(rng)
+    other = replace(pokes, pose=np.array([*pokes.pose[:-1].tolist(), unknown]))
+    with pytest.raises(KeyError, match=repr(unknown)):
+        rig_rows(other, state, places, NOWHERE, FLAT, scales)
+
+
 @lru_cache
 def trial(seed, errors, pokes, per_pose, off=None):
     """A rig, its contacts in all poses, landmark pokes (one `off` as (index, metres)) and the answer."""
