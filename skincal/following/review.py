@@ -19,10 +19,9 @@ from skincal.contacts.skin_pokes import SkinPokes
 from skincal.geometry import FloatArray, IntArray
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
-from skincal.model.scene import Landmark, Scene
+from skincal.model.scene import KnownDistance, Landmark, SkinSpec
 from skincal.model.wrench_frames import frame_in_question
 from skincal.modules.pose import ModuleModel
-from skincal.part.part import load_scene_surface
 from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer, RigRequest, correct_rig
@@ -97,7 +96,8 @@ class ReviewRequest(RigRequest):
 
     def load_part(self) -> tuple[Surface | None, ModuleModel | None]:
         """Load mesh and modules; `InputError` if the mesh is gone or has changed."""
-        return _load_part(pickle.dumps((self.mesh_sha256, self.scene)))
+        of = self.scene
+        return _load_part(pickle.dumps((self.mesh_sha256, of.surface, of.skin, of.distances)))
 
 
 def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: None) -> tuple[FrameDiagnosis | None, RigAnswer]:
@@ -127,7 +127,7 @@ def review_rig(request: ReviewRequest, between: Callable[[], None] = lambda: Non
     found, is_corrected = rig.correction if rig.used else None, RIG in request.used
     after = [found.corrected(contact) for contact in request.contacts] if found is not None and not is_corrected else None
     if model is None and (is_corrected or after is not None):
-        model = _model_of(request.scene, request.surface)
+        model = _model_of(request.scene.skin, request.scene.distances, request.surface)
     return Review(
         pokes=pokes,
         reported=dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True)),
@@ -140,9 +140,8 @@ def review_rig(request: ReviewRequest, between: Callable[[], None] = lambda: Non
     )
 
 
-def _model_of(scene: Scene, surface: Surface | None) -> ModuleModel | None:
-    layout = scene.skin.layout
-    return None if layout is None else ModuleModel(layout, scene.skin.anchor, surface, scene.distances)
+def _model_of(skin: SkinSpec, distances: Sequence[KnownDistance], surface: Surface | None) -> ModuleModel | None:
+    return None if skin.layout is None else ModuleModel(skin.layout, skin.anchor, surface, distances)
 
 
 def _places(request: ReviewRequest, contacts: Sequence[Contact], model: ModuleModel | None) -> dict[Method, FloatArray]:
@@ -157,12 +156,16 @@ def _places(request: ReviewRequest, contacts: Sequence[Contact], model: ModuleMo
 
 @lru_cache(maxsize=1)
 def _load_part(pickled: bytes) -> tuple[Surface | None, ModuleModel | None]:
-    """Load mesh and modules of a pickled scene, once for all reviews of a part. The mesh has the SHA-256 in front of it."""
-    mesh_sha256, scene = pickle.loads(pickled)
-    surface, _ = load_scene_surface(scene)
-    if surface is not None and scene.surface is not None and surface.sha256 != mesh_sha256:
-        raise InputError(f"{scene.surface.path}: the mesh changed since the session was opened; open it again.")
-    return surface, _model_of(scene, surface)
+    """Load mesh and modules of a part, once for all its reviews. Pickled: the mesh's SHA-256, its file, skin, distances."""
+    from skincal.mesh.load import load_surface
+
+    mesh_sha256, file, skin, distances = pickle.loads(pickled)
+    surface = None
+    if file is not None:
+        surface, _ = load_surface(file)
+        if surface.sha256 != mesh_sha256:
+            raise InputError(f"{file.path}: the mesh changed since the session was opened; open it again.")
+    return surface, _model_of(skin, distances, surface)
 
 
 class _GivenUpError(Exception):

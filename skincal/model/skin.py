@@ -132,6 +132,10 @@ class Layout:
     ) -> None:
         self.modules, self.width, self.path, self.text, self.given_kind = modules, width, path, text, given_kind
 
+    def __reduce__(self) -> tuple[type[Layout], tuple[object, ...]]:
+        """Pickle what was given: the bytes of a layout do not depend on the properties that were read."""
+        return Layout, (self.modules, self.width, self.path, self.text, self.given_kind)
+
     def with_modules(self, modules: tuple[Module, ...]) -> Layout:
         """Copy with other modules."""
         return Layout(modules, self.width, self.path, self.text, self.given_kind)

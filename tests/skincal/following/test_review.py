@@ -192,6 +192,18 @@ def test_a_mesh_that_changed_or_is_gone_is_said_and_a_part_without_one_needs_non
         ReviewRequest.from_session(Session(gone, None)).packed().load_part()
 
 
+def test_a_part_is_read_once_whatever_is_read_of_its_layout_or_changed_elsewhere_in_its_scene(session):
+    request, scene = sent(session), session.scene
+    layout = scene.skin.layout.with_modules(scene.skin.layout.modules)
+    there = replace(request, scene=replace(scene, skin=replace(scene.skin, layout=layout)))
+    part = there.load_part()
+    assert layout.spacing > 0.0
+    assert there.load_part() is part
+    other = replace(there.scene, landmarks=(), contacts=replace(scene.contacts, force_min=5.0))
+    assert replace(there, scene=other).load_part() is part
+    assert replace(there, scene=replace(there.scene, skin=replace(there.scene.skin, anchor=None))).load_part() is not part
+
+
 def test_work_gives_way_to_a_newer_request_unless_it_took_long(session, monkeypatch):
     assert review_packed(sent(session), lambda: False) is None
     steps = iter([True, True, False])
