@@ -66,6 +66,10 @@ class Pokes:
                 frozen.flags.writeable = False
                 object.__setattr__(self, each.name, frozen)
 
+    def __reduce__(self) -> tuple[type[Self], tuple[Any, ...]]:
+        """Pickle the given arrays: they are read-only in another process too, and nothing computed travels."""
+        return type(self), tuple(getattr(self, each.name) for each in fields(self))
+
     @staticmethod
     def collect(measured: Iterable[MeasuredPoke]) -> Pokes:
         """Collect pokes; those without a wrench are left out."""

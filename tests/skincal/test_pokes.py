@@ -1,5 +1,6 @@
 """Pokes as lines in space: each with its own pose of the sensor, the same numbers alone and among others, frozen."""
 
+import pickle
 from dataclasses import fields, replace
 from types import SimpleNamespace
 
@@ -68,6 +69,20 @@ def test_pokes_are_selected_joined_and_frozen(pressed):
     for each in fields(some):
         with pytest.raises(ValueError, match="read-only"):
             getattr(some, each.name)[0] = getattr(some, each.name)[1]
+
+
+def test_pokes_travel_as_their_given_arrays_and_are_frozen_again(pressed):
+    fresh = pickle.dumps(pressed)
+    assert pressed.landmark_miss.max() < 1e-13
+    assert pickle.dumps(pressed) == fresh, "nothing computed travels"
+    there = pickle.loads(fresh)
+    assert type(there) is LandmarkPokes
+    for each in fields(there):
+        assert getattr(there, each.name).tobytes() == getattr(pressed, each.name).tobytes()
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(there, each.name)[0] = getattr(there, each.name)[1]
+    assert there.landmark_miss.tobytes() == pressed.landmark_miss.tobytes()
+    assert pickle.loads(pickle.dumps(pressed[2])).number == 3
 
 
 def test_pokes_without_a_wrench_are_left_out():
