@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from PySide6.QtCore import QEvent, QObject, QSettings, QTimer, Signal
 from PySide6.QtGui import QAction
-from PySide6.QtWidgets import QFileDialog, QFrame, QTabWidget, QWidget
+from PySide6.QtWidgets import QApplication, QFileDialog, QFrame, QTabWidget, QWidget
 
 from app.commands import LAYERS, Commands
 from app.dialogs.apply_dialog import ApplyDialog, offered_port
@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
     from skincal.guide.verdict import Verdict
 
+DIALOG_CHECK_PERIOD_MS = 300  # Time between tries to open the verdict while a dialog is open
 DEMO_VERDICT_DELAY_MS = 3000  # The demonstration shows that it is finished for this long before the verdict opens
 MAX_EVENT_AGE_FOR_SOUND_S = 0.3  # Older events make no sound: the hand does something else by now
 RIGHT_PX, MIN_RIGHT_PX = 430, 400
@@ -210,7 +211,8 @@ class SessionView(QObject):
         self._cues = CueMemory()
         self._rig = RigReview()
         self._may, self._diversity = Memo[Allowed](), Memo[AxisDiversity | None]()
-        self._has_ended = False  # The verdict of the demonstration was opened
+        self._has_ended = False  # The demonstration has ended
+        self._is_verdict_due = False  # It opens without a key
         self._history: HistoryDialog | None = None
         self._thresholds: ThresholdsDialog | None = None
         self.state: ViewState | None = None  # What is shown; `None` before the first tick
@@ -286,8 +288,8 @@ class SessionView(QObject):
         self._announce_modules(state)
         if state.may.ends and self._controller.demo and not self._has_ended:
             # A spectator would not know that the demonstration is over.
-            self._has_ended = True
-            QTimer.singleShot(DEMO_VERDICT_DELAY_MS, self.workspace, self.ask_verdict)
+            self._has_ended = self._is_verdict_due = True
+            QTimer.singleShot(DEMO_VERDICT_DELAY_MS, self.workspace, self._show_due_verdict)
         self.workspace.show_state(state)
         self.chips.show_state(state)
         for dialog in (self._history, self._thresholds):
@@ -456,11 +458,21 @@ class SessionView(QObject):
     def _landmark_names(self) -> set[str]:
         return set() if self.state is None else {landmark.name for landmark in self.state.snapshot.decisions.landmarks}
 
+    def _show_due_verdict(self) -> None:
+        """Show the verdict unless it was shown meanwhile; an open question or dialog is answered first."""
+        if not self._is_verdict_due:
+            return
+        if QApplication.activeModalWidget() is not None:
+            QTimer.singleShot(DIALOG_CHECK_PERIOD_MS, self.workspace, self._show_due_verdict)
+            return
+        self.ask_verdict()
+
     def ask_verdict(self) -> None:
         """Show the verdict; it leads on to the file."""
         state, parent = self.state, self.workspace.window()
         if state is None or state.guidance is None:
             return
+        self._is_verdict_due = False
         found = None if state.review is None else state.review.rig
         verdict = self.guided.guide.verdict(state.snapshot, state.method, found)
         rig = rig_state(state.offers, state.snapshot.decisions.corrections.values(), state.review)

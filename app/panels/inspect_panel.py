@@ -7,6 +7,7 @@ the skin around the taxel, and a cross is their mean.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -172,6 +173,7 @@ class AxisDiversityPanel(QWidget):
         self.plot.set(diversity, diversity_view(diversity, state.method, state.eye))
 
 
+NO_TAXEL, HOW_TO_SELECT = "No taxel selected", "Click a taxel on the map or in the 3D view."
 ESTIMATE_ROWS = ("Position, mm", "Expected error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
 POKE_HEADINGS = ("Poke", "Weight k", "Trust", "Axis off by, mm")
 _POKE_HINTS = (
@@ -217,13 +219,13 @@ class InspectPanel(Panel):
         methods, names = guided.methods, guided.names
         self._methods, self._names = methods, names
         self._listed: tuple[object, ...] = ()
-        self.heading = QLabel("No taxel selected")
+        self.heading = QLabel(NO_TAXEL)
         set_bold(self.heading, TITLE_FONT_SIZE_PT)
         selectable = Qt.TextInteractionFlag.TextSelectableByMouse
         self.cells = {
             method: [QLabel(DASH, wordWrap=True, textInteractionFlags=selectable) for _ in ESTIMATE_ROWS] for method in methods
         }
-        self.reason = secondary_label("Click a taxel on the map or in the 3D view.", wrap=True)
+        self.reason = secondary_label(HOW_TO_SELECT, wrap=True)
         self.use = QPushButton("Do not use this taxel")
         self.use.setEnabled(False)
         self.diversity = AxisDiversityPanel(names)
@@ -251,14 +253,14 @@ class InspectPanel(Panel):
         self.use.clicked.connect(self._switch_use)
         self.worst.taxel_wanted.connect(self.taxel_wanted)
         self.pokes.itemActivated.connect(lambda item, _column: self.poke_wanted.emit(int(item.text(0))))
-        self.setWhatsThis("The selected taxel by each method. " + NOT_COVERED)
+        self.setWhatsThis("The selected taxel by each method; without one, the target. " + NOT_COVERED)
 
     def show_state(self, state: ViewState) -> None:
         self.diversity.show_state(state)
         super().show_state(state)
 
     def depends_on(self, state: ViewState) -> tuple[object, ...]:
-        return state.revision, state.method, state.guidance is None, state.selected
+        return state.revision, state.method, state.guidance is None, state.selected, state.focused_channel
 
     def update_view(self, state: ViewState) -> None:
         # Another selection changes the details, not the list of the worst.
@@ -268,8 +270,21 @@ class InspectPanel(Panel):
             self.worst.show_taxels(
                 [(estimate.channel, self._worst_words(estimate, part_size)) for estimate in worst(state.estimates)]
             )
-        if state.selected is not None:
-            self._show_taxel(state, state.selected)
+        channel = state.focused_channel
+        if channel is None:
+            self._show_none()
+        else:
+            self._show_taxel(state, channel)
+        # The target may change just before a click.
+        self.use.setEnabled(state.selected is not None)
+
+    def _show_none(self) -> None:
+        self.heading.setText(NO_TAXEL)
+        for label in chain.from_iterable(self.cells.values()):
+            label.setText(DASH)
+        self.reason.setText(HOW_TO_SELECT)
+        for widget in (self.rival, self.pokes_title, self.pokes):
+            widget.hide()
 
     def _show_taxel(self, state: ViewState, channel: int) -> None:
         found = {method: find_estimate(state.snapshot, method, channel) for method in self._methods}
@@ -287,7 +302,6 @@ class InspectPanel(Panel):
         self.rival.setVisible(shown is not None and bool(rival_words(shown)))
         self._list_pokes(() if shown is None else taxel_pokes(state.snapshot, shown), state.method)
         self.use.setText("Use this taxel again" if channel in state.snapshot.dead else "Do not use this taxel")
-        self.use.setEnabled(True)
 
     def _list_pokes(self, pokes: tuple[TaxelPoke, ...], method: Method) -> None:
         self.pokes_title.setText(f"Its pokes by the {method.value} method, newest first")

@@ -99,7 +99,7 @@ class ContactFacts:
     """Statistics of one taxel's contacts (see `TaxelStatistics`), SI units."""
 
     own: int
-    """Own pokes; by the modules method, of its module."""
+    """Own pokes of the taxel (it answered strongest); by the modules method the sum over all taxels of its module."""
     diversity: float = 0.0
     offset: float = 0.0
     """Length of the offset."""

@@ -57,7 +57,7 @@ LATE_ANGLES_ADVICE = (
 MISSED_ADVICE = "Press the landmark itself. If you did, its position in the scene may be wrong; N skips it."
 """Advice after a poke too far from the requested landmark."""
 _SHORT_REASONS: Mapping[Reason, str] = {
-    Reason.TWO_CONTACTS: "two contacts?",
+    Reason.TWO_CONTACTS: "second touch?",
     Reason.NOT_CONNECTED: "far apart",
     Reason.NO_TARE: "no pause",
     Reason.TARE_CHANGED: "zero changed",

@@ -9,7 +9,9 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox
 
+from app import session_view
 from app.dialogs.history_dialog import HistoryDialog
+from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.first_minute import FirstMinute
 from app.session.controller import DEMO_SPEED_FACTOR
 from app.session.opening import OpenRequest, server_command
@@ -135,6 +137,24 @@ def test_the_question_whether_to_keep_a_session_counts_the_pokes_that_come_meanw
     bench.until(lambda: f" {len(more.pokes)} poke" in bench.window._question.text(), 5000)
     monkeypatch.undo()
     answer(bench, "Cancel")
+
+
+def test_the_verdict_that_is_due_waits_until_an_open_question_is_answered(bench, monkeypatch):
+    poked(bench)
+    view = bench.window.session_view
+    monkeypatch.setattr(session_view, "DEMO_VERDICT_DELAY_MS", 0)
+    bench.window.close()
+    bench.until(lambda: isinstance(QApplication.activeWindow(), QMessageBox), 5000)
+    may = replace(view.state.may, ends=True)
+    monkeypatch.setattr(view, "_completed", lambda moment: replace(moment, may=may))
+    view.show()
+    bench.qtbot.wait(50)
+    assert isinstance(QApplication.activeModalWidget(), QMessageBox)
+    assert not bench.window.findChildren(VerdictDialog)
+    answer(bench, "Cancel")
+    bench.until(lambda: bool(bench.window.findChildren(VerdictDialog)), 5000)
+    monkeypatch.undo()
+    bench.window.findChildren(VerdictDialog)[0].reject()
 
 
 def told(bench) -> str:

@@ -32,6 +32,7 @@ from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import MarkDead, Revive
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, Rival, State
+from skincal.words.units import DASH
 from tests.app.guide_support import eye_of, guidance, target
 from tests.app.scene3d_support import contact, estimate
 from tests.app.window_support import (
@@ -261,7 +262,9 @@ def test_the_tab_shows_the_methods_the_reason_the_pokes_and_the_worst_taxels(qtb
     panel = shown(qtbot, InspectPanel(context()), (420, 700))
     panel.show_state(framed(diversity([push(20, 0)])))
     assert panel.diversity.isVisible()
-    assert panel.heading.text() == "No taxel selected"
+    assert panel.heading.text() == NAMES.long(3).capitalize()
+    assert panel.diversity.whose.text() == "Taxel 3, the target"
+    assert not panel.use.isEnabled(), "the target may change before the click"
     at = session(2, {3: estimate(3, (0.001, 0.002, 0.003))}, dead={4: "stuck at 255"})
     panel.show_state(frame(at, selected=3))
     assert not panel.diversity.isVisible()
@@ -290,6 +293,9 @@ def test_the_tab_shows_the_methods_the_reason_the_pokes_and_the_worst_taxels(qtb
     assert wanted.args == [1]
     panel.show_state(frame(session(4), selected=4))
     assert not panel.rival.isVisible()
+    panel.show_state(frame(session(5)))
+    assert panel.heading.text() == "No taxel selected", "nothing is left of the taxel that was selected"
+    assert panel.cells[Method.FREE][5].text() == DASH
 
 
 def test_an_ambiguous_taxel_tells_how_far_how_likely_and_what_to_do():
