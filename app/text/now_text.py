@@ -1,4 +1,8 @@
-"""Status line: what to do now, made from the state of a tick and a frozen memory of the ticks before."""
+"""Status line: what to do now, made from the state of a tick and a frozen memory of the ticks before.
+
+`_trouble` has the sentence for a lost link. Its second part comes from `link_detail` (`outcomes.py`); sentences on links that
+reports and commands share are in `skincal/words/link_words.py`.
+"""
 
 from __future__ import annotations
 

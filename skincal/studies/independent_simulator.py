@@ -1,4 +1,8 @@
-"""An independent simulator of contact and sensor, from first principles. It shares no code with the program.
+"""The second simulator: contact and sensor from first principles, independent of the first one and of the program.
+
+It shares types with the program: it reads a `Scene`, and puts its session into `Contact`, `Pokes` and `LandmarkPokes`, which
+carry arrays. What these types compute is not used here, so no truth is made with the code that it tries. An import contract and
+a test check it.
 
 A tip presses the outer face of a foam on a curved part. The taxels lie under the foam, on the mesh. The force/torque (F/T)
 sensor reads, in its own frame, through an arm that is not where its joints put it:

@@ -1,6 +1,6 @@
 """Sentences on links to devices.
 
-A transport words the reason of a lost link (`streams/transports/`); `app/text/now_text.py` has the headline.
+The sentence for a lost link: a transport words the reason (`streams/transports/`), `app/text/now_text.py` has the headline.
 """
 
 from __future__ import annotations

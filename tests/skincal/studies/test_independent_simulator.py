@@ -1,7 +1,7 @@
 """The second simulator against first principles, each by another route than its own, and what the program makes of it."""
 
 from collections import defaultdict
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
@@ -376,6 +376,15 @@ def test_another_scene_with_mesh_and_layout_is_poked_too():
     place = dict(zip(session.channels.tolist(), session.places, strict=True))
     assert (len(session.contacts), len(session.known), len(place)) == (40, 0, 4200)
     assert max(miss(each, place[int(each.channels[each.responses.argmax()])]) for each in session.contacts) < 1e-12
+
+
+def test_no_truth_is_made_with_what_the_types_of_pokes_compute(monkeypatch):
+    for name in ("axis_point", "crossed", "move_wrench", "pitch", "_lengths"):
+        monkeypatch.delattr(f"skincal.pokes.{name}")
+    scene, surface = forearm().scene, forearm().surface
+    session = simulate_session(scene, surface.vertices, surface.triangles, CASES["bad"], 1)
+    assert len(session.contacts)
+    assert vars(session.known).keys() == {each.name for each in fields(session.known)}
 
 
 def test_a_seed_says_everything():
