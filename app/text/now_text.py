@@ -201,6 +201,11 @@ def _settle(memory: NowMemory, at: ViewState) -> NowMemory:
     return memory
 
 
+def begin_sentence(words: str) -> str:
+    """Make the first letter a capital, unless the sentence begins with a device's address, which is case-sensitive."""
+    return words if "://" in words.partition(" ")[0] else f"{words[:1].upper()}{words[1:]}"
+
+
 def _trouble(at: ViewState) -> Now | None:
     if at.running is Running.OPENING:
         return Now(Tone.WAIT, "Opening", at.scene.name)
@@ -215,7 +220,7 @@ def _trouble(at: ViewState) -> Now | None:
         name = link_name(fault)
         how = "lost" if at.look(fault) is LinkStatus.LOST else "stuck"
         detail = link_detail(fault, at) or "Reconnecting automatically"
-        return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]} {how}", f"{detail[:1].upper()}{detail[1:]}")
+        return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]} {how}", begin_sentence(detail))
     return None
 
 

@@ -42,7 +42,11 @@ def verdict_words(verdict: Verdict) -> str:
 
 def unchecked_lines(results: SessionResults, unchecked: float | None) -> list[str]:
     """Format the possible shift of the taxels (m rms) by sensor and arm errors, which the predicted error leaves out."""
-    return [] if unchecked is None else [unchecked_sentence(unchecked, len(results.session.landmark_pokes))]
+    return [] if unchecked is None else [_unchecked(results, unchecked)]
+
+
+def _unchecked(results: SessionResults, unchecked: float) -> str:
+    return unchecked_sentence(unchecked, len(results.session.landmark_pokes), has_arm=results.session.scene.arm is not None)
 
 
 def poke_counts(snapshot: Snapshot) -> dict[str, Any]:

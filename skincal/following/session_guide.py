@@ -195,7 +195,8 @@ class SessionGuide:
         left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
         doubt = frame_in_doubt(snapshot.wrench_frames, snapshot.contacts)
         closings = closings_of(snapshot, noise)
-        return replace(verdict, unchecked=unchecked, left=left, closings=closings, frame_in_doubt=doubt)
+        has_arm = self._scene.arm is not None
+        return replace(verdict, unchecked=unchecked, left=left, closings=closings, frame_in_doubt=doubt, has_arm=has_arm)
 
     def axis_diversity(self, channel: int) -> AxisDiversity | None:
         """Describe the pokes of a channel; `None` while guidance is off or nothing is known. Call `next_target` before."""

@@ -269,6 +269,8 @@ class Verdict:
     in the prediction, or without an estimate."""
     closings: tuple[Closing, ...] = ()
     """Each closing check; the last one counts."""
+    has_arm: bool = True
+    """Whether the scene has joints of an arm."""
     landmarks_left: int = 0
     """Number of landmark pokes that the guide still requests."""
 

@@ -318,7 +318,7 @@ def _rig(facts: SessionFacts) -> ReportSection:
     said += [correction_sentence(each) for each in used.values()]
     said += [] if facts.results.rig is None else rig_sentences(facts.results.rig)[1 if RIG in used else 0 :]
     poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
-    said += [] if off is None else [unchecked_sentence(off, poked)]
+    said += [] if off is None else [unchecked_sentence(off, poked, has_arm=facts.verdict.has_arm)]
     said += distance_sentences(facts.results.snapshot.tried_distances)
     rows = [
         (

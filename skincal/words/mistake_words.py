@@ -143,6 +143,8 @@ def frame_sentence(found: FrameDiagnosis) -> str:
         )
         return f"The sensor frame {'is' if found.sure else 'looks'} right: pokes miss their landmarks by {passes}{whose}"
     wrong = f"The sensor frame looks wrong: {_frame_words(found.mistake)}."
+    if reported == millimetres(found.corrected_miss, 0):
+        return f"{wrong} The direction of the pushes shows it. The error at landmarks cannot show it: {passes}"
     return f"{wrong} Pokes miss their landmarks by {reported} now; corrected, by {passes}"
 
 

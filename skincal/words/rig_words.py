@@ -53,7 +53,10 @@ def correction_words(used: UsedCorrection) -> str:
     """Describe a correction, with the error before and after; without a full stop, since files use it in comments."""
     after, before = millimetres(used.after), millimetres(used.before)
     if used.of == FRAME:
-        return f"the sensor frame is corrected from {used.pokes} landmark pokes: their error falls from {before} to {after}"
+        # The axis of a force stays with an inverted sign.
+        falls = f"their error falls from {before} to {after}"
+        why = f"the pushes show its sign, their error at landmarks ({after}) cannot" if before == after else falls
+        return f"the sensor frame is corrected from {used.pokes} landmark pokes: {why}"
     errors = f"the error at landmarks left out of the fit falls from {before} to {after}"
     return f"sensor and arm are corrected from {used.pokes} landmark pokes: {errors}"
 
@@ -68,13 +71,14 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
     """Say whether sensor and arm can be corrected, then which landmark pokes count less."""
     if answer.correction is None:
         needs = f"it needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} different landmarks"
-        return (f"No correction of sensor and arm: {needs}; there are {len(answer.trust)} pokes at {answer.points}.",)
+        return (f"No correction of errors of the rig: {needs}; there are {len(answer.trust)} pokes at {answer.points}.",)
     before, after = millimetres(answer.before), millimetres(answer.after)
     errors = f"the error at landmarks left out of the fit is {after}, without a correction {before}"
     first = f"A correction of sensor and arm is ready: {errors}."
     if not answer.used:
         wanted = millimetres(answer.before * sqrt(MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT))
-        first = f"Sensor and arm are not corrected: {errors}; below {wanted} a correction would be offered."
+        errors = f"with a correction the error at landmarks left out of the fit would be {after}, without one it is {before}"
+        first = f"Errors of the rig are not corrected: {errors}; below {wanted} a correction would be offered."
     doubted = [
         f"Landmark poke {poke} is {millimetres(answer.distances[poke], 0)} from its landmark and "
         + ("does not count: was it another point?" if trust <= 0 else f"counts {trust:.0%}.")

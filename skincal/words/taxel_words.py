@@ -136,7 +136,7 @@ def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
     )
 
 
-def error_words(found: PredictedError | None, off: float | None) -> str:
+def error_words(found: PredictedError | None, off: float | None, *, has_arm: bool = True) -> str:
     """Format the expected error of a skin and what it leaves out; without a full stop, since files use it in comments.
 
     Parameters
@@ -148,18 +148,23 @@ def error_words(found: PredictedError | None, off: float | None) -> str:
         return "no taxel is estimated"
     if off is None or np.isnan(found.mean):
         return predicted_words(found)
-    return f"{predicted_words(found, apart=False)}; errors of sensor and arm may add about {millimetres(off)}"
+    return f"{predicted_words(found, apart=False)}; errors of {_rig_name(has_arm)} may add about {millimetres(off)}"
 
 
-def unchecked_sentence(off: float, landmark_pokes: int) -> str:
+def _rig_name(has_arm: bool) -> str:
+    return "sensor and arm" if has_arm else "the sensor"
+
+
+def unchecked_sentence(off: float, landmark_pokes: int, *, has_arm: bool = True) -> str:
     """Format the possible shift of the taxels by an uncorrected sensor and arm: `off` metres, root mean square."""
     advice = "Press landmarks to measure them."
     if landmark_pokes:
+        where = ", also in other arm poses" if has_arm else ""
         advice = (
-            f"{count(landmark_pokes, 'landmark poke')} cannot rule that out. Press landmarks again, also in other arm poses: "
+            f"{count(landmark_pokes, 'landmark poke')} cannot rule that out. Press landmarks again{where}: "
             "more pokes narrow it down."
         )
     return (
-        f"The expected error leaves out errors of sensor and arm. They usually shift the skin by about {millimetres(off)}. "
-        f"{advice}"
+        f"The expected error leaves out errors of {_rig_name(has_arm)}. "
+        f"They usually shift the skin by about {millimetres(off)}. {advice}"
     )

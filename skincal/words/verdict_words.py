@@ -98,7 +98,7 @@ def verdict_details(verdict: Verdict) -> str:
     error = ""
     if verdict.done == verdict.used and verdict.predicted is not None:
         unchecked = verdict.unchecked
-        words = error_words(verdict.predicted, unchecked) if unchecked else predicted_words(verdict.predicted, apart=False)
+        words = _error_words(verdict) if unchecked else predicted_words(verdict.predicted, apart=False)
         error = f"Expected error {words}."
     return " ".join(filter(None, (f"{states}." if states else "", error, _skin_words(verdict), _landmark_words(verdict))))
 
@@ -139,6 +139,10 @@ def _landmark_words(verdict: Verdict) -> str:
     return f"Landmarks agree only {_noise_words(landmarks)}." if landmarks.by_noise else "Landmarks agree."
 
 
+def _error_words(verdict: Verdict) -> str:
+    return error_words(verdict.predicted, verdict.unchecked, has_arm=verdict.has_arm)
+
+
 def _noise_words(landmarks: LandmarkAgreement) -> str:
     return f"with {landmarks.noisier:g} x the noise of the scene file"
 
@@ -148,10 +152,10 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
     states = f": {counted_states_words(verdict.states)}" if verdict.states else ""
     return (
         ("Finished", f"{verdict.done} of {count(verdict.used, 'taxel')} by the {verdict.method.value} method{states}"),
-        ("Expected error", error_words(verdict.predicted, verdict.unchecked)),
+        ("Expected error", _error_words(verdict)),
         ("Finished means", done_words(verdict.method, verdict.wanted)),
         ("Test pokes", check_words(verdict)),
-        ("Landmarks", agreement_words(verdict.landmarks)),
+        ("Landmarks", agreement_words(verdict.landmarks, has_arm=verdict.has_arm)),
         ("Final check", closing_words(verdict.closings)),
         ("Work", f"{duration(verdict.seconds)}, {poke_count_words(verdict.counts)}"),
     )
@@ -187,16 +191,18 @@ def check_words(verdict: Verdict) -> str:
     return f"{words}: errors are larger than expected. Check whether the part or the sensor moved, and the frames in the scene."
 
 
-def agreement_words(landmarks: LandmarkAgreement | None) -> str:
+def agreement_words(landmarks: LandmarkAgreement | None, *, has_arm: bool = True) -> str:
     """Compare the errors at landmarks with their expected size."""
     if landmarks is None:
         return f"not checked: needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} landmarks"
-    how = "sensor and arm corrected without them" if landmarks.corrected else "sensor and arm not corrected"
+    rig = "sensor and arm" if has_arm else "sensor"
+    how = f"{rig} corrected without them" if landmarks.corrected else f"{rig} not corrected"
     how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
     words = f"errors of {count(landmarks.pokes, 'landmark poke')} are {landmarks.ratio:.1f} x the expected size ({how})"
     if landmarks.agrees:
         return words
-    return f"{words}: too large. Check the positions of the landmarks, the sensor and the arm."
+    things = "the landmarks, the sensor and the arm" if has_arm else "the landmarks and the sensor"
+    return f"{words}: too large. Check the positions of {things}."
 
 
 def closing_words(closings: Sequence[Closing]) -> str:

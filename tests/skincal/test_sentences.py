@@ -14,11 +14,12 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import FrameDiagnosis, PokeAtOtherPoint
 from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
 from skincal.taxels.result import Cause, StateReason
+from skincal.taxels.shared_errors import PredictedError
 from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
 from skincal.words.link_words import STREAM_NAMES, link_verdict_words, outage_words, silent_links
 from skincal.words.mistake_words import frame_sentence
 from skincal.words.rig_words import correction_sentence, correction_words, rig_sentences
-from skincal.words.taxel_words import state_sentence, unchecked_sentence
+from skincal.words.taxel_words import error_words, state_sentence, unchecked_sentence
 from tests.approved import approved
 
 NEITHER = np.empty(0)
@@ -184,6 +185,8 @@ def test_a_correction_in_use_says_its_misses():
     assert correction_sentence(rig) == f"Sensor and arm {words}."
     frame = replace(rig, of=FRAME)
     assert correction_words(frame) == approved("rig.frame_corrected", pokes=21, with_mm=1.2, without_mm=7.4)
+    sign = replace(frame, before=0.0012)
+    assert correction_words(sign) == approved("rig.sign_corrected", pokes=21, miss_mm=1.2)
 
 
 def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_doubted():
@@ -199,7 +202,8 @@ def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_do
         approved("rig.poke_half_counted", poke=3, miss_mm=6, percent=50),
     )
     assert rig_sentences(good) == (approved("rig.correctable", misses=misses), *doubted)
-    assert rig_sentences(replace(good, used=False)) == (approved("rig.left_as_is", misses=misses, below_mm=5.2), *doubted)
+    left = approved("rig.left_as_is", with_mm=1.2, without_mm=7.4, below_mm=5.2)
+    assert rig_sentences(replace(good, used=False)) == (left, *doubted)
 
 
 RIGHT = FrameDiagnosis(True, True, True, 0.0024, 0.0024, Mistake(MistakeKind.NONE))
@@ -207,6 +211,12 @@ RIGHT = FrameDiagnosis(True, True, True, 0.0024, 0.0024, Mistake(MistakeKind.NON
 
 def wrong(mistake):
     return replace(RIGHT, right=False, miss=0.051, corrected_miss=0.006, mistake=mistake)
+
+
+def test_a_landmark_error_that_stays_is_not_the_reason_for_a_sign():
+    mistake = Mistake(MistakeKind.AXES, axes=-np.eye(3))
+    said = frame_sentence(replace(wrong(mistake), miss=0.001, corrected_miss=0.001))
+    assert said == approved("sensor_frame.wrong_sign", mistake=approved("sensor_frame.reaction"), miss_mm=1)
 
 
 def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
@@ -256,6 +266,13 @@ def test_a_sensor_that_sits_elsewhere_says_by_how_much(degrees):
 def test_landmarks_are_recommended_only_where_none_was_poked():
     assert unchecked_sentence(0.0075, 0) == approved("rig.unchecked", off_mm=7.5)
     assert unchecked_sentence(0.0075, 4) == approved("rig.unchecked_poked", off_mm=7.5, pokes=4)
+
+
+def test_without_an_arm_only_the_sensor_is_named():
+    assert unchecked_sentence(0.0075, 4, has_arm=False) == approved("rig.unchecked_without_arm", off_mm=7.5, pokes=4)
+    found = PredictedError(0.0011, 0.0017, 0.0, 0.0011)
+    words = approved("rig.predicted_without_arm", mean_mm=1.1, worst_mm=1.7, unchecked_mm=7.5)
+    assert error_words(found, 0.0075, has_arm=False) == words
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from app.text.now_text import (
     NowMemory,
     Said,
     Tone,
+    begin_sentence,
     now_line,
 )
 from app.text.outcomes import (
@@ -110,6 +111,12 @@ def test_an_accepted_poke_names_the_taxel_that_answered_most_and_the_force():
     assert says == approved("now.advice_two_contacts", seen_mm=12.3, most_mm=8.0)
     assert verdict_detail(slip(1), session(), Method.FREE, NAMES) == approved("now.advice_slid")
     assert pitch_of(poke) == pytest.approx(0.002)
+
+
+def test_an_address_keeps_its_small_letters():
+    refused = "socket://127.0.0.1:37709: connection refused"
+    assert begin_sentence(refused) == refused
+    assert begin_sentence("reconnecting automatically") == "Reconnecting automatically"
 
 
 def test_tilt_is_the_angle_to_the_inward_normal():
