@@ -425,6 +425,7 @@ def test_a_typed_number_is_taken_before_a_key_with_alt_acts(bench, tube):  # noq
     build.press(Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
     QTest.keyClicks(QApplication.focusWidget(), "30")
     build.press(Qt.Key.Key_D, alt)
+    bench.until(lambda: not step.under.isDown())  # Qt clicks at the release, 0.1 s after the key
     build.settle()
     assert build.draft.sensor_pose[2][3] == pytest.approx(-0.03), "30 mm below a part that stands on z = 0"
     build.press(Qt.Key.Key_I, alt)
