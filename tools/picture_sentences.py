@@ -39,6 +39,10 @@ _COUNT_OR_NAME = re.compile(r" [\d.]+$|^\S*[\d_]\S* ")
 """At the end or the beginning of a text, such as of a row in a list."""
 
 
+_FOLDERS_OF_A_PATH = re.compile(r"(?<![\w./])(?:/[\w.-]+)+/(?=[\w.-])")
+"""The folders of an absolute path, which differ on each machine."""
+
+
 class ProgramTexts:
     """Texts of the program's source: constants and templates, without docstrings, cut into sentences.
 
@@ -104,8 +108,11 @@ def program_texts() -> ProgramTexts:
 
 
 def choose_texts(shown: Iterable[str], texts: ProgramTexts) -> list[str]:
-    """Choose what is stored of a window's texts: each that the program contains, and each sentence; short others are data."""
-    plain = dict.fromkeys(_plain(text).strip() for text in shown)
+    """Choose what is stored of a window's texts: each that the program contains, and each sentence; short others are data.
+
+    Of a path only the last name is stored.
+    """
+    plain = dict.fromkeys(_FOLDERS_OF_A_PATH.sub("", _plain(text)).strip() for text in shown)
     return [text for text in plain if _count_words(text) and (_count_words(text) >= SENTENCE_MIN_WORDS or texts.has(text))]
 
 

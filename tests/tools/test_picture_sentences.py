@@ -75,6 +75,19 @@ def test_short_texts_that_are_no_part_of_the_program_are_data():
     assert choose_texts(["&Next", "l_forearm", "12.3", "a new sentence of mine"], texts) == ["Next", "a new sentence of mine"]
 
 
+def test_of_a_path_the_last_name_is_stored():
+    texts = ProgramTexts(['f"Recording in {folder}; Ctrl+S saves it now"'])
+    shown = "Recording in /somewhere/of-mine/monday; Ctrl+S saves it now"
+    assert choose_texts([shown, "rtde://127.0.0.1/a is the address here"], texts) == [
+        "Recording in monday; Ctrl+S saves it now",
+        "rtde://127.0.0.1/a is the address here",
+    ]
+
+
+def test_no_stored_sentence_has_a_path_of_a_machine():
+    assert not [text for stored in STORED.values() for text in stored["sentences"] if re.search(r"(?<![\w./:])/\w+/", text)]
+
+
 def test_sentences_are_stored_with_their_picture(tmp_path, monkeypatch):
     monkeypatch.setattr(picture_sentences, "PICTURES_FOLDER", tmp_path)
     monkeypatch.setattr(picture_sentences, "SENTENCES_FILE", tmp_path / "sentences.json")
