@@ -92,9 +92,10 @@ def test_garbage_at_the_speed_of_a_network_is_dropped_by_link_and_costs_the_othe
     assert process.returncode == 2, "the wrench gave no reading"
     assert sent[0] > 100 << 20
     recorded = sum(len(item.data) for item in SessionLog(tmp_path / "s").items() if is_of(item, "wrench"))
-    arrived = recorded + result["wrench"]["lost"][Loss.DROPPED.value]
-    assert sent[0] - IN_BUFFERS <= arrived <= sent[0]
-    assert recorded < 40 << 20
+    dropped = result["wrench"]["lost"][Loss.DROPPED.value]
+    assert sent[0] - IN_BUFFERS <= recorded + dropped <= sent[0]
+    # How much is recorded is told by the machine's speed: that memory stays small, and others are read, is told below.
+    assert dropped > 0
     assert told.count("bytes were dropped") <= 2 * FLOOD_S + 2
     assert Loss.DROPPED.value not in result["skin"]["lost"]
     frames = [item.host_ns for item in SessionLog(tmp_path / "s").items() if is_of(item, "skin")]
