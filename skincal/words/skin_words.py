@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from skincal.contacts.crowding import CrowdKind, find_crowd
-from skincal.contacts.outcome import Reason, Rejection
+from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.words.units import count
 
 if TYPE_CHECKING:
@@ -20,6 +20,10 @@ MIN_POKES_TO_JUDGE_SKIN = 6
 MIN_DRIFTING_POKES = 3
 MIN_SHARE_OF_UNANSWERED_POKES = 0.5
 """Share of the pokes that no taxel answered from which the reason is looked for in the skin's values."""
+MIN_CLEAR_POKES_OF_A_GOOD_SKIN = 3
+"""Pokes with a clear answer that show a good skin: the unanswered ones were beside its taxels."""
+CLEAR_ANSWER_MIN_THRESHOLDS = 2.0
+"""Clear answer over the smallest one that counts, `response_noises` times the noise."""
 CLIPPED_MIN_SHARE_OF_POKES = 0.02
 ANSWER_SHARE_FOR_THRESHOLD = 0.1
 """Proposed `response_min` over the median answer."""
@@ -57,7 +61,8 @@ def _unanswered(outcomes: Sequence[Outcome]) -> bool:
 
 
 def _noisy(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSettings) -> str:
-    if not (_unanswered(outcomes) and at.pokes >= MIN_POKES_TO_JUDGE_SKIN and at.answer_over_noise < used.response_noises):
+    is_small = at.pokes >= MIN_POKES_TO_JUDGE_SKIN and at.answer_over_noise < used.response_noises
+    if not (is_small and _unanswered(outcomes)) or _clear_pokes(at, outcomes, used) >= MIN_CLEAR_POKES_OF_A_GOOD_SKIN:
         return ""
     return (
         f"its noise at rest is as large as its answers: the strongest answer of a poke is {at.answer:.3g} raw units (median), "
@@ -66,9 +71,15 @@ def _noisy(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSettings
     )
 
 
+def _clear_pokes(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSettings) -> int:
+    """Count the pokes that a taxel answered far above the noise at rest."""
+    clear = CLEAR_ANSWER_MIN_THRESHOLDS * used.response_noises * at.noise
+    return sum(isinstance(each, Contact) and bool((each.responses >= clear).any()) for each in outcomes)
+
+
 def _small(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSettings) -> str:
     """Name a lower threshold if answers are clear, but below the threshold in raw units."""
-    is_clear = at.answer_over_noise >= 2.0 * used.response_noises or (at.answer > 0 and at.noise == 0)
+    is_clear = at.answer_over_noise >= CLEAR_ANSWER_MIN_THRESHOLDS * used.response_noises or (at.answer > 0 and at.noise == 0)
     if not (_unanswered(outcomes) and at.pokes >= MIN_POKES_TO_JUDGE_SKIN and is_clear and at.answer < used.response_min):
         return ""
     return (

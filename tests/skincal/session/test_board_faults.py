@@ -115,6 +115,18 @@ def test_noise_as_large_as_the_answers_is_named(tmp_path, capsys):
     assert "skin: its noise at rest is as large as its answers" in capsys.readouterr().out
 
 
+def test_most_pokes_beside_a_good_skin_are_no_noise_of_it(tmp_path, capsys):
+    """A wrong sign of the force or a mirrored layout leads the hand beside the skin; each taxel answers clearly if pressed."""
+    board = Board(rows=5, columns=5, pokes_each=1)
+    frames = poke(board, targets=range(16))
+    beside = np.arange(len(frames.times)) >= 3 * len(frames.times) // 16
+    answers = np.where(beside[:, None], 0.0, frames.answers)
+    snapshot = import_board(tmp_path, frames, np.round(frames.rest + answers + frames.noise))
+    assert len(snapshot.contacts) == 3
+    assert len(snapshot.pokes) == 16
+    assert "skin: its" not in capsys.readouterr().out
+
+
 def test_clear_answers_below_the_threshold_lead_to_a_threshold_that_counts_them(frames, tmp_path, capsys):
     scaled = frames.plain / 1000.0
     assert not import_board(tmp_path / "a", frames, scaled).contacts
