@@ -1,4 +1,7 @@
-"""Every page and panel at small sizes and with large text: nothing is cut, nothing lies outside the window."""
+"""Every page and panel at small sizes and with large text.
+
+Nothing is cut, nothing lies outside the window, no letter with Alt stands for two things, and each leads to a field.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from app.text_size import STEPS
 from app.theme import Choice
 from tests.app.cut_texts import cut_texts, outside
 from tests.app.every_page import builder_steps, every_page
+from tests.app.letters import collisions, labels_that_lead_nowhere
 from tests.app.whole_window import OPEN_MS
 
 SIZES = [((1366, 768), 100), ((1024, 700), 100), ((1024, 700), 150), ((1366, 768), 150)]
@@ -21,17 +25,19 @@ SIZE_NAMES = ["1366x768", "1024x700", "1024x700 at 150 %", "1366x768 at 150 %"]
 
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize(("size", "percent"), SIZES, ids=SIZE_NAMES)
-def test_nothing_is_cut_on_any_page(bench, recorded, monkeypatch, size, percent):
+def test_nothing_is_cut_on_any_page_and_each_letter_with_alt_leads_to_one_thing(bench, recorded, monkeypatch, size, percent):
     window = bench.window
     bench.theme.choose(Choice.DARK if percent == 100 else Choice.LIGHT)
     # The display of the tests is larger.
     monkeypatch.setattr(widgets, "room_of", lambda _: QRect(0, 0, *size))
     window.resize(*size)
     window.text_size.choose(percent)
-    found = {}
+    found, names = {}, set()
     for name, page in every_page(bench, recorded, monkeypatch):
+        names.add(name)
         bench.qtbot.wait(30)
-        problems = cut_texts(page) + outside(page)
+        problems = cut_texts(page) + outside(page) + labels_that_lead_nowhere(page)
+        problems += [f"{letter} stands for {texts}" for letter, texts in collisions(page).items()]
         if page is window:
             if window.size().toTuple() != size:
                 problems.append(f"the window has grown to {window.size().toTuple()}")
@@ -40,6 +46,7 @@ def test_nothing_is_cut_on_any_page(bench, recorded, monkeypatch, size, percent)
         if problems:
             found[name] = problems
     assert found == {}
+    assert len(names) > 25
 
 
 @pytest.mark.timeout(400)
