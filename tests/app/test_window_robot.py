@@ -13,7 +13,7 @@ from app.text.demo_text import FIRST_MINUTE_ROBOT
 from skincal.robot.target_lines import NoTarget
 
 pytest.importorskip("mujoco")
-POKES = 10
+POKES = 5
 POKING_MS = 240_000
 STOPPED_MM = 0.05
 
