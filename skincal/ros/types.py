@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -212,6 +213,7 @@ class MessageTypes:
         return name
 
 
+@lru_cache(maxsize=1024)
 def _field_of(name: str, description: Any) -> Field:
     """Describe a field from the type system's description of it."""
     from rosbags.interfaces import Nodetype

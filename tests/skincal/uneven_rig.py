@@ -60,15 +60,20 @@ class Recording:
     times: dict[Stream, FloatArray] = field(default_factory=dict)
     rows: dict[Stream, FloatArray] = field(default_factory=dict)
 
+    def copy_for(self, scene: Scene) -> Recording:
+        """Copy all readings, for a test that changes them or its scene file."""
+        times, rows = ({stream: values.copy() for stream, values in each.items()} for each in (self.times, self.rows))
+        return Recording(scene, times, rows)
+
     def keep(self, stream: Stream, which: np.ndarray) -> Recording:
         """Keep some readings of a stream."""
         self.times[stream], self.rows[stream] = self.times[stream][which], self.rows[stream][which]
         return self
 
 
-def record_rig(scene: Scene, moves: bool = True, seed: int = 4) -> Recording:
-    """Record 24 pokes of 8 N, four on each taxel, in two arm poses, or in one if the arm does not move."""
-    rng, found = np.random.default_rng(seed), Recording(scene)
+def record_rig(scene: Scene) -> Recording:
+    """Record 24 pokes of 8 N, four on each taxel, in two arm poses."""
+    rng, found = np.random.default_rng(4), Recording(scene)
     assert scene.arm is not None
     order = np.concatenate([rng.permutation(len(TAXELS)) for _ in range(POKES // len(TAXELS))])
     tilts = rng.uniform(-0.5, 0.5, (POKES, 2))
@@ -79,7 +84,7 @@ def record_rig(scene: Scene, moves: bool = True, seed: int = 4) -> Recording:
             poke, phase = divmod(time - BEGIN_S, POKE_S)
             poke = min(max(int(poke), 0), POKES - 1)
             level = float(np.clip(min(phase - 0.8, 1.6 - phase) / 0.1, 0.0, 1.0)) if BEGIN_S <= time < END_S - 1 else 0.0
-            share = float(np.clip((time - MOVE_S) / 0.6, 0.0, 1.0)) if moves else 0.0
+            share = float(np.clip((time - MOVE_S) / 0.6, 0.0, 1.0))
             angles = (1 - share) * POSES[0] + share * POSES[1]
             if stream is Stream.JOINTS:
                 rows.append(angles)

@@ -30,9 +30,14 @@ RIGHT_MM = 0.5
 """Largest error of a force axis with 0.02 N of noise; a wrong arm pose makes 20 and more."""
 
 
+@pytest.fixture(scope="module")
+def recorded_once(tmp_path_factory):
+    return record_rig(write_arm_scene(tmp_path_factory.mktemp("source")))
+
+
 @pytest.fixture
-def rig(tmp_path):
-    return record_rig(write_arm_scene(tmp_path / "source"))
+def rig(recorded_once, tmp_path):
+    return recorded_once.copy_for(write_arm_scene(tmp_path / "source"))
 
 
 @pytest.fixture
