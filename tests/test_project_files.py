@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from skincal.version import __version__
+from tools.launch import TIMING_FILES
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
@@ -38,3 +39,9 @@ def test_the_workflow_runs_the_commands_of_the_readme_on_each_system():
     run = [step["run"] for step in job["steps"] if "run" in step]
     assert [command.split()[:2] for command in run] == [["python", name] for name in commands]
     assert all((CHECKOUT / name).is_file() for name in commands)
+
+
+def test_each_test_that_must_run_alone_is_in_a_file_that_the_check_runs_alone():
+    marked = [path for path in (CHECKOUT / "tests").rglob("*.py") if "@pytest.mark.quiet" in path.read_text(encoding="utf-8")]
+    marked.remove(Path(__file__).resolve())
+    assert {path.relative_to(CHECKOUT).as_posix() for path in marked} == set(TIMING_FILES)

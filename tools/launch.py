@@ -60,7 +60,8 @@ CHECK_ARGUMENTS = {
 """Arguments for Python of each check; long ones first, for an even load."""
 PARALLEL_CHECKS = 3
 """For two cores: tests of devices and windows wait a quarter of their time."""
-TIMING_TESTS = {"pytest of what is measured": (*PYTEST_ARGUMENTS, "-m", "quiet", "tests/app", "tests/skincal/cli")}
+TIMING_FILES = ("tests/app/test_window_live.py", "tests/skincal/cli/test_cli_record.py")
+TIMING_TESTS = {"pytest of what is measured": (*PYTEST_ARGUMENTS, "-m", "quiet", *TIMING_FILES)}
 """Tests that must run alone, because they measure time."""
 
 IMPORT_CHECK = """

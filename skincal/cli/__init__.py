@@ -54,7 +54,6 @@ COMMAND_MODULES = (
     "report",
     "devices",
     "landmarks",
-    "tool",
     "record",
     "import_recording",
     "simulate",
