@@ -30,6 +30,7 @@ from app.session.controller import OPERATOR_PACES, Controller
 from app.session.opening import Addresses, OpenRequest, dated_folder, find_scene, is_shipped, server_command
 from app.sound.player import Player
 from app.state.running import Running
+from app.text.demo_text import GO_ON_SIMULATED
 from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
 from app.text.message import NO_ADDRESSES, PART_NOT_SAVED, Message, closed_words, connect_words, keep_question, look_words
 from app.text_size import TextSize
@@ -218,6 +219,9 @@ class Window(QMainWindow):
         controller.prepare = _import_session_view
         controller.confirmation_due.connect(
             lambda addresses: self._confirm_addresses(addresses, lambda: controller.resume(confirmed=True))
+        )
+        controller.simulation_due.connect(
+            lambda: self._offer("Go on with the simulated hand?", GO_ON_SIMULATED, "Go on", controller.simulate_again)
         )
         controller.recorded_elsewhere.connect(self._offer_to_look)
         controller.part_loaded.connect(self._make_session_view)

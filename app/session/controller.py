@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.session.opening import Addresses, OpenRequest, begin_session, find_scene, link_specs, open_recorded
+from app.session.opening import Addresses, OpenRequest, begin_session, find_scene, link_specs, open_recorded, same_rig_command
 from app.session.recording import Recording, SessionFolder, stop_all
 from app.state.memo import Memo
 from app.state.running import Running
-from app.text.demo_text import simulated_words
+from app.text.demo_text import UNKNOWN_RIG, simulated_words
 from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, empty_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService, raise_sentences
@@ -100,6 +100,7 @@ class Controller(QObject):
     recorded_elsewhere = Signal(object, str)  # `Path` of a session that another process records, and a sentence
     confirmation_due = Signal(object)
     """Addresses that a recorded session names: `resume(confirmed=True)` connects them."""
+    simulation_due = Signal()  # A session of a simulated hand is to go on: `simulate_again`
     stored = Signal(str)  # Sentence on the folder of the recording
 
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
@@ -269,7 +270,12 @@ class Controller(QObject):
         self.simulated = True
         if self.pace > 1:
             self.set_pace(self.pace)
-        self._start_recording()
+        recording = self._recording
+        if recording is None:
+            self._start_recording()
+        else:
+            recording.links, self._links_confirmed = links, True
+            self._connect(recording)
 
     def set_pace(self, pace: int) -> None:
         """Set the speed of the simulated operator; real devices get nothing."""
@@ -499,8 +505,28 @@ class Controller(QObject):
         # A read-only session connects nothing and says so.
         if self._links_confirmed or self._recording.pipeline.journal is None:
             self._connect(self._recording)
+            return
+        from skincal.files.reference import is_simulated, simulated_rig_options
+
+        folder = self._recording.storage.folder
+        if simulated_rig_options(folder):
+            self.simulation_due.emit()
+        elif is_simulated(folder):
+            self.said.emit(Message(UNKNOWN_RIG, found=True))
         else:
             self.confirmation_due.emit(tuple(link.address for link in self.links))
+
+    def simulate_again(self) -> None:
+        """Start the simulated rig and hand of a recorded session again, in a new segment of the recording."""
+        recording = self._recording
+        if recording is None or self.running is Running.STREAMING:
+            return
+        server, self._server = self._server, None
+        if server is not None:
+            server.release()
+        self._close_targets()
+        pipeline = recording.pipeline
+        self._start_server(same_rig_command(recording.storage.folder, pipeline.scene.path, len(pipeline.snapshot().clocks)))
 
     def change_addresses(self, addresses: Addresses) -> None:
         """Read the devices at other addresses from now on, in a new segment of the recording."""

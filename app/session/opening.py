@@ -83,6 +83,16 @@ def server_command(scene: Path | None, *, robot: bool = False) -> tuple[str, ...
     return (sys.executable, *program, "simulate", "--serve", "--tcp", *pokes, "--scene", name, "--json")
 
 
+def same_rig_command(folder: Path, scene: Path, part: int) -> tuple[str, ...]:
+    """Make the command that simulates the rig of a recorded session again, if its truth file names that.
+
+    `part` is the number of parts that the session has: each part has other noise and other pokes.
+    """
+    from skincal.files.reference import simulated_rig_options
+
+    return (*server_command(scene), *simulated_rig_options(folder), "--run", str(part))
+
+
 def check_addresses(addresses: Addresses) -> None:
     """Raise `InputError` if only one of the two devices that a poke needs is named, or an address has an unknown form."""
     if addresses and not (addresses.wrench and addresses.skin):

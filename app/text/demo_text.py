@@ -30,6 +30,16 @@ FIRST_MINUTE_ROBOT = (
 """The same for the demonstration with a robot that pokes."""
 FIRST_MINUTE_END = "Esc or a click closes this card."
 
+GO_ON_SIMULATED = (
+    "A simulated hand made the pokes of this session. The same hand can go on with the same simulated rig.\n\n"
+    "For devices of your own press Cancel, then A: change addresses."
+)
+"""Question before the simulated hand of a recorded session goes on."""
+UNKNOWN_RIG = (
+    "The pokes of this session are simulated, and its files do not name the simulated rig: no hand can go on here. Ctrl+N, "
+    "then Try it with a simulated hand, starts a new session of this scene. A: connect devices of your own."
+)
+
 
 def simulated_words(pace: int, running: Running) -> str:
     """Label of a simulated robot: `"SIMULATED  2x"`, with the pace of its operator; 0 without an operator."""

@@ -195,6 +195,23 @@ def find_truth(folder: Path, link: str, channels: Collection[int]) -> TaxelPosit
     return load_reference(path, link, channels, Origin.TRUTH) if path.is_file() else None
 
 
+def is_simulated(folder: Path) -> bool:
+    """Whether the pokes of a session are simulated."""
+    return (folder / TRUTH_NAME).is_file()
+
+
+def simulated_rig_options(folder: Path) -> tuple[str, ...]:
+    """Give the options of `simulate` that make the rig of a session again; empty if its truth file does not name the rig."""
+    try:
+        rig = parse_json(read_regular(folder / TRUTH_NAME, MAX_JSON_BYTES))[RIG_KEY]
+        seed, errors = rig["seed"], rig["errors"]
+    except (InputError, ValueError, KeyError, TypeError):
+        return ()
+    if not (isinstance(seed, int) and seed >= 0 and isinstance(errors, str) and errors.isalpha()):
+        return ()
+    return ("--seed", str(seed), "--errors", errors)
+
+
 def plan_reference(name: str, places: FloatArray) -> TaxelPositions | None:
     """Convert the planned positions of a scene's layout; `None` if it places no taxel.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -16,7 +17,7 @@ from app.panels.first_minute import FirstMinute
 from app.session.controller import DEMO_SPEED_FACTOR
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
-from app.text.demo_text import FIRST_MINUTE, pace_words, simulated_words
+from app.text.demo_text import FIRST_MINUTE, UNKNOWN_RIG, pace_words, simulated_words
 from app.text.message import Message, closed_words, kept_words
 from skincal.model.scene import resource
 from skincal.session.replay import replay
@@ -173,6 +174,23 @@ def test_a_kept_simulated_session_is_marked_and_asks_before_it_connects(bench):
     bench.until(lambda: simulated.text() == simulated_words(1, Running.OFFLINE), 5000)
     bench.key(Key.Key_Space)
     answer(bench, "Cancel")
+    assert bench.controller.running is Running.OFFLINE
+    before = len(bench.accepted())
+    truth = (kept / "truth.json").read_bytes()
+    bench.key(Key.Key_Space)
+    answer(bench, "Go on")
+    bench.until(lambda: bench.controller.running is Running.STREAMING, OPEN_MS)
+    bench.until(lambda: len(bench.accepted()) > before)
+    assert bench.controller.has_simulator
+    assert (kept / "truth.json").read_bytes() == truth
+    bench.window.leave()
+
+
+def test_a_session_of_an_unnamed_simulated_rig_says_how_to_go_on(bench, tmp_path):
+    folder = shutil.copytree(resource("sessions/sample"), tmp_path / "s")
+    bench.open(OpenRequest(session=folder))
+    bench.key(Key.Key_Space)
+    assert told(bench).endswith(UNKNOWN_RIG)
     assert bench.controller.running is Running.OFFLINE
     bench.window.leave()
 
