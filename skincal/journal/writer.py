@@ -32,7 +32,6 @@ from pathlib import Path
 from typing import Any, Concatenate, NoReturn, ParamSpec
 
 import numpy as np
-from mcap.writer import Writer
 
 from skincal.geometry import FloatArray
 from skincal.journal import ros_messages
@@ -50,6 +49,7 @@ from skincal.journal.documents import (
 from skincal.journal.line_file import LineWriter, lines_path
 from skincal.journal.lock import SessionLock, describe_lock_holder
 from skincal.journal.mcap_file import EVENT_TOPIC, RAW_TOPIC
+from skincal.journal.mcap_writer import McapWriter
 from skincal.journal.ros_messages import MESSAGE_SCHEMAS
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, MAX_TEXT_BYTES, read_regular
@@ -84,8 +84,6 @@ DECODED_TOPICS = {
     "/joints": "sensor_msgs/msg/JointState",
     "/temperature": "sensor_msgs/msg/Temperature",
 }
-CHUNK_BYTES = 16 << 20
-"""More than the data of half a second, so that MCAP's writer never starts a chunk by itself."""
 
 
 class JournalFailure(Exception):  # noqa: N818 - it is the failure of a device, as LinkError is
@@ -247,8 +245,8 @@ class JournalWriter:
     def write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
         """Append decoded wrenches, for other programs: (n,) s of the host's monotonic clock, (n, 6) N and N m, sensor frame."""
         at = np.maximum(0, np.rint(times_s * 1e9).astype(np.int64) - self._monotonic_ns + self._unix_ns)
-        for unix_ns, message in zip(at.tolist(), ros_messages.encode_wrenches(at, "ft_sensor", wrenches), strict=True):
-            self._add("/wrench", unix_ns, message.tobytes())
+        self._mcap.add_messages(self._channels["/wrench"], at, ros_messages.encode_wrenches(at, "ft_sensor", wrenches))
+        self._buffered = True
 
     @_stops_on_disk_error
     def write_temperature(self, host_ns: int, link: str, celsius: float) -> None:
@@ -329,8 +327,7 @@ class JournalWriter:
             on_error.pop_all()
 
     def _write_header(self, host_ns: int, *, continues: bool) -> None:
-        self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES)
-        self._mcap.start(profile="ros2", library=f"skincal {__version__}")
+        self._mcap = McapWriter(self._file, profile="ros2", library=f"skincal {__version__}")
         about = {
             "format": JOURNAL_FORMAT_VERSION,
             "segment": self._number,
@@ -363,7 +360,7 @@ class JournalWriter:
         self._begun_ns = host_ns
 
     def _add(self, topic: str, unix_ns: int, data: bytes, sequence: int = 0) -> None:
-        self._mcap.add_message(self._channels[topic], unix_ns, data, unix_ns, sequence=sequence)
+        self._mcap.add_message(self._channels[topic], unix_ns, data, sequence)
         self._buffered = True
 
     def _add_event(self, event: dict[str, Any]) -> None:
