@@ -191,6 +191,17 @@ def imports(path: Path) -> Iterator[str]:
             yield from (argument.value for argument in node.args if isinstance(argument, ast.Constant))
 
 
+def test_sentences_of_the_window_need_what_the_room_of_words_may_not_import() -> None:
+    """A file of `app/text` needs the window's state, or a room above `words`; see docs/decisions/words.md."""
+    contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    layers = next(each["layers"] for each in contracts if each["name"] == "imports run downward")
+    above = ("app.state.", *(f"skincal.{room}." for room in layers[: layers.index("words")]))
+    of_the_window = {"__init__.py", "help_text.py", "message.py"}
+    files = [path for path in (CHECKOUT / "app" / "text").glob("*.py") if path.name not in of_the_window]
+    assert len(files) > 5
+    assert [path.name for path in files if not any(name.startswith(above) for name in imports(path))] == []
+
+
 def test_what_is_imported_is_declared_and_what_is_declared_is_imported() -> None:
     files = [path for folder in ("app", "skincal") for path in (CHECKOUT / folder).rglob("*.py")]
     imported = {name.partition(".")[0] for path in files for name in imports(path)}

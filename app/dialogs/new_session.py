@@ -43,7 +43,6 @@ from app.session.opening import Addresses, OpenRequest, check_addresses, server_
 from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
 from app.state.view_state import LinkStatus, link_status
-from app.text.outcomes import preview_words
 from app.text_size import scaled, set_font
 from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
@@ -56,7 +55,7 @@ from skincal.session.importing import joint_columns
 from skincal.streams.decoders.line_parts import PartKind, split_parts
 from skincal.streams.links import parse_address
 from skincal.streams.ros_topics import FoundTopic, propose_topics
-from skincal.words.link_words import STREAM_NAMES
+from skincal.words.link_words import STREAM_NAMES, preview_words
 from skincal.words.units import rate
 
 ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"

@@ -12,7 +12,7 @@ from app.panels.panel import Panel
 from app.panels.widgets import ElidedLabel, digits_font, escape_tooltip, rich_label, secondary_label, set_bold, theme_colours
 from app.state.view_state import LinkStatus, ViewState
 from app.text.guidance_text import BETWEEN
-from app.text.outcomes import LinkWords, link_lines
+from app.text.link_text import LinkWords, link_lines
 from app.text_size import scaled, set_font
 from app.theme import WIDGET_GAP_PX
 from skincal.model.readings import LinkHealth, Stream

@@ -22,15 +22,15 @@ from app.panels.widgets import Painted, TaxelList, put_rows, secondary_label, se
 from app.state.memo import is_same
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
-from app.text.errors_text import MARK_POKES_WITH_TRUST_BELOW, MIN_TRUST_SHOWN_AS_FULL, TaxelPoke, rival_words, taxel_pokes
 from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, needs_words
-from app.text.outcomes import MARK_WORDS, find_estimate
+from app.text.mark_text import MARK_WORDS
 from app.theme import WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import MarkDead, Revive
-from skincal.taxels.result import Estimate, Method
-from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words
+from skincal.taxels.poke_figures import MIN_TRUST_SHOWN_AS_FULL, TaxelPoke, taxel_pokes
+from skincal.taxels.result import MIN_TRUST_OF_A_TOUCH, Estimate, Method
+from skincal.words.taxel_words import NOT_KNOWN_YET, rival_words, state_sentence, taxel_error_words
 from skincal.words.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
 
 if TYPE_CHECKING:
@@ -287,7 +287,7 @@ class InspectPanel(Panel):
             widget.hide()
 
     def _show_taxel(self, state: ViewState, channel: int) -> None:
-        found = {method: find_estimate(state.snapshot, method, channel) for method in self._methods}
+        found = {method: state.snapshot.estimate_of(channel, method) for method in self._methods}
         self.heading.setText(self._names.long(channel).capitalize())
         for method, estimate in found.items():
             for label, text in zip(self.cells[method], estimate_cells(estimate, state.snapshot.part_size), strict=True):
@@ -300,7 +300,7 @@ class InspectPanel(Panel):
         self.reason.setText("  ".join(filter(None, sentences)))
         self.rival.setText(f"\N{BLACK UP-POINTING TRIANGLE} {rival_words(shown)}")
         self.rival.setVisible(shown is not None and bool(rival_words(shown)))
-        self._list_pokes(() if shown is None else taxel_pokes(state.snapshot, shown), state.method)
+        self._list_pokes(() if shown is None else taxel_pokes(state.snapshot.contacts_newest_first(), shown), state.method)
         self.use.setText("Use this taxel again" if channel in state.snapshot.dead else "Do not use this taxel")
 
     def _list_pokes(self, pokes: tuple[TaxelPoke, ...], method: Method) -> None:
@@ -326,6 +326,6 @@ class InspectPanel(Panel):
 
 def poke_cells(poke: TaxelPoke) -> tuple[str, ...]:
     """Make the cells of `POKE_HEADINGS`."""
-    sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < MARK_POKES_WITH_TRUST_BELOW else ""
+    sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < MIN_TRUST_OF_A_TOUCH else ""
     trust = "1" if poke.trust >= MIN_TRUST_SHOWN_AS_FULL else number(poke.trust, 2)
     return (str(poke.poke), number(poke.weight, 2), sign + trust, cell(poke.miss, "m"))

@@ -24,14 +24,14 @@ from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 from app.panels.panel import Panel
 from app.panels.widgets import escape_tooltip, make_copyable, secondary_label, theme_colours
 from app.state.view_state import ViewState
-from app.text.errors_text import doubt_mark, doubt_words, doubting
-from app.text.outcomes import force_of, peak_channel, pitch_of, tilt_of
 from app.theme import WIDGET_GAP_PX
 from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.taxels.poke_figures import doubting, force_of, peak_channel, pitch_of, tilt_of
 from skincal.taxels.result import Estimate
 from skincal.words.poke_words import REASON_WORDS, missed_words, poke_count_words, rejection_words, short_rejection
+from skincal.words.taxel_words import doubt_mark, doubt_words
 from skincal.words.units import DASH, ChannelNames, cell, number
 
 if TYPE_CHECKING:

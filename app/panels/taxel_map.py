@@ -47,7 +47,7 @@ from app.scene3d.scene_state import StaticScene
 from app.state.policies import GOOD_RMS, Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
-from app.text.outcomes import MARK_WORDS, error_words, summary_words
+from app.text.mark_text import MARK_WORDS
 from app.text_size import scaled
 from app.theme import MODULE_HUES, WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
@@ -56,6 +56,7 @@ from skincal.model.scene import Scene
 from skincal.model.skin import Layout
 from skincal.taxels.result import Method, State
 from skincal.words.poke_words import poke_count_words
+from skincal.words.taxel_words import skin_error_words, summary_words
 from skincal.words.units import ChannelNames, millimetres, number
 
 MIN_HEIGHT_OVER_WIDTH_TO_TURN_MAP = 1.25
@@ -550,5 +551,5 @@ class MapCard(QFrame):
         if is_changed:
             self.progress.setText(summary_words(state.estimates))
             self.pokes.setText(poke_count_words(state.snapshot.poke_counts))
-            self.errors.setText(error_words(state.estimates, state.snapshot.part_size))
+            self.errors.setText(skin_error_words(state.estimates, state.snapshot.part_size))
             self.methods.setCurrentIndex(self.methods.findData(state.method))

@@ -8,9 +8,9 @@ from skincal.files.importers.preview import RecordingPreview, StreamPreview
 from skincal.model.errors import plain_text
 from skincal.model.readings import Stream
 from skincal.session.importing import Imported
-from skincal.words.units import DASH, count, number, rate
+from skincal.words.link_words import STREAM_NAMES
+from skincal.words.units import DASH, count, grouped, number, rate
 
-NAMES = {Stream.WRENCH: "Force/torque sensor", Stream.SKIN: "Skin", Stream.JOINTS: "Joints"}
 UNITS_OF = {Stream.WRENCH: "N, N m", Stream.SKIN: "raw", Stream.JOINTS: "\N{DEGREE SIGN}"}
 HEADINGS = ("Stream", "Rows", "Rate", "Lasts, s", "Values", "First row")
 READING_TEXT = "Reading the recording \N{HORIZONTAL ELLIPSIS}"
@@ -23,7 +23,7 @@ NO_FOLDER = "Choose a folder for the session."
 
 def kind_words(preview: RecordingPreview) -> str:
     """Name the kind of a recording and its streams."""
-    streams = ", ".join(NAMES[stream.stream].lower() for stream in preview.streams)
+    streams = ", ".join(STREAM_NAMES[stream.stream] for stream in preview.streams)
     return f"{preview.importer.title}: {streams}." + ("" if preview.findings else " No problems with its times.")
 
 
@@ -33,7 +33,7 @@ def stream_row(stream: StreamPreview) -> tuple[str, ...]:
     more = "  \N{HORIZONTAL ELLIPSIS}" if stream.width > len(stream.first) else ""
     first = f"{values}{more}  {UNITS_OF[stream.stream]}" if values else DASH
     return (
-        NAMES[stream.stream], f"{stream.rows:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"), rate(stream.rate),
+        STREAM_NAMES[stream.stream].capitalize(), grouped(stream.rows), rate(stream.rate),
         number(stream.seconds, 1), str(stream.width or DASH), first,
     )  # fmt: skip
 

@@ -1,6 +1,6 @@
 """Status line: what to do now, made from the state of a tick and a frozen memory of the ticks before.
 
-`_trouble` has the sentence for a lost link. Its second part comes from `link_detail` (`outcomes.py`); sentences on links that
+`_trouble` has the sentence for a lost link. Its second part comes from `link_detail` (`link_text.py`); sentences on links that
 reports and commands share are in `skincal/words/link_words.py`.
 """
 
@@ -27,14 +27,7 @@ from app.text.guidance_text import (
     target_words,
     why_words,
 )
-from app.text.outcomes import (
-    accepted_words,
-    landed_words,
-    link_detail,
-    peak_channel,
-    verdict_detail,
-    verdict_words,
-)
+from app.text.link_text import link_detail
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.press_coaching import PRESSING_PHASES
@@ -42,7 +35,9 @@ from skincal.guide.progress import GuideSettings
 from skincal.model.readings import LinkAnswer, Stream
 from skincal.session.snapshot import Snapshot
 from skincal.session.undo import LastOperation, OperationKind
+from skincal.taxels.poke_figures import peak_channel
 from skincal.words.link_words import link_name
+from skincal.words.outcome_words import accepted_words, landed_words, outcome_detail, outcome_headline
 from skincal.words.poke_words import MISSED_ADVICE, missed_words
 from skincal.words.units import count, newtons, number
 
@@ -256,11 +251,12 @@ def _ended(outcome: Outcome, memory: NowMemory, at: ViewState) -> tuple[Said, st
         lands = landed_words(outcome, at.names)
         tone = Tone.BAD if isinstance(outcome, Rejection) else Tone.GOOD
         return Said(tone, f"{number} {lands}{missed_words(missed)}"), MISSED_ADVICE
-    detail = verdict_detail(outcome, at.snapshot, at.method, at.names)
-    words = verdict_words(outcome, at.names)
+    peak = peak_channel(outcome)
+    detail = outcome_detail(outcome, at.snapshot.estimate_of(peak, at.method), at.snapshot.part_size, at.names)
+    words = outcome_headline(outcome, at.names)
     if isinstance(outcome, Rejection):
         return Said(Tone.BAD, f"{number} {words}"), detail
-    if memory.meant is not None and memory.meant != peak_channel(outcome):
+    if memory.meant is not None and memory.meant != peak:
         words = accepted_words(outcome, at.names, memory.meant)
     return Said(Tone.GOOD, f"{number} {words}"), BETWEEN.join(filter(None, (done_words(memory.done, at.names), detail)))
 

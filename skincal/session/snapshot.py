@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf
@@ -89,6 +89,16 @@ class Snapshot:
     @cached_property
     def _contacts(self) -> tuple[Contact, ...]:
         return tuple(record.outcome for record in self.pokes if isinstance(record.outcome, Contact) and not record.excluded)
+
+    def contacts_newest_first(self) -> Iterator[Contact]:
+        """Give the contacts that count, one by one: a list of the newest reads no older ones."""
+        return (
+            record.outcome for record in reversed(self.pokes) if not record.excluded and isinstance(record.outcome, Contact)
+        )
+
+    def estimate_of(self, channel: int | None, method: Method) -> Estimate | None:
+        """Find a channel's estimate by a method; `None` if it has none."""
+        return next((estimate for estimate in self.estimates.get(method, ()) if estimate.channel == channel), None)
 
     def evidence(self, channels: Collection[int]) -> Evidence:
         """Gather the evidence of those of `channels` that answered in a contact that counts, all with full weight.

@@ -139,6 +139,18 @@ def link_verdict_words(verdict: LinkVerdict) -> str:
             return verdict.answer.value
 
 
+def preview_words(health: LinkHealth) -> str:
+    """Describe the readings of a previewed link, or why it does not open."""
+    words = link_verdict_words(health.verdict)
+    if health.frames and health.verdict.answer is LinkAnswer.GOOD:
+        words += f", in the frame {' and '.join(health.frames)}"
+    if health.verdict.answer is LinkAnswer.NO_READING and health.verdict.line:
+        # The line itself is shown below, in colours.
+        words = f"data arrives, but no readings. {nearest_form_words(health.verdict)}"
+        return f"{words}. {health.text}" if health.text else words
+    return f"{words}: {health.text}" if health.text and health.verdict.answer is LinkAnswer.NO_ANSWER else words
+
+
 def outage_words(outages: Outages) -> str:
     """Count the breaks of a connection: `"interrupted once, 15 s without readings"`; empty without any."""
     if not outages.count:

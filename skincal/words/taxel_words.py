@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from skincal.contacts.outcome import Contact
 from skincal.model.errors import list_channels
-from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, State, StateReason
-from skincal.taxels.shared_errors import PredictedError, known_error
-from skincal.words.units import count, grouped, millimetres
+from skincal.taxels.poke_figures import miss_of
+from skincal.taxels.result import (
+    FORCE_AXIS_MAX_MISS_M,
+    MIN_TRUST_OF_A_TOUCH,
+    POSITION_MAX_SD_M,
+    Cause,
+    Estimate,
+    State,
+    StateReason,
+)
+from skincal.taxels.shared_errors import PredictedError, known_error, predicted_error
+from skincal.words.units import ChannelNames, count, grouped, millimetres, number
 
 STATE_SENTENCES = {
     Cause.UNPOKED: "No accepted poke touched this taxel.",
@@ -168,3 +178,39 @@ def unchecked_sentence(off: float, landmark_pokes: int, *, has_arm: bool = True)
         f"The expected error leaves out errors of {_rig_name(has_arm)}. "
         f"They usually shift the skin by about {millimetres(off)}. {advice}"
     )
+
+
+def summary_words(estimates: Sequence[Estimate]) -> str:
+    """Count the taxels of one method by their state: `"48 taxels: 28 touched, 20 inferred"`."""
+    return f"{count(len(estimates), 'taxel')}: {state_count_words(estimates)}"
+
+
+def skin_error_words(estimates: Sequence[Estimate], part_size: float) -> str:
+    """Say the expected error of the estimated taxels; empty if there are none. `part_size` is that of the snapshot."""
+    found = predicted_error(estimates, part_size)
+    return "" if found is None else f"expected error {predicted_words(found, apart=False)}"
+
+
+def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> str:
+    """Mark of a doubted poke in the list: `"weight 0.2 for taxel 205"`; may be empty."""
+    marked = [e for e in doubters if e.doubted[poke] < MIN_TRUST_OF_A_TOUCH]
+    if not marked:
+        return ""
+    more = f" +{len(marked) - 1}" if len(marked) > 1 else ""
+    return f"weight {number(marked[0].doubted[poke], 1)} for {names.taxel(marked[0].channel)}{more}"
+
+
+def doubt_words(contact: Contact, estimate: Estimate, names: ChannelNames) -> str:
+    """Give the trust in a poke for a taxel, and the reason."""
+    words = f"weight {number(estimate.doubted[contact.poke], 2)} for {names.taxel(estimate.channel)}"
+    miss = miss_of(contact, estimate)
+    return words if miss is None else f"{words}: its force axis is {millimetres(miss)} from the position by the other pokes"
+
+
+def rival_words(estimate: Estimate | None) -> str:
+    """Describe a second possible position of a taxel and what to do; empty if there is none."""
+    if estimate is None or estimate.rival is None or estimate.position is None:
+        return ""
+    away = millimetres(float(np.linalg.norm(estimate.rival.position - estimate.position)), 0)
+    odds = number(estimate.rival.odds, 0)
+    return f"A second position {away} away fits almost as well (odds {odds} to 1). Press from another side."

@@ -20,11 +20,11 @@ from app.dialogs.pedals import PedalsDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
-from app.text.outcomes import peak_channel
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import load_reference
 from skincal.guide.guidance import GuidePhase
 from skincal.session.replay import replay
+from skincal.taxels.poke_figures import peak_channel
 from skincal.taxels.result import Method, State
 from tests.app.whole_window import OPEN_MS
 from tests.app.window_support import changed, pixels

@@ -11,7 +11,6 @@ import pytest
 
 import skincal
 from app.panels.inspect_panel import estimate_cells
-from app.text.outcomes import error_words
 from skincal.cli import main
 from skincal.following.error_history import MAX, TAXELS, ErrorCourse
 from skincal.mesh.surface import Surface
@@ -20,7 +19,7 @@ from skincal.model.scene import resource
 from skincal.reporting.page import report_page
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 from skincal.taxels.shared_errors import max_known_error
-from skincal.words.taxel_words import taxel_error_words
+from skincal.words.taxel_words import skin_error_words, taxel_error_words
 from skincal.words.verdict_words import figures
 from tests.approved import approved
 
@@ -77,7 +76,7 @@ def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_pat
     facts = skincal.Session.load(SAMPLE).facts()
     errors = [1e3 * each.rms for each in facts.estimates if each.rms is not None]
     said = approved("now.predicted", mean_mm=f"{np.mean(errors):.1f}", worst_mm=f"{max(errors):.1f}")
-    assert error_words(facts.estimates, math.inf) == said
+    assert skin_error_words(facts.estimates, math.inf) == said
     for words in ((), ("--format", "icub", "--out", str(tmp_path / "positions.txt"))):
         assert main(["export" if words else "solve", SAMPLE, *words]) == 0
         assert f"; {said};" in capsys.readouterr().out
@@ -98,7 +97,7 @@ def test_an_error_that_is_large_for_the_part_is_not_known_yet_wherever_it_is_sai
     unknown = len(every) - len(errors)
     said = approved("now.predicted_some", **counts, unknown=unknown) if errors else approved("now.predicted_unknown")
     assert (unknown > 0, bool(errors)) == (True, size == 0.2)
-    assert error_words(facts.estimates, size) == said
+    assert skin_error_words(facts.estimates, size) == said
     for words in (["solve", SAMPLE], ["export", SAMPLE, "--method", "free", "--format", "icub", "--out", tmp_path / "at.txt"]):
         assert main([str(word) for word in words]) == 0
         assert f"; {said};" in capsys.readouterr().out

@@ -15,23 +15,15 @@ from app.panels.taxel_map import TaxelMap
 from app.panels.top_view import CONTACT_PLOT_RADIUS_M, RIM_SINE, SHADE_POINTS_PER_SIDE, diversity_view
 from app.session.opening import OpenRequest
 from app.state.camera_pose import PLAIN_POSE
-from app.text.errors_text import (
-    MAX_LISTED_POKES_PER_TAXEL,
-    doubt_mark,
-    doubt_words,
-    doubting,
-    miss_of,
-    rival_words,
-    taxel_pokes,
-    weight_of,
-)
 from app.text.guidance_text import FOLLOWS, REDUCED_ERROR_WORDS, diversity_words
 from app.theme import DARK, LIGHT
 from skincal.guide.candidates import candidate_pushes
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import MarkDead, Revive
 from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.poke_figures import MAX_LISTED_POKES_PER_TAXEL, doubting, miss_of, taxel_pokes, weight_of
 from skincal.taxels.result import Estimate, Method, Rival, State
+from skincal.words.taxel_words import doubt_mark, doubt_words, rival_words
 from skincal.words.units import DASH
 from tests.app.guide_support import eye_of, guidance, target
 from tests.app.scene3d_support import contact, estimate
@@ -232,14 +224,14 @@ def test_weight_and_miss_are_those_of_the_methods():
 
 def test_the_pokes_of_a_taxel_come_newest_first_without_excluded_ones():
     at = session(1, {3: doubted(3, p2=0.2)}, [touch(1), touch(2), touch(3), touch(4, (5,))], excluded=[3])
-    pokes = taxel_pokes(at, at.estimates[Method.FREE][3])
+    pokes = taxel_pokes(at.contacts_newest_first(), at.estimates[Method.FREE][3])
     assert [(poke.poke, poke.weight, poke.trust) for poke in pokes] == [(2, 1.0, 0.2), (1, 1.0, 1.0)]
     assert poke_cells(pokes[0])[:3] == ("2", "1.00", "\N{CIRCLE WITH LEFT HALF BLACK} 0.20")
     assert poke_cells(pokes[1])[2] == "1"
-    assert taxel_pokes(at, Estimate(3, Method.FREE, State.DEAD, 0)) == ()
+    assert taxel_pokes(at.contacts_newest_first(), Estimate(3, Method.FREE, State.DEAD, 0)) == ()
     many = session(1, {3: doubted(3)}, [touch(poke) for poke in range(2, MAX_LISTED_POKES_PER_TAXEL + 2)])
     unread = replace(many, pokes=(None, *many.pokes))
-    listed = taxel_pokes(unread, many.estimates[Method.FREE][3])
+    listed = taxel_pokes(unread.contacts_newest_first(), many.estimates[Method.FREE][3])
     assert [poke.poke for poke in listed] == list(range(MAX_LISTED_POKES_PER_TAXEL + 1, 1, -1)), "older ones are not even read"
 
 

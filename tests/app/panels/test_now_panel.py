@@ -17,10 +17,10 @@ from app.state.press_coach import HintKind, LeanDirection, PressHint
 from app.state.running import Running
 from app.text.guidance_text import enough_words, hint_words, lean_words
 from app.text.now_text import Now, NowMemory, Said, Tone, now_line
-from app.text.outcomes import verdict_words
 from app.theme import DARK, HEADLINE_FONT_SIZE_PT, LIGHT
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
+from skincal.words.outcome_words import outcome_headline
 from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, eye_of, guidance, held, target
 from tests.app.window_support import (
     NAMES,
@@ -73,8 +73,8 @@ def every_headline() -> list[str]:
     """What the line may say, at its longest."""
     lean, names = LeanDirection(7, away=True), Long()
     says = guidance(ASKED)
-    said = [verdict_words(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
-    said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), f"counted for {names.taxel(11)}  11.2 N"]
+    said = [outcome_headline(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
+    said += [outcome_headline(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), f"counted for {names.taxel(11)}  11.2 N"]
     said += [f"Press {names.taxel(11)}, lean 28{DEGREE} {lean_words(lean, names)}", enough_words(guidance(done=range(24)), ())]
     said += [
         hint_words(PressHint(ask, amount, lean), ASKED, names)

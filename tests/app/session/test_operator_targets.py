@@ -16,7 +16,6 @@ from PySide6.QtCore import Qt
 from app.__main__ import main
 from app.session.controller import MAX_UNSOLVED_TAXELS
 from app.session.opening import Addresses, OpenRequest, server_command
-from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
 from skincal.cli.record import OrderLine, _loop
 from skincal.geometry import axis_point, move_wrench
@@ -31,6 +30,7 @@ from skincal.robot.target_lines import GREETING
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
+from skincal.taxels.poke_figures import peak_channel
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 from tests.skincal.poke_script import outcome_key, same_estimates

@@ -16,6 +16,7 @@ from app.session.opening import Addresses, dated_folder, link_specs
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
 from app.state.view_state import LinkStatus
+from app.text.link_text import link_words
 from app.text.now_text import (
     IDLE_PHASE_DEBOUNCE_S,
     LAST_ACTION_SHOWN_S,
@@ -26,22 +27,16 @@ from app.text.now_text import (
     begin_sentence,
     now_line,
 )
-from app.text.outcomes import (
-    error_words,
-    link_words,
-    pitch_of,
-    preview_words,
-    summary_words,
-    tilt_of,
-    verdict_detail,
-    verdict_words,
-)
 from skincal.contacts.outcome import RAW_UNIT, PressPhase, Reason
 from skincal.model.actions import Exclude, MissedLandmark, Revive
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
 from skincal.session.undo import History, LastOperation, OperationKind
+from skincal.taxels.poke_figures import pitch_of, tilt_of
 from skincal.taxels.result import Estimate, Method, State
+from skincal.words.link_words import preview_words
+from skincal.words.outcome_words import outcome_detail, outcome_headline
 from skincal.words.poke_words import rejection_words
+from skincal.words.taxel_words import skin_error_words, summary_words
 from skincal.words.units import DASH, ChannelNames, age, count, duration, number, point_mm, quantity, rate
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import decided, estimate
@@ -98,18 +93,18 @@ def test_a_rejection_names_its_number_and_its_limit():
     assert rejection_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW_UNIT)) == approved(
         "now.none_answered", largest=4.3, needed="12.0"
     )
-    assert verdict_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW_UNIT), NAMES) == "rejected: no taxel answered"
+    assert outcome_headline(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW_UNIT), NAMES) == "rejected: no taxel answered"
     assert rejection_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "sensor zero changed"
 
 
 def test_an_accepted_poke_names_the_taxel_that_answered_most_and_the_force():
     poke = touch(1, (2, 5, 4), (20.0, 90.0, 30.0))
-    assert verdict_words(poke, NAMES) == "accepted: taxel 5, 11.2 N"
+    assert outcome_headline(poke, NAMES) == "accepted: taxel 5, 11.2 N"
     twice = slip(1, Reason.TWO_CONTACTS, 0.0123, 0.008, "m")
-    assert verdict_words(twice, NAMES) == approved("now.rejected_two_contacts")
-    says = verdict_detail(twice, session(), Method.FREE, NAMES)
+    assert outcome_headline(twice, NAMES) == approved("now.rejected_two_contacts")
+    says = outcome_detail(twice, None, math.inf, NAMES)
     assert says == approved("now.advice_two_contacts", seen_mm=12.3, most_mm=8.0)
-    assert verdict_detail(slip(1), session(), Method.FREE, NAMES) == approved("now.advice_slid")
+    assert outcome_detail(slip(1), None, math.inf, NAMES) == approved("now.advice_slid")
     assert pitch_of(poke) == pytest.approx(0.002)
 
 
@@ -137,8 +132,10 @@ def test_the_state_of_a_session_in_words():
     gap = "\N{NARROW NO-BREAK SPACE}"
     many = summary_words(known.estimates[Method.FREE] * 600)
     assert many == f"14{gap}400 taxels: 1{gap}200 touched, 13{gap}200 untouched"
-    assert error_words(known.estimates[Method.FREE], known.part_size) == approved("now.predicted", mean_mm=3.5, worst_mm=5.2)
-    assert error_words(session().estimates[Method.FREE], math.inf) == ""
+    assert skin_error_words(known.estimates[Method.FREE], known.part_size) == approved(
+        "now.predicted", mean_mm=3.5, worst_mm=5.2
+    )
+    assert skin_error_words(session().estimates[Method.FREE], math.inf) == ""
 
 
 def test_a_silent_link_says_when_not_how_long_so_that_nothing_moves():
