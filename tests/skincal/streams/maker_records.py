@@ -5,10 +5,12 @@ import struct
 
 import numpy as np
 from cobs import cobs as reference_cobs
+from hypothesis import strategies as st
 
 from skincal.devices.decoding import pack
 from skincal.devices.netft import PAGE, RECORDS, given_page
 from skincal.devices.registry import FAMILIES, load_family
+from tests.skincal.poke_script import skt_line
 
 VECTORS = {vector.format: vector for file in FAMILIES for vector in reversed(load_family(file).vectors)}
 """The first vector of each format."""
@@ -34,6 +36,22 @@ def skb_skin(seq, t_us, values, dtype="<u2"):
 
 def skb_wrench(seq, t_us, wrench, status=0):
     return skb(2, seq, t_us, struct.pack("<6fI", *wrench, status))
+
+
+@st.composite
+def record_streams(draw, name):
+    """Records of skins of 5 taxels and of wrenches, of the format `skb` or `skt`."""
+    records = []
+    for seq in range(draw(st.integers(1, 8))):
+        if draw(st.booleans()):
+            values = draw(st.lists(st.integers(0, 65535), min_size=5, max_size=5))
+            text = f"T,{seq},{1000 + seq},{','.join(map(str, values))}"
+            records.append(skb_skin(seq, 1000 + seq, values) if name == "skb" else skt_line(text))
+        else:
+            wrench = draw(st.lists(st.floats(-1e3, 1e3, width=32), min_size=6, max_size=6))
+            text = f"F,{seq},{1000 + seq},{','.join(map(repr, wrench))},0"
+            records.append(skb_wrench(seq, 1000 + seq, wrench) if name == "skb" else skt_line(text))
+    return records
 
 
 def rdt_packets(records, page=None):

@@ -1,10 +1,9 @@
-"""SKT/1 and SKB/1: published vectors, any cuts, garbage, damage, and what is counted.
+"""SKT/1 and SKB/1: published vectors, garbage, damage, and what is counted.
 
 The published example records are those of the formats' description: `origin: built`, `source: this document`.
 """
 
 from collections import Counter
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -21,32 +20,13 @@ from skincal.streams.decoders.skb import SkbDecoder, unstuffed
 from skincal.streams.decoders.skt import SktDecoder
 from tests.approved import approved
 from tests.skincal.poke_script import skt_line
-from tests.skincal.streams.maker_records import SKB_TAXELS, SKT_TAXELS, skb, skb_skin, skb_wrench
+from tests.skincal.streams.cut_bytes import fed, readings
+from tests.skincal.streams.maker_records import SKB_TAXELS, SKT_TAXELS, record_streams, skb, skb_skin, skb_wrench
 
 ALL = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
 SKB_WRENCH = bytes.fromhex("020206D20450D412010103C03F010310C00103F0410101023E010102BF0103803D0101010366EC00")
 SKT_WRENCH = b"F,1234,1234000,1.50,-2.25,30.00,0.1250,-0.5000,0.0625,0*512C\n"
 SKT_HEADER = b"H,skt1,board=left-forearm-A,n=84,rate=50,unit=raw,bits=12*C2AD\n"
-
-
-def readings(batches):
-    """All readings as (stream, seq, device time, values, flags), in the order of each stream."""
-    out = {stream: [] for stream in Stream}
-    for batch in batches:
-        for i, row in enumerate(batch.values):
-            flags = bool(batch.saturated[i]), bool(batch.invalid[i])
-            stamp = None if np.isnan(batch.device_s[i]) else round(float(batch.device_s[i]), 9)
-            out[batch.stream].append((int(batch.seq[i]), stamp, tuple(map(str, row.tolist())), flags))
-    return out
-
-
-def fed_in_pieces(decoder, data, cuts):
-    edges = [0, *sorted(cuts), len(data)]
-    return [batch for a, b in pairwise(edges) for batch in decoder.feed(data[a:b])]
-
-
-def fed_bytewise(decoder, data):
-    return [batch for byte in data for batch in decoder.feed(bytes([byte]))]
 
 
 # ------------------------------------------------------------------ published vectors
@@ -62,7 +42,7 @@ def fed_bytewise(decoder, data):
     ],
 )
 def test_published_records(cls, record, stream, seq, device_s, values):
-    for (batch,) in (cls(4, ALL).feed(record), fed_bytewise(cls(4, ALL), record)):
+    for (batch,) in (cls(4, ALL).feed(record), fed(cls(4, ALL), record, range(1, len(record)))):
         assert (batch.stream, batch.seq.tolist(), batch.values.tolist()) == (stream, [seq], [values])
         assert batch.device_s.tolist() == pytest.approx([device_s], abs=1e-12)
         assert not batch.saturated.any()
@@ -78,48 +58,18 @@ def test_published_header_record_is_compared_with_the_scene(channels, words):
     assert all(word in decoder.device_message for word in words)
 
 
-# ------------------------------------------------------------------ cuts, garbage, damage
-
-
-@st.composite
-def streams(draw):
-    """A byte stream of records of one format with garbage between them; and the records."""
-    cls = draw(st.sampled_from([SkbDecoder, SktDecoder]))
-    records = []
-    for seq in range(draw(st.integers(1, 8))):
-        if draw(st.booleans()):
-            values = draw(st.lists(st.integers(0, 65535), min_size=5, max_size=5))
-            text = f"T,{seq},{1000 + seq},{','.join(map(str, values))}"
-            records.append(skb_skin(seq, 1000 + seq, values) if cls is SkbDecoder else skt_line(text))
-        else:
-            wrench = draw(st.lists(st.floats(-1e3, 1e3, width=32), min_size=6, max_size=6))
-            text = f"F,{seq},{1000 + seq},{','.join(map(repr, wrench))},0"
-            records.append(skb_wrench(seq, 1000 + seq, wrench) if cls is SkbDecoder else skt_line(text))
-    return cls, records
+# ------------------------------------------------------------------ garbage, damage
 
 
 @settings(max_examples=60, deadline=None)
-@given(streams(), st.data())
-def test_how_the_bytes_are_cut_never_matters(stream, data):
-    cls, records = stream
-    raw = b"".join(records) + data.draw(st.binary(max_size=30))
-    whole = cls(5, ALL)
-    expected = readings(whole.feed(raw))
-    cuts = data.draw(st.lists(st.integers(0, len(raw)), max_size=12))
-    for decoder, batches in ((d := cls(5, ALL), fed_in_pieces(d, raw, cuts)), (d := cls(5, ALL), fed_bytewise(d, raw))):
-        assert readings(batches) == expected
-        assert decoder.counts == whole.counts
-    assert sum(map(len, expected.values())) == len(records)
-
-
-@settings(max_examples=60, deadline=None)
-@given(streams(), st.data())
-def test_garbage_between_records_costs_no_record_that_is_delimited(stream, data):
-    cls, records = stream
-    mark = cls.mark
+@given(st.sampled_from(["skb", "skt"]), st.data())
+def test_garbage_between_records_costs_no_record_that_is_delimited(name, data):
+    cls = {"skb": SkbDecoder, "skt": SktDecoder}[name]
+    mark, records = cls.mark, data.draw(record_streams(name))
     garbage = st.binary(max_size=60).filter(lambda b: mark not in b)
     raw = mark + b"".join(data.draw(garbage) + mark + record for record in records)
     clean = readings(cls(5, ALL).feed(mark + b"".join(records)))
+    assert sum(map(len, clean.values())) == len(records)
     assert readings(cls(5, ALL).feed(raw)) == clean
 
 
@@ -173,9 +123,10 @@ def test_record_over_the_size_limit_is_dropped_and_counted_once():
     longest = list(range(1, (1024 - 8) // 2 + 1))
     assert SkbDecoder(None, ALL).feed(skb_skin(1, 1, longest))[0].values.tolist() == [longest]
     for cls, record in ((SkbDecoder, SKB_TAXELS), (SktDecoder, SKT_TAXELS)):
-        for feed in (cls.feed, fed_bytewise):
+        raw = cls.mark + b"\x05" * (5 * cls.limit) + cls.mark + record
+        for cuts in ((), range(1, len(raw))):
             decoder = cls(4, ALL)
-            (batch,) = feed(decoder, cls.mark + b"\x05" * (5 * cls.limit) + cls.mark + record)
+            (batch,) = fed(decoder, raw, cuts)
             assert batch.seq.tolist() == [17]
             assert decoder.counts == Counter({Loss.UNREADABLE: 1})
 

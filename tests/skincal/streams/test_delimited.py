@@ -1,12 +1,10 @@
 """Delimited text without a checksum, and which format a link is found to speak."""
 
 from collections import Counter
-from itertools import chain, pairwise
+from itertools import chain
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.auto_detect import ASSUME_TEXT_AFTER_BYTES, LinkDecoder
@@ -137,19 +135,6 @@ def test_named_numbers_and_microseconds():
     (batch,) = decoder.feed(f"seq,t_us,a\n1,{top - 20_000},0\n2,0,0\n6,80000,0\n".encode())
     assert decoder.counts == Counter({Loss.MISSING: 3})
     np.testing.assert_allclose(np.diff(batch.device_s), [0.02, 0.08], atol=1e-9)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.binary(max_size=300).map(lambda b: b.replace(b"\x07", b"\n1,2,3\n").replace(b"\x08", b"\n\n")), st.data())
-def test_how_the_bytes_are_cut_never_matters(raw, data):
-    whole = TextDecoder(3, SKIN)
-    expected = str(values(whole.feed(raw)))
-    cuts = [0, *sorted(data.draw(st.lists(st.integers(0, len(raw)), max_size=10))), len(raw)]
-    for edges in (cuts, range(len(raw) + 1)):
-        decoder = TextDecoder(3, SKIN)
-        pieces = [b for a, z in pairwise(edges) for b in decoder.feed(raw[a:z])]
-        assert str(values(pieces)) == expected
-        assert decoder.counts == whole.counts
 
 
 # ------------------------------------------------------------------ detection

@@ -20,6 +20,7 @@ from skincal.streams.intake import LinkIntake
 from skincal.streams.links import LinkSpec
 from skincal.words.link_words import link_verdict_words
 from tests.approved import approved
+from tests.skincal.streams.cut_bytes import assert_cuts_never_matter
 from tests.skincal.wrench_frame_support import PADS_M, RATE_HZ, write_scene
 
 SKIN, WRENCH = (Stream.SKIN,), (Stream.WRENCH,)
@@ -170,12 +171,7 @@ def assert_same(found, expected, name):
 def test_frames_of_a_form_are_read_however_its_bytes_are_cut(name):
     raw = "".join(FORMS[name](k, frame) for k, frame in enumerate(FRAMES)).encode()
     raw += b"\r" * (name == "carriage return")
-    decoder = TextDecoder(WIDTH, SKIN)
-    found = values(decoder.feed(raw))
-    assert_same(found, FRAMES, name)
-    bytewise = TextDecoder(WIDTH, SKIN)
-    assert values(batch for at in range(len(raw)) for batch in bytewise.feed(raw[at : at + 1])) == found
-    assert bytewise.counts == decoder.counts
+    assert_same(values(assert_cuts_never_matter(lambda: TextDecoder(WIDTH, SKIN), raw)), FRAMES, name)
     size = len(FORMS[name](1, FRAMES[1]))
     for begin in range(1, size):
         late = values(TextDecoder(WIDTH, SKIN).feed(raw[begin : begin + 8 * size]))

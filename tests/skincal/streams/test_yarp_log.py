@@ -150,28 +150,6 @@ def test_an_endless_line_is_counted_once_and_left():
     assert decoder.counts == {Loss.UNREADABLE: 1}
 
 
-PIECES = st.one_of(
-    st.just(f"4 2.5 {WORDS}\n".encode()),
-    st.just(f"5 2.6 () () () () () ((({WORDS}) 1)) () () () ()\n".encode()),
-    st.just(b"6 2.7 \n"),
-    st.just(b"6 2.7 1 2 3\n"),
-    st.just(b"7 2.7 (1 2\n"),
-    st.binary(max_size=12),
-)
-
-
-@given(st.lists(PIECES, max_size=8), st.data())
-def test_how_the_bytes_are_cut_never_matters(pieces, data):
-    stream = b"".join(pieces)
-    whole, cut = YarpDecoder(None, (Stream.WRENCH,)), YarpDecoder(None, (Stream.WRENCH,))
-    at_once = whole.feed(stream)
-    marks = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
-    by_parts = [b for i, j in zip([0, *marks], [*marks, len(stream)], strict=True) for b in cut.feed(stream[i:j])]
-    assert whole.counts == cut.counts
-    rows = [np.vstack([batch.values for batch in batches]) if batches else np.empty((0, 6)) for batches in (at_once, by_parts)]
-    np.testing.assert_array_equal(rows[0], rows[1])
-
-
 def as_text(item: object) -> str:
     if isinstance(item, list):
         return "(" + " ".join(map(as_text, item)) + ")"
