@@ -115,7 +115,7 @@ COMMANDS = (
     Command("closing", "Poke", "Repeat the final check", "Shift+F",
             "Poke some of the first points again, to see if anything moved",
             view(lambda v: v.check_again()), may(lambda m: m.ends)),
-    Command("correct", "Poke", "Correct sensor and arm", "C",
+    Command("correct", "Poke", "Correct errors of the rig", "C",
             "Apply the correction that landmark pokes offer; it can be undone",
             view(lambda v: v.correct()), may(lambda m: _correction_label(m))),
     Command("undo", "Poke", "Undo", "Backspace Ctrl+Z", "Undo the last poke or action",

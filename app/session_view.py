@@ -209,7 +209,7 @@ class SessionView(QObject):
         self._moment: ViewState | None = None  # Of the newest tick, without the selection and what follows from it
         self._clock_offset_s = time.time() - time.monotonic()
         self._cues = CueMemory()
-        self._rig = RigReview()
+        self._rig = RigReview(has_arm=part.scene.arm is not None)
         self._may, self._diversity = Memo[Allowed](), Memo[AxisDiversity | None]()
         self._has_ended = False  # The demonstration has ended
         self._is_verdict_due = False  # It opens without a key
@@ -367,9 +367,9 @@ class SessionView(QObject):
 
     def correct(self) -> None:
         if self.state is not None and self.state.offers:
-            action = self.state.offers[0].action
-            if self._controller.act(action):
-                self.said.emit(Message(corrected_words(action)))
+            offer = self.state.offers[0]
+            if self._controller.act(offer.action):
+                self.said.emit(Message(corrected_words(offer)))
 
     def skip_target(self) -> None:
         self._act_and_follow(self.guided.guide.skip())
@@ -475,7 +475,8 @@ class SessionView(QObject):
         self._is_verdict_due = False
         found = None if state.review is None else state.review.rig
         verdict = self.guided.guide.verdict(state.snapshot, state.method, found)
-        rig = rig_state(state.offers, state.snapshot.decisions.corrections.values(), state.review)
+        used = state.snapshot.decisions.corrections.values()
+        rig = rig_state(state.offers, used, state.review, has_arm=verdict.has_arm)
         can_export, settled = state.may.export, not state.offers
         dialog = VerdictDialog(verdict, self.workspace.names, parent, rig=rig, can_export=can_export, settled=settled)
         dialog.taxel_wanted.connect(self.select_taxel)

@@ -42,7 +42,7 @@ class VerdictDialog(Dialog):
 
     Parameters
     ----------
-    rig : sentence on the errors of sensor and arm
+    rig : sentence on the errors of the rig
     settled : no correction is available that would change the estimates
     """
 
@@ -65,7 +65,7 @@ class VerdictDialog(Dialog):
         self._channels = [left.channel for left in verdict.left]
         self.sentence = QLabel(verdict_headline(verdict), wordWrap=True)
         self.details = QLabel(verdict_details(verdict), wordWrap=True)
-        shown = (*figures(verdict), *((("Sensor and arm", rig),) if rig else ()))
+        shown = (*figures(verdict), *((("Sensor and arm" if verdict.has_arm else "Sensor", rig),) if rig else ()))
         self.figures = [(name, QLabel(value, wordWrap=True)) for name, value in shown]
         self.heading = secondary_label(f"{count(len(verdict.left), 'taxel')} not finished. Enter selects one in the views.")
         self.left = table("unfinished taxels", HEADINGS)

@@ -121,7 +121,7 @@ class ComparePanel(Panel):
         self.add_session.setToolTip("Compare with another recorded session, by each of its methods")
         set_bold(self.summary)
         self.setWhatsThis(
-            "Differences between two sets of taxel positions. Errors of sensor and arm move whole modules, so the difference "
+            "Differences between two sets of taxel positions. Errors of the rig move whole modules, so the difference "
             "of a module has two parts: its shift, and its shape, the rest after the best rotation and shift."
         )
 

@@ -1,4 +1,4 @@
-"""The Rig tab: landmarks of the part, errors of sensor and arm that their pokes show, and the arm's pose."""
+"""The Rig tab: landmarks of the part, errors of the rig that their pokes show, and the arm's pose."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _COLUMN_HINTS = (
     "Distance of the force axes from it, as reported and with the correction that was found",
 )
 NO_LANDMARKS = "No landmarks. Name some in the scene ([[landmarks]]), or press K and click a known point of the part."
-REVIEW_RUNNING = "Computing the errors of sensor and arm …"
+REVIEW_RUNNING = "Computing the errors of the rig …"
 NO_LANDMARK_POKES = "Press landmarks: three pokes check the sensor's frame. Six or more, at four landmarks, can correct them."
 
 
@@ -91,7 +91,7 @@ class ArmPanel(QWidget):
 
 
 class RigPanel(Panel):
-    """Errors of sensor and arm, and the correction that is available or in use."""
+    """Errors of the rig, and the correction that is available or in use."""
 
     title = "Rig"
 
@@ -113,8 +113,8 @@ class RigPanel(Panel):
         if self.arm is not None:
             self.arm.pose_wanted.connect(lambda name: self.action_wanted.emit(SetPose(name)))
         self.setWhatsThis(
-            "Pokes at landmarks, known points of the part, show errors of sensor and arm: the sensor's frame, its matrix, the "
-            "arm's poses. A correction is applied only if you choose it, and can be undone. One landmark in four is left out "
+            "Pokes at landmarks, known points of the part, show errors of the rig: the sensor's frame, its matrix, the poses "
+            "of an arm. A correction is applied only if you choose it, and can be undone. One landmark in four is left out "
             "of the fit; a correction is offered only if it lowers the error there."
         )
 
@@ -165,4 +165,6 @@ def _words(state: ViewState) -> str:
         return NO_LANDMARKS
     if state.review is None:
         return REVIEW_RUNNING if state.snapshot.at_landmarks else NO_LANDMARK_POKES
-    return "\n".join(review_words(state.review, state.snapshot, state.method, state.estimates))
+    return "\n".join(
+        review_words(state.review, state.snapshot, state.method, state.estimates, has_arm=state.scene.arm is not None)
+    )

@@ -38,10 +38,12 @@ class Offer:
     frame: FrameDiagnosis | None = None
     """Diagnosis behind a correction of the sensor's frame."""
     replaces: bool = False
-    """It replaces a correction of sensor and arm that was found from other pokes."""
+    """It replaces a correction of the rig that was found from other pokes."""
+    has_arm: bool = True
+    """Whether joints of an arm carry the part."""
 
 
-def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
+def offers_of(review: Review | None, snapshot: Snapshot, *, has_arm: bool = True) -> tuple[Offer, ...]:
     """Return the available corrections, at most one: the sensor's frame first, since all else was found under it."""
     if review is None or review.used is not snapshot.decisions.corrections:
         return ()
@@ -49,17 +51,18 @@ def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
     if action is None:
         return ()
     if action.of == FRAME and review.frame is not None:
-        return (Offer(action, review.frame),)
+        return (Offer(action, review.frame, has_arm=has_arm),)
     used = review.used.get(RIG)
     if used is not None and used.pokes == len(review.pokes):
         return ()
-    return (Offer(action, replaces=used is not None),)
+    return (Offer(action, replaces=used is not None, has_arm=has_arm),)
 
 
 class RigReview:
     """The newest review, and the offers that were announced."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, has_arm: bool = True) -> None:
+        self._has_arm = has_arm
         self.review: Review | None = None
         self._announced = set[tuple[str, bool, bool, str]]()
         self._offers = Memo[tuple[Offer, ...]]()
@@ -71,7 +74,9 @@ class RigReview:
 
     def offers(self, snapshot: Snapshot) -> tuple[Offer, ...]:
         """Return the available corrections; the same objects until something changes."""
-        return self._offers.get((self.review, snapshot.decisions.corrections), lambda: offers_of(self.review, snapshot))
+        return self._offers.get(
+            (self.review, snapshot.decisions.corrections), lambda: offers_of(self.review, snapshot, has_arm=self._has_arm)
+        )
 
     def news(self, snapshot: Snapshot) -> Offer | None:
         """Return an available correction of a kind that was not announced yet, once."""

@@ -60,11 +60,11 @@ def landmark_words(landmark: LandmarkTarget) -> str:
 
 
 def gain_words(gain: Gain | None) -> str:
-    """Predict the error of sensor and arm after more landmark pokes; empty if unknown."""
+    """Predict the error of the rig after more landmark pokes; empty if unknown."""
     if gain is None:
         return ""
     now, after = cell(gain.now, "m"), millimetres(gain.after)
-    return f"after {count(gain.pokes, 'poke')} the sensor and arm error should fall from {now} to {after}"
+    return f"after {count(gain.pokes, 'poke')} the error of the rig should fall from {now} to {after}"
 
 
 def why_words(guidance: Guidance, target: Target, dead: Collection[int], part_size: float = math.inf) -> str:

@@ -39,6 +39,7 @@ from skincal.taxels.poke_figures import peak_channel
 from skincal.words.link_words import link_name
 from skincal.words.outcome_words import accepted_words, landed_words, outcome_detail, outcome_headline
 from skincal.words.poke_words import MISSED_ADVICE, missed_words
+from skincal.words.taxel_words import rig_name
 from skincal.words.units import count, newtons, number
 
 MIN_POKE_RESULT_SHOWN_S = 2.5
@@ -288,7 +289,8 @@ def _guided(at: ViewState) -> Now:
     if at.lacks_pose:
         return _ask_pose(at)
     if guidance is not None and guidance.phase is GuidePhase.ENOUGH:
-        first = "C: apply the correction of sensor and arm. " if at.offers else ""
+        rig = rig_name(at.scene.arm is not None)
+        first = f"C: apply the correction of {rig}. " if at.offers else ""
         return Now(Tone.GOOD, enough_words(guidance, dead), first + end_words(guidance, dead))
     if guidance is not None and at.target is not None:
         return Now(

@@ -1,4 +1,4 @@
-"""Sentences of the Rig tab: errors of sensor and arm, and their correction."""
+"""Sentences of the Rig tab: errors of the rig, and their correction."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from app.state.policies import Offer
 from skincal.following.review import Review
-from skincal.model.actions import Correct
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.session.corrections import used_of
 from skincal.session.snapshot import Snapshot
@@ -17,6 +16,7 @@ from skincal.taxels.result import Estimate, Method
 from skincal.words.layout_words import distance_sentences
 from skincal.words.mistake_words import frame_sentence
 from skincal.words.rig_words import correction_sentence, rig_sentences
+from skincal.words.taxel_words import rig_name
 from skincal.words.units import DASH, cell, millimetres
 
 
@@ -24,7 +24,8 @@ def offer_text(offer: Offer) -> str:
     """Label the button of an available correction."""
     if offer.frame is not None:
         return "Correct the sensor frame"
-    return "Update the correction of sensor and arm" if offer.replaces else "Correct sensor and arm"
+    rig = rig_name(offer.has_arm)
+    return f"Update the correction of {rig}" if offer.replaces else f"Correct {rig}"
 
 
 def offer_words(offer: Offer) -> str:
@@ -32,9 +33,9 @@ def offer_words(offer: Offer) -> str:
     if offer.frame is None:
         now, then = cell(offer.action.before, "m"), millimetres(offer.action.after)
         lowers = f"the error at landmarks left out of the fit falls from {now} to {then}"
-        return f"A correction of sensor and arm is ready: {lowers}."
+        return f"A correction of {rig_name(offer.has_arm)} is ready: {lowers}."
     perhaps = "" if offer.frame.sure else " Another mistake is almost as likely: press another landmark."
-    return frame_sentence(offer.frame) + perhaps
+    return frame_sentence(offer.frame, has_arm=offer.has_arm) + perhaps
 
 
 def offer_news(offer: Offer) -> str:
@@ -42,9 +43,10 @@ def offer_news(offer: Offer) -> str:
     return f"{offer_words(offer)} C: apply. Rig tab: details and undo."
 
 
-def corrected_words(action: Correct) -> str:
+def corrected_words(offer: Offer) -> str:
     """Announce that a correction is applied."""
-    return f"{correction_sentence(used_of(action))} Backspace undoes it until the next poke, the Rig tab at any time."
+    corrected = correction_sentence(used_of(offer.action), has_arm=offer.has_arm)
+    return f"{corrected} Backspace undoes it until the next poke, the Rig tab at any time."
 
 
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:
@@ -62,11 +64,13 @@ def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -
     return f"It {verb} the taxels by {millimetres(float(apart.mean()))} on average, at most {millimetres(float(apart.max()))}."
 
 
-def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """List the sentences on sensor and arm, most important first."""
-    frame, rig, found = review.frame, review.rig, rig_sentences(review.rig)
-    said = [] if frame is None else [frame_sentence(frame)]
-    said += [correction_sentence(used) for used in snapshot.decisions.corrections.values()]
+def review_words(
+    review: Review, snapshot: Snapshot, method: Method, estimates: Sequence[Estimate], *, has_arm: bool = True
+) -> tuple[str, ...]:
+    """List the sentences on errors of the rig, most important first."""
+    frame, rig, found = review.frame, review.rig, rig_sentences(review.rig, has_arm=has_arm)
+    said = [] if frame is None else [frame_sentence(frame, has_arm=has_arm)]
+    said += [correction_sentence(used, has_arm=has_arm) for used in snapshot.decisions.corrections.values()]
     if RIG not in snapshot.decisions.corrections:
         said += found[:1]
     elif not rig.used:
@@ -75,16 +79,16 @@ def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: 
     return tuple(filter(None, (*said, moved, *found[1:], *distance_sentences(snapshot.tried_distances))))
 
 
-def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
-    """Summarise the errors of sensor and arm, which held-out pokes of the skin hardly show."""
+def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None, *, has_arm: bool = True) -> str:
+    """Summarise the errors of the rig, which held-out pokes of the skin hardly show."""
     if offers:
         return f"{offer_words(offers[0])} C: apply. Rig tab: details."
-    in_use = " ".join(correction_sentence(correction) for correction in used)
+    in_use = " ".join(correction_sentence(correction, has_arm=has_arm) for correction in used)
     if in_use:
         return in_use
     if review is not None and len(review.pokes):
-        return rig_sentences(review.rig)[0]
-    return "not checked, since no landmark was pressed: an error of sensor or arm shifts all taxels together"
+        return rig_sentences(review.rig, has_arm=has_arm)[0]
+    return f"not checked, since no landmark was pressed: an error of {rig_name(has_arm)} shifts all taxels together"
 
 
 def landmark_rows(snapshot: Snapshot, review: Review | None, pose: str) -> list[tuple[str, ...]]:

@@ -257,21 +257,22 @@ def _rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
     frame, answer, used = results.frame, results.rig, results.session.decisions.corrections
     if answer is None:
         return {}, []
+    has_arm = results.session.scene.arm is not None
     rig: dict[str, Any] = {"landmark_pokes": len(results.session.landmark_pokes), "used": answer.used}
     rig["corrections"] = [
         {"of": each.of, "before_mm": each.before * 1e3, "after_mm": each.after * 1e3} for each in used.values()
     ]
     if frame is not None:
-        words = frame_sentence(frame)
+        words = frame_sentence(frame, has_arm=has_arm)
         rig["frame"] = {"right": frame.right, "sure": frame.sure, "miss_mm": frame.miss * 1e3, "words": words}
     if answer.correction is not None:
         rig |= {"held_out_before_mm": answer.before * 1e3, "held_out_after_mm": answer.after * 1e3}
         rig["held_out_over_predicted"] = answer.ratio
         rig["noise_over_scene"] = answer.noisier
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
-    lines = [] if frame is None else [frame_sentence(frame)]
-    lines += [correction_sentence(each) for each in used.values()]
-    return rig, lines + list(rig_sentences(answer)[1 if RIG in used else 0 :])
+    lines = [] if frame is None else [frame_sentence(frame, has_arm=has_arm)]
+    lines += [correction_sentence(each, has_arm=has_arm) for each in used.values()]
+    return rig, lines + list(rig_sentences(answer, has_arm=has_arm)[1 if RIG in used else 0 :])
 
 
 def _estimates_if_corrected(results: SessionResults) -> Estimates | None:

@@ -23,6 +23,7 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.taxels.gains import TaxelGain, taxel_gains
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
+from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import error_words
 
 DEFAULT_FOOTPRINT_RADIUS_M = 0.002
@@ -84,11 +85,20 @@ class Calibration:
         """Summarise the predicted error of a method; `None` without an estimate."""
         return predicted_error(self.estimates_by(method), self.part_size)
 
+    @property
+    def has_arm(self) -> bool:
+        """Whether joints of an arm carry the part."""
+        return self.scene.arm is not None
+
+    def correction_comments(self) -> tuple[str, ...]:
+        """Describe the corrections in use, for a file's comments."""
+        return tuple(correction_words(used, has_arm=self.has_arm) for used in self.corrections)
+
     def verdict_comments(self, method: Method) -> tuple[str, ...]:
         """Verdict, predicted error and the part that it leaves out, for a file's comments; empty without a verdict."""
         if method not in self.verdicts:
             return ()
-        error = error_words(self.predicted_error(method), self.unmodelled_rig_error_m.get(method))
+        error = error_words(self.predicted_error(method), self.unmodelled_rig_error_m.get(method), has_arm=self.has_arm)
         return self.verdicts[method], f"predicted error: {error}"
 
     @property

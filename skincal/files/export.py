@@ -45,7 +45,6 @@ from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
-from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import STATE_WORDS, state_count_words, state_lines, state_sentence
 from skincal.words.units import millimetres
 
@@ -209,7 +208,7 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm, quality -1 is not determined; normal 0 0 0 is not known",
         f"comment inferred 0 is touched ({STATE_WORDS[State.TOUCHED]}), 1 is inferred ({STATE_WORDS[State.INFERRED]})",
         *(f"comment {words}" for words in state_lines(calibration.estimates_by(method))),
-        *(f"comment {correction_words(used)}" for used in calibration.corrections),
+        *(f"comment {words}" for words in calibration.correction_comments()),
         *(f"comment {words}" for words in calibration.verdict_comments(method)),
         f"element vertex {len(taxels.channels)}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
@@ -481,7 +480,7 @@ def calibration_file(
     shape = _shape_of(calibration)
     written = WRITER_OF_FORMAT[format_](replace(calibration, options=options, mesh_findings=shape.mesh_findings), method)
     methods = tuple(calibration.estimates) if format_.holds_all_methods else (method,)
-    sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
+    sentences = [*(f"{words}." for words in calibration.correction_comments()), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _expected_surface(calibration, each, shape))
         sentences += _left_out(calibration.estimates_by(each), each)

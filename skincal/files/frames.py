@@ -27,7 +27,6 @@ from skincal.files.formats import Inertia
 from skincal.files.robot_file import insert_into_robot
 from skincal.geometry import FloatArray
 from skincal.taxels.result import Method
-from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import state_lines
 
 DEFAULT_TOUCH_SITE_RADIUS_M = 0.0025
@@ -213,7 +212,7 @@ def document_comments(calibration: Calibration, method: Method) -> list[ET.Eleme
     lines = (
         f"skincal {calibration.version}, {method.value} method, metres and radians in {calibration.scene.link}",
         "z axis of a taxel: its outward normal; the link's own where that is not known",
-        *(correction_words(used) for used in calibration.corrections),
+        *calibration.correction_comments(),
         *calibration.verdict_comments(method),
         *state_lines(calibration.estimates_by(method)),
     )

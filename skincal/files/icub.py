@@ -37,7 +37,6 @@ from skincal.model.errors import InputError
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
 from skincal.model.skin import Layout
 from skincal.taxels.result import Estimate, Method
-from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import state_lines
 
 POSITION_DECIMAL_PLACES = 6
@@ -139,7 +138,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
     lines = [
         f"skincal {calibration.version}, {method.value} method, metres in {_word(calibration.scene.link)}",
         f"{placed} of {len(estimates)} taxels have a position; rows of six zeros are no positions",
-        *(correction_words(used) for used in calibration.corrections),
+        *calibration.correction_comments(),
         *calibration.verdict_comments(method),
     ]
     return [*lines, *state_lines(estimates)]

@@ -172,7 +172,7 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     if frame is None:
         yield "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN
     else:
-        yield "Sensor's frame", frame_sentence(frame), AGREES if frame.right else AGAINST
+        yield "Sensor's frame", frame_sentence(frame, has_arm=facts.verdict.has_arm), AGREES if frame.right else AGAINST
     if frames := frame_sentences(facts.results.session.wrench_frames, facts.results.snapshot.contacts):
         yield "Wrench's frame", " ".join(frames), AGAINST if facts.verdict.frame_in_doubt else OPEN
     if skin := facts.results.skin:
@@ -314,11 +314,12 @@ def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tupl
 
 def _rig(facts: SessionFacts) -> ReportSection:
     used = facts.results.snapshot.decisions.corrections
-    said = [] if facts.results.frame is None else [frame_sentence(facts.results.frame)]
-    said += [correction_sentence(each) for each in used.values()]
-    said += [] if facts.results.rig is None else rig_sentences(facts.results.rig)[1 if RIG in used else 0 :]
+    has_arm = facts.verdict.has_arm
+    said = [] if facts.results.frame is None else [frame_sentence(facts.results.frame, has_arm=has_arm)]
+    said += [correction_sentence(each, has_arm=has_arm) for each in used.values()]
+    said += [] if facts.results.rig is None else rig_sentences(facts.results.rig, has_arm=has_arm)[1 if RIG in used else 0 :]
     poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
-    said += [] if off is None else [unchecked_sentence(off, poked, has_arm=facts.verdict.has_arm)]
+    said += [] if off is None else [unchecked_sentence(off, poked, has_arm=has_arm)]
     said += distance_sentences(facts.results.snapshot.tried_distances)
     rows = [
         (

@@ -10,6 +10,7 @@ from skincal.geometry import FloatArray
 from skincal.rig.frame_check import FrameDiagnosis
 from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
 from skincal.rig.setup_check import SetupDiagnosis
+from skincal.words.taxel_words import rig_name
 from skincal.words.units import millimetres
 
 MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
@@ -116,7 +117,7 @@ def _layout_words(mistake: Mistake) -> tuple[str, str]:
     return f"the layout of the skin is {what}", ", and ".join(filter(None, (flip, turn)))
 
 
-def frame_sentence(found: FrameDiagnosis) -> str:
+def frame_sentence(found: FrameDiagnosis, *, has_arm: bool = True) -> str:
     """Say whether the sensor frame is right, with the error at landmarks as reported and as corrected."""
     reported = millimetres(found.miss, 0)
     if found.wrench_frame and not found.right:
@@ -137,7 +138,7 @@ def frame_sentence(found: FrameDiagnosis) -> str:
     if found.right:
         # A right frame with a large error reads like a contradiction.
         whose = (
-            " This comes from other errors of sensor and arm, not from the frame."
+            f" This comes from other errors of {rig_name(has_arm)}, not from the frame."
             if found.corrected_miss > MENTION_RIG_ERRORS_ABOVE_MISS_M
             else ""
         )

@@ -14,6 +14,7 @@ from skincal.rig.correction_fit import (
     REPORT_LANDMARK_POKES_WITH_TRUST_BELOW,
     RigAnswer,
 )
+from skincal.words.taxel_words import rig_name
 from skincal.words.units import millimetres
 
 
@@ -49,7 +50,7 @@ def _judged(closing: Closing) -> str:
     return " (moved)" if closing.has_moved else ""
 
 
-def correction_words(used: UsedCorrection) -> str:
+def correction_words(used: UsedCorrection, *, has_arm: bool = True) -> str:
     """Describe a correction, with the error before and after; without a full stop, since files use it in comments."""
     after, before = millimetres(used.after), millimetres(used.before)
     if used.of == FRAME:
@@ -58,23 +59,24 @@ def correction_words(used: UsedCorrection) -> str:
         why = f"the pushes show its sign, their error at landmarks ({after}) cannot" if before == after else falls
         return f"the sensor frame is corrected from {used.pokes} landmark pokes: {why}"
     errors = f"the error at landmarks left out of the fit falls from {before} to {after}"
-    return f"sensor and arm are corrected from {used.pokes} landmark pokes: {errors}"
+    verb = "are" if has_arm else "is"
+    return f"{rig_name(has_arm)} {verb} corrected from {used.pokes} landmark pokes: {errors}"
 
 
-def correction_sentence(used: UsedCorrection) -> str:
+def correction_sentence(used: UsedCorrection, *, has_arm: bool = True) -> str:
     """Make a sentence of `correction_words`."""
-    words = correction_words(used)
+    words = correction_words(used, has_arm=has_arm)
     return f"{words[0].upper()}{words[1:]}."
 
 
-def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
+def rig_sentences(answer: RigAnswer, *, has_arm: bool = True) -> tuple[str, ...]:
     """Say whether sensor and arm can be corrected, then which landmark pokes count less."""
     if answer.correction is None:
         needs = f"it needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} different landmarks"
         return (f"No correction of errors of the rig: {needs}; there are {len(answer.trust)} pokes at {answer.points}.",)
     before, after = millimetres(answer.before), millimetres(answer.after)
     errors = f"the error at landmarks left out of the fit is {after}, without a correction {before}"
-    first = f"A correction of sensor and arm is ready: {errors}."
+    first = f"A correction of {rig_name(has_arm)} is ready: {errors}."
     if not answer.used:
         wanted = millimetres(answer.before * sqrt(MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT))
         errors = f"with a correction the error at landmarks left out of the fit would be {after}, without one it is {before}"

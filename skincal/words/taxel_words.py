@@ -55,7 +55,7 @@ STATE_SENTENCES = {
     Cause.MODULE_LOOSE: "The {count} pokes on its module {tell}. Press taxels farther apart, leaning other ways.",
     Cause.BY_MODULE: "Inferred: no accepted poke touched it, or outliers alone; its module places it.",
     Cause.SHARED_ERRORS: (
-        "With sensor and arm errors included, its position {depth} (limit {sd_max}). Press again, leaning other ways, and "
+        "With the errors of the rig included, its position {depth} (limit {sd_max}). Press again, leaning other ways, and "
         "press more landmarks."
     ),
     Cause.MEAN_OF_POSES: "Mean of {count} arm poses{left_out}.",
@@ -158,10 +158,11 @@ def error_words(found: PredictedError | None, off: float | None, *, has_arm: boo
         return "no taxel is estimated"
     if off is None or np.isnan(found.mean):
         return predicted_words(found)
-    return f"{predicted_words(found, apart=False)}; errors of {_rig_name(has_arm)} may add about {millimetres(off)}"
+    return f"{predicted_words(found, apart=False)}; errors of {rig_name(has_arm)} may add about {millimetres(off)}"
 
 
-def _rig_name(has_arm: bool) -> str:
+def rig_name(has_arm: bool) -> str:
+    """Name the parts of a rig whose errors shift taxels."""
     return "sensor and arm" if has_arm else "the sensor"
 
 
@@ -175,7 +176,7 @@ def unchecked_sentence(off: float, landmark_pokes: int, *, has_arm: bool = True)
             "more pokes narrow it down."
         )
     return (
-        f"The expected error leaves out errors of {_rig_name(has_arm)}. "
+        f"The expected error leaves out errors of {rig_name(has_arm)}. "
         f"They usually shift the skin by about {millimetres(off)}. {advice}"
     )
 

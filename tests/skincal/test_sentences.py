@@ -206,6 +206,18 @@ def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_do
     assert rig_sentences(replace(good, used=False)) == (left, *doubted)
 
 
+def test_a_part_without_joints_hears_of_its_sensor_alone():
+    found = RigAnswer(Correction(np.eye(6)), True, 0.0074, 0.0012, 6, {1: 1.0}, {1: 0.001}, NEITHER, NEITHER)
+    used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0074, 0.0012, 21)
+    said = (
+        *rig_sentences(found, has_arm=False),
+        correction_sentence(used, has_arm=False),
+        frame_sentence(replace(RIGHT, corrected_miss=0.0074), has_arm=False),
+    )
+    assert [each for each in said if "arm" in each] == []
+    assert all("the sensor" in each.lower() for each in said)
+
+
 RIGHT = FrameDiagnosis(True, True, True, 0.0024, 0.0024, Mistake(MistakeKind.NONE))
 
 

@@ -11,7 +11,16 @@ import pytest
 from app.panels.rig_panel import NO_LANDMARK_POKES, NO_LANDMARKS, REVIEW_RUNNING, RigPanel
 from app.state.policies import RigReview, allowed, offers_of
 from app.state.running import Running
-from app.text.rig_text import landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
+from app.text.rig_text import (
+    corrected_words,
+    landmark_rows,
+    moved_words,
+    offer_news,
+    offer_text,
+    offer_words,
+    review_words,
+    rig_state,
+)
 from skincal.contacts.outcome import Reason
 from skincal.following.review import Review
 from skincal.geometry import FloatArray
@@ -102,6 +111,22 @@ def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
     assert (action.of, action.before, action.after, action.pokes) == (RIG, 0.0074, 0.0012, 6)
     np.testing.assert_array_equal(correction_of(action).matrix, MATRIX)
     assert offers(review(rig(used=False)), at()) == ()
+
+
+def test_a_part_without_joints_is_offered_a_correction_of_its_sensor():
+    moment, used = at(), at(in_use())
+    answer = replace(review(), used=moment.decisions.corrections)
+    (offer,) = offers_of(answer, moment, has_arm=False)
+    said = (
+        offer_text(offer),
+        offer_words(offer),
+        offer_news(offer),
+        corrected_words(offer),
+        rig_state((), (), None, has_arm=False),
+    )
+    words = review_words(replace(answer, used=used.decisions.corrections), used, Method.FREE, (), has_arm=False)
+    assert [each for each in (*said, *words) if " arm" in each] == []
+    assert offer_text(offer) == approved("rig.offer_sensor")
 
 
 def test_the_frame_goes_first_with_its_misses():

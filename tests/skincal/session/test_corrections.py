@@ -344,6 +344,18 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
         assert correction_words(used) in (tmp_path / kind).read_text(encoding="utf-8")
 
 
+def test_comments_on_a_part_without_joints_name_its_sensor_alone(bad):
+    session, _ = bad
+    session.act(found_in(session))
+    scene, method = replace(session.scene, arm=None), Method.MODULES
+    calibration = replace(
+        session.calibration(), scene=scene, verdicts={method: "Finished"}, unmodelled_rig_error_m={method: 0.004}
+    )
+    said = (*calibration.correction_comments(), *calibration.verdict_comments(method))
+    assert len(said) == 3
+    assert [each for each in said if " arm" in each] == []
+
+
 def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp_path):
     session, _ = bad
     found = correct_rig(session.rig_request())
