@@ -8,7 +8,7 @@ import numpy as np
 import pyvista as pv
 
 from app.scene3d.lines import DRAWN_TOOL_LENGTH_M
-from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, Segments
+from app.scene3d.mesh_actors import FRONT, NO_POINTS, WITHIN, Dots, Layer, Segments
 from app.scene3d.scene_state import SceneColours, StaticScene
 from app.state.view_state import ViewState
 from skincal.contacts.outcome import Contact, Progress
@@ -29,7 +29,7 @@ class AxesLayer(Layer):
 
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
         super().__init__(plotter, static)
-        self.past, self.current = Segments(plotter, PART, 1.5), Segments(plotter, PART, 5.0)
+        self.past, self.current = Segments(plotter, WITHIN, 1.5), Segments(plotter, WITHIN, 5.0)
         self.contact = Dots(plotter, FRONT, 13.0)
         self._middle = static.extent.mean(axis=0) if len(static.extent) else np.zeros(3)
         self._past_key: object = None

@@ -18,7 +18,7 @@ from vtkmodules.vtkRenderingCore import vtkPointPicker, vtkRenderer
 
 from app.scene3d.camera import facing
 from app.scene3d.lines import crosses, rings
-from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, MeshActor, Segments
+from app.scene3d.mesh_actors import FRONT, NO_POINTS, WITHIN, Dots, Layer, MeshActor, Segments
 from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, ColourArray, Comparison, SceneColours, StaticScene
 from app.state.view_state import ViewState
 from skincal.geometry import FloatArray, IntArray
@@ -48,8 +48,8 @@ class EstimatesLayer(Layer):
         super().__init__(plotter, static)
         self.balls = Dots(plotter, FRONT, 12.0)
         self.marks = Segments(plotter, FRONT, 2.0)
-        self.differences = Segments(plotter, PART, 1.5)
-        self.alternative = Segments(plotter, PART, 1.5)  # Other possible positions of the selected taxel
+        self.differences = Segments(plotter, WITHIN, 1.5)
+        self.alternative = Segments(plotter, WITHIN, 1.5)  # Other possible positions of the selected taxel
         self.shown: IntArray = np.empty(0, dtype=np.int64)  # (k,) channels that have a ball, in the order of `places`
         self.places = NO_POINTS
         self.near: NDArray[np.bool_] = np.empty(0, dtype=bool)

@@ -1,7 +1,8 @@
 """Building blocks of layers: meshes that are added to the plotter once and change in place.
 
-The picture has two renderers with one camera. `PART` draws the part. `FRONT` draws, on top and without regard to depth, what
-the part must not cover; its layers leave out what faces away from the camera.
+The picture has three renderers with one camera. `PART` draws the part without its outer side. `WITHIN` draws the half
+transparent outer side and what changes inside the part, with the depth of `PART`. `FRONT` draws, on top and without regard to
+depth, what the part must not cover; its layers leave out what faces away from the camera.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from app.scene3d.scene_state import DARK, Colour, ColourArray, Comparison, Scene
 from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
 
-PART, FRONT = 0, 1  # Columns of the plotter's grid: the renderer of the part, and the one upon it
+PART, WITHIN, FRONT = 0, 1, 2  # Columns of the plotter's grid, drawn in this order
 NO_POINTS: FloatArray = np.empty((0, 3))
 
 
@@ -40,6 +41,7 @@ class MeshActor(ABC):
         self.hidden = False
         self.is_empty = True
         plotter.subplot(0, renderer)
+        self.renderer = renderer
         self.actor = plotter.add_mesh(
             self.mesh, scalars="rgb", rgb=True, copy_mesh=False, show_scalar_bar=False, reset_camera=False, render=False, **look
         )

@@ -11,7 +11,7 @@ import pyvista as pv
 
 from app.scene3d.camera import facing
 from app.scene3d.lines import closed
-from app.scene3d.mesh_actors import PART, Dots, Label, Layer, Segments
+from app.scene3d.mesh_actors import PART, WITHIN, Dots, Label, Layer, Segments
 from app.scene3d.scene_state import MODULE_RGB, ColourArray, SceneColours, StaticScene
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import PlacedLayout
@@ -34,6 +34,7 @@ class SurfaceLayer(Layer):
         self.inside = plotter.add_mesh(
             self.mesh, culling="front", ambient=0.8, diffuse=0.2, copy_mesh=False, reset_camera=False, render=False
         )  # fmt: skip
+        plotter.subplot(0, WITHIN)
         self.outside = plotter.add_mesh(
             self.mesh, culling="back", opacity=FRONT_FACES_OPACITY, ambient=0.25, diffuse=0.75, copy_mesh=False,
             reset_camera=False, render=False,

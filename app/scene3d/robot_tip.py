@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pyvista as pv
 
-from app.scene3d.mesh_actors import NO_POINTS, PART, Dots, Layer, Segments
+from app.scene3d.mesh_actors import NO_POINTS, WITHIN, Dots, Layer, Segments
 from app.scene3d.scene_state import StaticScene
 from app.state.view_state import ViewState
 from skincal.robot.target_lines import TipPose
@@ -23,7 +23,7 @@ class RobotTipLayer(Layer):
 
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
         super().__init__(plotter, static)
-        self.ball, self.tool = Dots(plotter, PART, BALL_PX), Segments(plotter, PART, LINE_PX)
+        self.ball, self.tool = Dots(plotter, WITHIN, BALL_PX), Segments(plotter, WITHIN, LINE_PX)
         self._tip: TipPose | None = None
 
     def show(self, state: ViewState) -> bool:

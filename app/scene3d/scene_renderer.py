@@ -17,9 +17,11 @@ from app.scene3d.axes import AxesLayer
 from app.scene3d.camera import AutoCamera, Viewpoint, place, pose_of
 from app.scene3d.estimates import CompareLayer, EstimatesLayer, UncertaintyLayer
 from app.scene3d.hints import HintsLayer
+from app.scene3d.kept_part import KeptPart
 from app.scene3d.labels import Labels
 from app.scene3d.landmarks import LandmarksLayer
-from app.scene3d.mesh_actors import FRONT, PART, Layer, window_of
+from app.scene3d.lines import DRAWN_TOOL_LENGTH_M
+from app.scene3d.mesh_actors import FRONT, PART, WITHIN, Layer, window_of
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
 from app.scene3d.robot_tip import RobotTipLayer
 from app.scene3d.scene_state import DEFAULT_VIEW_HALF_HEIGHT_M, Comparison, SceneColours, StaticScene
@@ -29,9 +31,10 @@ from skincal.geometry import FloatArray
 
 MIN_VIEW_HALF_HEIGHT_M = 0.015  # m, of the view: half a module
 FIRST_LEAN_DEG = (-14.0, -10.0)  # The first view is this far off straight, so that depth can be seen
-PLOTTER_SHAPE = (1, 2)
-"""Shape of the plotter's grid: a renderer for the part and one before it, both as large as the picture."""
+PLOTTER_SHAPE = (1, 3)
+"""Shape of the plotter's grid: its renderers (see `mesh_actors`) are all as large as the picture."""
 FONT_POINTS_PER_INCH = 72.0
+DEPTH_STEP_M = DRAWN_TOOL_LENGTH_M  # Of the ends of the box that the camera's depth range holds
 
 
 class SceneRenderer:
@@ -44,10 +47,12 @@ class SceneRenderer:
         self.is_moved = False  # The operator moved the camera
         self.scales: Callable[[], tuple[float, float]] = lambda: (1.0, 1.0)
         """Device pixels a pixel of the desktop, and size of the text in sizes of the desktop's."""
-        self.renderer, front = plotter.renderers[PART], plotter.renderers[FRONT]
-        self.window.SetNumberOfLayers(2)
-        front.SetLayer(1)
-        for renderer in (self.renderer, front):
+        self.renderer, within, front = (plotter.renderers[index] for index in (PART, WITHIN, FRONT))
+        self.window.SetNumberOfLayers(3)
+        within.SetLayer(WITHIN)
+        within.SetPreserveDepthBuffer(True)
+        front.SetLayer(FRONT)
+        for renderer in (self.renderer, within, front):
             renderer.SetViewport(0.0, 0.0, 1.0, 1.0)
             # One light at the camera: on software OpenGL a second one costs as much as the mesh.
             renderer.add_light(pv.Light(light_type="headlight"))
@@ -69,6 +74,7 @@ class SceneRenderer:
         self._fitted_size = (0, 0)
         self._known_reach = (np.zeros(3), DEFAULT_VIEW_HALF_HEIGHT_M)
         # At the start of every picture, also of those that Qt requests.
+        self.kept_part = KeptPart(self.window, self.renderer, within, front) if self.window.GetOffScreenRendering() else None
         self._observer = self.window.AddObserver(vtkCommand.StartEvent, self._before_picture)
         self.set_colours(colours)
 
@@ -176,6 +182,8 @@ class SceneRenderer:
 
     def close(self) -> None:
         self.window.RemoveObserver(self._observer)
+        if self.kept_part is not None:
+            self.kept_part.close()
         for renderer in self.plotter.renderers:
             renderer.RemoveAllViewProps()
 
@@ -214,5 +222,16 @@ class SceneRenderer:
             self._labels_key = key
             obstacles = np.concatenate([layer.obstacles() for layer in self.layers])
             self.labels.show(labels, obstacles, viewpoint)
-        bounds = np.array([renderer.ComputeVisiblePropBounds() for renderer in self.plotter.renderers[:2]]).reshape(2, 3, 2)
-        self.renderer.ResetCameraClippingRange(*np.stack([bounds[..., 0].min(0), bounds[..., 1].max(0)], axis=1).ravel())
+        self._set_depth_range()
+        if self.kept_part is not None:
+            actors = [actor for layer in self.layers for own in layer.parts().values() for actor in own]
+            self.kept_part.prepare(
+                viewpoint, [actor for actor in actors if actor.renderer == WITHIN], self.camera.GetClippingRange()
+            )
+
+    def _set_depth_range(self) -> None:
+        """Set the depths between which the camera sees: a force axis that turns at the part does not change them."""
+        bounds = np.array([renderer.ComputeVisiblePropBounds() for renderer in self.plotter.renderers[:3]]).reshape(3, 3, 2)
+        ends = bounds * (1.0, -1.0)  # Of both ends the lower one is further out
+        seen = np.minimum(ends[PART] - 2.0 * DEPTH_STEP_M, (np.floor(ends[WITHIN:] / DEPTH_STEP_M) * DEPTH_STEP_M).min(axis=0))
+        self.renderer.ResetCameraClippingRange(*(seen * (1.0, -1.0)).ravel())

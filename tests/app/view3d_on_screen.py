@@ -106,7 +106,7 @@ class Drawn:
 
     def __init__(self, view):
         self.count = 0
-        renderer_of(view).renderer.AddObserver("EndEvent", self._note)
+        renderer_of(view).window.AddObserver("EndEvent", self._note)
 
     def _note(self, *_):
         self.count += 1
