@@ -54,6 +54,7 @@ COMMAND_MODULES = (
     "report",
     "devices",
     "landmarks",
+    "tool",
     "record",
     "import_recording",
     "simulate",

@@ -1,0 +1,95 @@
+"""Sentences on the poses of a tool and the fixed-point test."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.model.tool_pose import PoseForm, RotationForm
+from skincal.rig.pivot import TOUCH_SD_MAX_M, Mistake, PivotFit, PivotResult, PivotState, PoseReading, TipMismatch, compare_tip
+from skincal.words.units import direction, millimetres, point_mm
+
+TIP_FAR_M = 1.0
+"""m. No poking tool is as long."""
+FORM_WORDS = {
+    RotationForm.QUATERNION_XYZW: "quaternion x y z w",
+    RotationForm.QUATERNION_WXYZ: "quaternion w x y z",
+    RotationForm.ROTATION_VECTOR: "rotation vector",
+    RotationForm.RPY: "roll pitch yaw about fixed axes",
+    RotationForm.ABC: "angles A B C about moving z y x",
+    RotationForm.MOVING_XYZ: "angles about moving x y z",
+    RotationForm.MOVING_ZYZ: "angles about moving z y z",
+    RotationForm.ROWS: "matrix by rows",
+    RotationForm.COLUMNS: "matrix by columns",
+    RotationForm.MATRIX: "4 x 4 matrix by rows",
+    RotationForm.MATRIX_COLUMNS: "4 x 4 matrix by columns",
+}
+_MISTAKE_WORDS = {
+    Mistake.NONE: "",
+    Mistake.ROTATION_INVERSE: ", inverted",
+    Mistake.POSITION_Y_UP: ", with the position turned from y up to z up",
+    Mistake.POSITION_Z_UP: ", with the position turned from z up to y up",
+    Mistake.POSITION_YZ_EXCHANGED: ", with y and z of the position exchanged",
+}
+_MISMATCH_WORDS = {
+    TipMismatch.INVERSE: "The touched point lies there: the poses are inverse, those of the base in the tool's frame.",
+    TipMismatch.UNIT: "One of them is in another unit.",
+    TipMismatch.POSE_OF_TIP: "The poses are those of the tip: the tool centre point of the controller contains it.",
+    TipMismatch.POSE_OF_FLANGE: "The poses are those of the flange, or of a tool centre point that is not this tip.",
+    TipMismatch.OTHER_TOOL: "Check the tool centre point: it may be that of another tool.",
+}
+
+
+def form_words(form: PoseForm) -> str:
+    """Name a form of poses."""
+    unit = (" in degrees" if form.degrees else " in radians") if form.rotation.has_angles else ""
+    return FORM_WORDS[form.rotation] + unit
+
+
+def reading_words(reading: PoseReading) -> str:
+    """Name a reading of poses."""
+    return form_words(reading.form) + _MISTAKE_WORDS[reading.mistake]
+
+
+def pivot_sentences(result: PivotResult, known: FloatArray | None) -> list[str]:
+    """Describe the result of the fixed-point test; `known` is a tip, (3,) float, metres, tool frame, if it is known."""
+    fit, count = result.reading.fit, len(result.reading.fit.misses)
+    scatter = f"{count} touches, read as {reading_words(result.reading)}, scatter by {millimetres(fit.touch_sd)}"
+    tip = f"Tip in the tool's frame: {point_mm(fit.tip)} mm, known to {millimetres(fit.tip_sd)}."
+    match result.state:
+        case PivotState.OTHER_READING:
+            better = result.others[0]
+            return [
+                f"{scatter}; read as {reading_words(better)}, by {millimetres(better.fit.touch_sd)}. "
+                f"Change the setting of the poses."
+            ]
+        case PivotState.SCATTERED:
+            worst = int(np.argmax(fit.misses))
+            return [
+                f"{scatter}, more than {millimetres(TOUCH_SD_MAX_M)}, and no other reading fits. Check that the point did not "
+                f"move, that the tool is tight and its poses are not late. Touch {worst + 1} misses most, by "
+                f"{millimetres(float(fit.misses[worst]))}."
+            ]
+        case PivotState.OPEN:
+            return [
+                f"{scatter}. The tip is known only to {millimetres(fit.tip_sd)} along {direction(fit.open_direction)} of the "
+                "tool's axes. Touch the point again, with the tool leaning and turned in other directions."
+            ]
+        case PivotState.UNDECIDED:
+            alike = " or ".join(reading_words(each) for each in result.alike[:2])
+            return [f"{scatter}; read as {alike} they fit as well. Touch the point again, with the tool leaning farther."]
+        case PivotState.AGREES:
+            return [f"{scatter}.", tip, *_tip_doubts(fit, known)]
+
+
+def _tip_doubts(fit: PivotFit, known: FloatArray | None) -> list[str]:
+    size = float(np.linalg.norm(fit.tip))
+    if known is not None:
+        mismatch = compare_tip(fit, known)
+        if mismatch is None:
+            return ["It agrees with the given tip."]
+        away = millimetres(float(np.linalg.norm(fit.tip - known)))
+        return [f"The given tip lies {away} from it. {_MISMATCH_WORDS[mismatch]}"]
+    if size > TIP_FAR_M:
+        return [f"It is {size:.1f} m long: check the unit, and whether the poses are those of the base in the tool's frame."]
+    return []
