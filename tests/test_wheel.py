@@ -47,9 +47,14 @@ def test_the_program_runs_from_the_wheel(installed, tmp_path):
     assert "record" in run(installed, tmp_path, "--help").stdout
     made = run(installed, tmp_path, "simulate", "--scene", "flat-patch", "--pokes", "3", "--careful", "--out", "s")
     assert made.returncode == 0, made.stderr
-    report = run(installed, tmp_path, "report", str(installed / "skincal/resources/sessions/sample"), "--out", "report.html")
+    report = run(installed, tmp_path, "report", str(CHECKOUT / "resources/sessions/sample"), "--out", "report.html")
     assert report.returncode == 0, report.stderr
     assert "<h2" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_wheel_has_scenes_and_examples_but_not_the_sample_session(installed):
+    """The session is two thirds of the size, and no command opens it by itself."""
+    assert {path.name for path in (installed / "skincal/resources").iterdir()} == {"examples", "scenes"}
 
 
 def test_nothing_is_left_out(built, installed):
