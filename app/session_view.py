@@ -487,7 +487,10 @@ class SessionView(QObject):
     def ask_export(self) -> None:
         """Ask for format, method and file, write it and show the remarks on it."""
         stem = self._folder() / self.workspace.part.scene.name
-        dialog = ExportDialog(self.workspace.methods, self.method, stem, self.workspace.window())
+        from skincal.files.export import usual_format
+
+        usual = usual_format(self.workspace.part.scene)
+        dialog = ExportDialog(self.workspace.methods, self.method, stem, self.workspace.window(), usual)
 
         def write(format_: str, path: Path, method: Method, options: ExportOptions) -> None:
             rig = None if self.state is None or self.state.review is None else self.state.review.rig

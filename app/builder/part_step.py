@@ -19,7 +19,7 @@ from skincal.mesh.findings import box_words
 from skincal.model.scene import UNITS
 from skincal.model.urdf import Robot
 from skincal.part.draft_preview import PartPreview
-from skincal.part.mesh_units import choose_unit
+from skincal.part.mesh_units import choose_unit, has_no_unit
 from skincal.part.part_changes import with_link, with_part_file, with_unit
 from skincal.part.robot_mesh import with_own_mesh
 
@@ -93,7 +93,8 @@ class PartStep(Step):
         if self.draft.urdf is not None and self._robot is not None and mesh != self.draft.mesh:
             with self.report_failure():
                 unit = "mm" if mesh is None else choose_unit(mesh)
-                self.change(with_own_mesh(self.draft, self._robot, mesh, "", unit))
+                changed = with_own_mesh(self.draft, self._robot, mesh, "", unit)
+                self.change(replace(changed, is_unit_guessed=mesh is not None and has_no_unit(mesh)))
 
     def _choose_own_mesh(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Mesh of the link", self._named(), FILE_FILTER)
@@ -133,7 +134,8 @@ class PartStep(Step):
             self.own_mesh.setText("" if draft.mesh is None else str(draft.mesh))
         show_choice(self.unit, draft.unit)
         has_own_unit = bool(draft.mesh and draft.unit)
-        doubt = "?  If that is wrong, choose another unit." if has_own_unit else ""
+        doubt = "?  If that is wrong, choose another unit." if draft.is_unit_guessed else ""
+        self._list_units(preview)
         self.size_text.setText("" if preview.size_mm is None else f"{box_words(preview.size_mm)}{doubt}")
         has_mesh = preview.size_mm is not None
         self._show_rows(has_robot=draft.urdf is not None, has_mesh=has_mesh, has_unit=has_own_unit)
@@ -142,6 +144,14 @@ class PartStep(Step):
             self._robot = preview.robot
             self._fill_tree()
         self._show_link(preview)
+
+    def _list_units(self, preview: PartPreview) -> None:
+        """Name the units, each with the size that the part has in it."""
+        for index, (unit, name) in enumerate(UNIT_NAMES.items()):
+            size = ""
+            if preview.size_mm is not None and preview.draft.unit:
+                size = f": {box_words(side * UNITS[unit] / UNITS[preview.draft.unit] for side in preview.size_mm)}"
+            self.unit.setItemText(index, f"{name}{size}")
 
     def _show_rows(self, *, has_robot: bool, has_mesh: bool, has_unit: bool) -> None:
         for row in (self.tree_note, self.tree, self.frame, self.frame_note, self.mesh_row):

@@ -32,6 +32,7 @@ SIGN_CHOICES = {"": "as the URDF says", "1": "the force on the part", "-1": "its
 FEELS_THE_PART = "between part and base"
 ADD_POINT = "Add the position as the next point"
 SENSOR_DEPTH_MAX_MM = 1000.0
+NO_POSE_HINT = "Say where the sensor is. Until then only the axes of the part are drawn: x red, y green, z blue."
 
 
 class SensorStep(Step):
@@ -97,6 +98,8 @@ class SensorStep(Step):
         if robot is not None:
             self._list_sensors(preview)
         pose = preview.sensor_pose
+        if not draft.has_dh_arm:
+            self.hint_label.setText(self.hint if pose is not None else NO_POSE_HINT)
         if draft.urdf is None and not self.pick.isChecked():
             shown = np.eye(4) if pose is None else pose
             self.origin.show_value(shown[:3, 3] * 1e3)

@@ -25,14 +25,13 @@ from skincal.files.layout_sources import (
     repeated_modules,
     text_with_kind,
 )
-from skincal.model.errors import plural
 from skincal.model.readings import Stream
 from skincal.model.skin import KINDS, SkinKind
 from skincal.part.draft_preview import PartPreview
 from skincal.part.layout_placing import middle_of
 from skincal.part.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
 from skincal.part.touch_watch import TouchWatch
-from skincal.words.layout_words import unsaid_kind_finding
+from skincal.words.layout_words import layout_size, unsaid_kind_finding
 
 POLARITY_CHOICES = {"up": "values rise", "down": "values fall"}
 LAYOUT_CHOICES = {
@@ -146,9 +145,8 @@ class SkinStep(Step):
         self.form.setRowVisible(self.material, layout is not None)
         if layout is not None:
             show_choice(self.material, layout.kind.value)
-            many = f"{plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}"
             unsaid = UNSAID_KIND if unsaid_kind_finding(layout) else ""
-            self.found.setText(f"{many}, channels up to {layout.width - 1}.{unsaid}")
+            self.found.setText(f"{layout_size(layout)}, channels up to {layout.width - 1}.{unsaid}")
         width = draft.channels or (0 if layout is None else layout.width)
         self.live.setEnabled(width > 0)
         if self._watch is None:

@@ -20,7 +20,14 @@ class ExportDialog(TaskDialog):
 
     write_requested = Signal(str, object, object, object)  # Format, path, method, options
 
-    def __init__(self, methods: tuple[Method, ...], shown: Method, stem: Path, parent: QWidget | None = None) -> None:
+    def __init__(
+        self,
+        methods: tuple[Method, ...],
+        shown: Method,
+        stem: Path,
+        parent: QWidget | None = None,
+        usual: ExportFormat = ExportFormat.ICUB,
+    ) -> None:
         super().__init__("Export calibration", "Write file", methods, shown, parent)
         self._stem = stem
         self._named_by_hand = False
@@ -65,7 +72,7 @@ class ExportDialog(TaskDialog):
         self.inertia.toggled.connect(self._clear_outcome)
         self.start.clicked.connect(self._write)
         self.setMinimumHeight(max(map(self._height_of_format, range(self.format.count()))))
-        self.format.setCurrentIndex(0)
+        self.format.setCurrentIndex(self.format.findData(usual))
         self._format_chosen()
 
     def show_written(self, sentences: tuple[str, ...]) -> None:

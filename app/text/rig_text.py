@@ -39,8 +39,9 @@ def offer_words(offer: Offer) -> str:
 
 
 def offer_news(offer: Offer) -> str:
-    """Announce an available correction."""
-    return f"{offer_words(offer)} C: apply. Rig tab: details and undo."
+    """Announce an available correction; its numbers, which later landmark pokes change, are in the Rig tab alone."""
+    what = f"A correction of {rig_name(offer.has_arm)} is ready." if offer.frame is None else offer_words(offer)
+    return f"{what} C: apply. Rig tab: details and undo."
 
 
 def corrected_words(offer: Offer) -> str:

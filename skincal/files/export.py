@@ -28,7 +28,7 @@ from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.formats import NO_OPTIONS, ExportFormat, ExportOptions
 from skincal.files.frames import mjcf_text, named_poses, npz_bytes, sdf_text, skin_name, urdf_text
-from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, skin_part
+from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, robot_skin_part, skin_part
 from skincal.files.robot_file import check_robot, mesh_sentences, require_other_file
 from skincal.files.tactile_urdf import tactile_urdf_text
 from skincal.geometry import FloatArray, IntArray
@@ -37,7 +37,7 @@ from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.search import nearest_points, nearest_pushed_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError, list_channels, plural
-from skincal.model.scene import ContactSettings, NoiseSettings, SurfaceSpec
+from skincal.model.scene import ContactSettings, NoiseSettings, Scene, SurfaceSpec
 from skincal.model.skin import Layout, Module
 from skincal.modules.health import fits_better_mirrored, neighbours_of
 from skincal.rig.closing import Closing
@@ -559,6 +559,13 @@ def _left_out(estimates: tuple[Estimate, ...], method: Method) -> list[str]:
         f"inferred ({STATE_WORDS[State.INFERRED]}): channels {list_channels(inferred)}."
     )
     return [*([left_out] if without else []), *([untouched] if inferred else [])]
+
+
+def usual_format(scene: Scene) -> ExportFormat:
+    """Choose the format to propose: the position file for skin parts of the iCub, URDF for parts of other robots, else CSV."""
+    if robot_skin_part(scene):
+        return ExportFormat.ICUB
+    return ExportFormat.URDF if scene.robot is not None else ExportFormat.CSV
 
 
 def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> list[str]:

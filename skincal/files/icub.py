@@ -35,6 +35,7 @@ from skincal.files.calibration import Calibration, placed_taxels
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
+from skincal.model.scene import Scene
 from skincal.model.skin import Layout
 from skincal.taxels.result import Estimate, Method
 from skincal.words.taxel_words import state_lines
@@ -57,10 +58,13 @@ def skin_part(calibration: Calibration, part: str | None = None) -> str:
     It is `part` where given; else the skin part of the robot with which the scene's link name begins
     (`r_forearm_dh_frame` is on `r_forearm`); else the scene's name.
     """
-    link = calibration.scene.link
-    known = [name for name in SKIN_PARTS if link == name or link.startswith(f"{name}_")]
-    chosen = part or (max(known, key=len) if known else calibration.scene.name)
-    return _word(chosen)
+    return _word(part or robot_skin_part(calibration.scene) or calibration.scene.name)
+
+
+def robot_skin_part(scene: Scene) -> str:
+    """Find the skin part of the robot with which the scene's link name begins; empty for other parts."""
+    known = [name for name in SKIN_PARTS if scene.link == name or scene.link.startswith(f"{name}_")]
+    return max(known, key=len, default="")
 
 
 def _word(text: str) -> str:

@@ -196,6 +196,17 @@ class Scene:
         return find_wrench_frame(self.robot, self.wrench_place, name)
 
 
+_TABLE_OF_KEY = {
+    "sign": "wrench",
+    "about": "wrench",
+    "polarity": "skin",
+    "channels": "skin",
+    "modules": "skin",
+    "mesh": "surface",
+}
+"""Tables of keys that are often written in another table of the scene."""
+
+
 def load_scene(path: Path) -> Scene:
     """Read a scene's TOML file and the layout it names, but not the mesh.
 
@@ -232,7 +243,7 @@ def load_scene(path: Path) -> Scene:
     _check_force_order("" if contacts is None else contacts.where, scene.contacts)
     for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):
         if part is not None:
-            part.refuse_unknown_keys()
+            part.refuse_unknown_keys(_TABLE_OF_KEY)
     return scene
 
 

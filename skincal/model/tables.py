@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import reprlib
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -183,10 +185,12 @@ class Table:
                 raise InputError(f"{self.where}: {key} holds {shown(value)}; expected tables [[{key}]].")
         return [Table(value, f"{self.where}: [[{key}]] number {number}") for number, value in enumerate(values, start=1)]
 
-    def refuse_unknown_keys(self) -> None:
-        """Raise InputError for names that were not read: they are misspelt."""
+    def refuse_unknown_keys(self, table_of: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Raise InputError for names that were not read: they are misspelt, or belong to another table by `table_of`."""
         if self._values:
-            raise InputError(f"{self.where}: unknown name {sorted(self._values)[0]!r}; check its spelling.")
+            name = sorted(self._values)[0]
+            advice = f"it belongs to [{table_of[name]}]" if name in table_of else "check its spelling"
+            raise InputError(f"{self.where}: unknown name {name!r}; {advice}.")
 
 
 _TYPE_NAMES = {

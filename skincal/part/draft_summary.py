@@ -9,7 +9,7 @@ from skincal.mesh.findings import box_words
 from skincal.model.errors import plural
 from skincal.model.skin import SkinKind
 from skincal.part.draft_preview import PartPreview
-from skincal.words.layout_words import SHEET_WITHOUT_MESH, SKIN_KIND_WORDS, unsaid_kind_finding
+from skincal.words.layout_words import SHEET_WITHOUT_MESH, SKIN_KIND_WORDS, layout_size, unsaid_kind_finding
 
 
 class State(Enum):
@@ -63,7 +63,10 @@ def _part(preview: PartPreview) -> SummaryLine:
     if preview.size_mm is None:
         cost = "no mesh: the surface method is not available, and taxels need pokes from several directions"
         return SummaryLine("part", State.OPTIONAL if preview.draft.source is not None else State.NEEDED, cost)
-    return SummaryLine("part", State.COMPLETE, f"mesh of {box_words(preview.size_mm)}, frame {preview.draft.link}")
+    size = f"mesh of {box_words(preview.size_mm)}, frame {preview.draft.link}"
+    if preview.draft.is_unit_guessed:
+        return SummaryLine("part", State.OPTIONAL, f"{size}; its unit is guessed from its size: check it in the list Unit")
+    return SummaryLine("part", State.COMPLETE, size)
 
 
 def _sensor(preview: PartPreview) -> tuple[SummaryLine, ...]:
@@ -102,7 +105,7 @@ def _skin(preview: PartPreview) -> tuple[SummaryLine, ...]:
     if layout is None:
         cost = "no layout: no modules method, the guide searches for the taxels, and the skin cannot be simulated"
         return frame, SummaryLine("skin", State.OPTIONAL, cost)
-    parts = f"layout of {plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}: "
+    parts = f"layout of {layout_size(layout)}: "
     parts += SKIN_KIND_WORDS[layout.kind]
     if unsaid_kind_finding(layout):
         return frame, SummaryLine("skin", State.OPTIONAL, f"{parts}, since the layout does not say what the skin is")

@@ -50,13 +50,18 @@ def choose_unit(path: Path) -> str:
     return name
 
 
+def has_no_unit(path: Path) -> bool:
+    """Whether files of this format name no unit."""
+    return path.suffix.lower() not in SUFFIXES_WITH_UNIT
+
+
 def unit_without_option(path: Path | None) -> str:
     """Choose the unit of a mesh that is named without one: that of the file, or millimetres."""
-    return choose_unit(path) if path is not None and path.suffix.lower() in SUFFIXES_WITH_UNIT else "mm"
+    return "mm" if path is None or has_no_unit(path) else choose_unit(path)
 
 
 def metres_of_file_unit(path: Path) -> float:
     """Metres per unit that a mesh file names; 1 for formats without a unit."""
-    if path.suffix.lower() not in SUFFIXES_WITH_UNIT:
+    if has_no_unit(path):
         return 1.0
     return read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file")).unit or 1.0

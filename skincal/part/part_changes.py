@@ -13,7 +13,7 @@ from skincal.mesh.readers import MESH_SUFFIXES
 from skincal.model.skin import Anchor
 from skincal.model.urdf import Robot, read_urdf
 from skincal.part.layout_placing import with_module_anchor
-from skincal.part.mesh_units import choose_unit
+from skincal.part.mesh_units import choose_unit, has_no_unit
 from skincal.part.part_draft import (
     METRE_DIGITS,
     UNIT_DIGITS,
@@ -34,12 +34,14 @@ def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
     """
     fresh = without_places(
         replace(
-            draft, urdf=None, mesh=None, link="part", sensor="", joints=(), fixed=(), packages=(), mesh_pose=None,
-            sensor_pose=None, has_dh_arm=False,
+            draft, urdf=None, mesh=None, is_unit_guessed=False, link="part", sensor="", joints=(), fixed=(), packages=(),
+            mesh_pose=None, sensor_pose=None, has_dh_arm=False,
         )
     )  # fmt: skip
     if path.suffix.lower() in MESH_SUFFIXES:
-        return replace(fresh, mesh=path, unit=choose_unit(path), name=draft.name or path.stem)
+        return replace(
+            fresh, mesh=path, unit=choose_unit(path), is_unit_guessed=has_no_unit(path), name=draft.name or path.stem
+        )
     robot = read_urdf(path)
     fresh = replace(fresh, urdf=path, link="")
     return with_link(fresh, robot, next(iter(robot.meshes))) if len(robot.meshes) == 1 else fresh
@@ -47,7 +49,10 @@ def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
 
 def with_unit(draft: PartDraft, unit: str) -> PartDraft:
     """Read the mesh in another unit; points that were clicked on it are dropped, and a sensor that was placed by them."""
-    return without_places(replace(draft, unit=unit, sensor_pose=draft.sensor_pose if draft.urdf else None))
+    if unit == draft.unit:
+        return replace(draft, is_unit_guessed=False)
+    changed = replace(draft, unit=unit, is_unit_guessed=False)
+    return without_places(replace(changed, sensor_pose=draft.sensor_pose if draft.urdf else None))
 
 
 def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:

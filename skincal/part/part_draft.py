@@ -107,6 +107,8 @@ class PartDraft:
     """Of a part without a URDF, or in place of the file that the URDF names."""
     unit: str = "mm"
     """Of the mesh; empty for the scale of the URDF's own mesh, as older scenes with a URDF have it."""
+    is_unit_guessed: bool = False
+    """The unit is guessed from the size of the mesh, and the operator has not chosen it yet."""
     mesh_pose: Pose | None = None
     """Of the mesh in the link; `None` for the identity, and with a URDF for the pose of the URDF's own mesh."""
     sensor_pose: Pose | None = None

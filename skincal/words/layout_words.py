@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from skincal.model.errors import plural
 from skincal.model.skin import KINDS, Layout, SkinKind
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.words.units import count, millimetres
@@ -17,6 +18,12 @@ if TYPE_CHECKING:
 
 SKIN_KIND_WORDS = {SkinKind.BOARD: "rigid boards", SkinKind.SHEET: "a soft sheet"}
 """The skin, in a sentence."""
+
+
+def layout_size(layout: Layout) -> str:
+    """Count modules and taxels of a layout: `"8 modules with 96 taxels"`, `"1 sheet with 48 taxels"`."""
+    noun = "sheet" if layout.kind is SkinKind.SHEET else "module"
+    return f"{plural(len(layout.modules), noun)} with {plural(len(layout.channels), 'taxel')}"
 
 
 def unsaid_kind_finding(layout: Layout) -> str:

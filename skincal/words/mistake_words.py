@@ -16,6 +16,10 @@ from skincal.words.units import millimetres
 MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
 """Landmark miss above which a sentence on a right frame names errors of sensor and arm; noise and hand cause 1 to 3 mm."""
 
+MIRROR_REMEDY = (
+    "change mirror of every module in the layout file (without that line it is false), and the signs of its x of place_mm and "
+    "its angle_deg, if it has them"
+)
 CORRECT_SENSOR = (
     "correct the sensor's pose in the scene or its origin in the URDF, or press three landmarks and use the correction that is "
     "then offered"
@@ -113,7 +117,7 @@ def _layout_words(mistake: Mistake) -> tuple[str, str]:
     turned = f"turned by {mistake.degrees:.0f} degrees" if mistake.degrees else ""
     what = " and ".join(filter(None, ("mirrored" if mistake.mirrored else "", turned)))
     turn = f"turn x of [skin.anchor] by {mistake.degrees:.0f} degrees about its normal" if mistake.degrees else ""
-    flip = "change mirror of every module, and the signs of its x of place_mm and its angle_deg" if mistake.mirrored else ""
+    flip = MIRROR_REMEDY if mistake.mirrored else ""
     return f"the layout of the skin is {what}", ", and ".join(filter(None, (flip, turn)))
 
 

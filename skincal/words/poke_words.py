@@ -18,7 +18,7 @@ REASON_WORDS: Mapping[Reason, str] = {
     Reason.TOO_HARD: "too hard",
     Reason.NOT_STILL: "not held still",
     Reason.SLID: "tip slid",
-    Reason.TWO_CONTACTS: "second touch, or tool twisted",
+    Reason.TWO_CONTACTS: "second touch or twist",
     Reason.NO_TAXEL: "no taxel answered",
     Reason.TOO_MANY_TAXELS: "too many taxels answered",
     Reason.NOT_CONNECTED: "taxels far apart answered",
@@ -57,7 +57,6 @@ LATE_ANGLES_ADVICE = (
 MISSED_ADVICE = "Press the landmark itself. If you did, its position in the scene may be wrong; N skips it."
 """Advice after a poke too far from the requested landmark."""
 _SHORT_REASONS: Mapping[Reason, str] = {
-    Reason.TWO_CONTACTS: "second touch?",
     Reason.NOT_CONNECTED: "far apart",
     Reason.NO_TARE: "no pause",
     Reason.TARE_CHANGED: "zero changed",

@@ -165,10 +165,10 @@ def done_words(method: Method, wanted: float) -> str:
     """Describe a finished taxel, `wanted` in metres: `"an expected error of 3 mm or less, 3 own pokes evenly ..."`."""
     settings, most = GuideSettings(), f"{1e3 * wanted:g} mm or less"
     if method is Method.MODULES:
-        # Errors that more pokes do not reduce are in the expected error, which may be larger.
         return (
             f"{most} of its error that more pokes would reduce, {settings.module_pokes} pokes on its module or sheet, and a "
-            f"poke on the taxel or on taxels on all its sides within {SURROUNDING_MAX_SPACINGS:g} spacings"
+            f"poke on the taxel or on taxels on all its sides within {SURROUNDING_MAX_SPACINGS:g} spacings. The expected error "
+            "also has errors that more pokes do not reduce, so it may be larger"
         )
     sides = " and leaning to several sides" if method is Method.FREE else ""
     return f"an expected error of {most}, {settings.own_pokes} own pokes evenly around it{sides}, and a stable position"

@@ -17,7 +17,7 @@ from app.session import controller
 from app.session.opening import OpenRequest
 from app.state.running import Running
 from app.text.message import STILL_SOLVING
-from app.text.rig_text import offer_text, offer_words
+from app.text.rig_text import offer_text
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
 from skincal.guide.guidance import LANDMARK_POKE_MAX_OFFSET_M
 from skincal.model.actions import SetPose, Undo
@@ -276,7 +276,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     (offer,) = poked.frame.offers
     assert offer_text(offer) == "Correct sensor and arm"
     assert len(poked.said) == 1
-    assert offer_words(offer) in poked.said[0]
+    assert approved("rig.correctable_begin") in poked.said[0]
     assert approved("rig.offer_keys") in poked.said[0]
     assert panel.offer.isVisible()
     assert bench.window.commands.actions["correct"].text().startswith(offer_text(offer))

@@ -234,9 +234,15 @@ def test_a_wrong_unit_is_mended_in_the_list_that_the_sentence_names(bench, tmp_p
     trimesh.creation.box((2.5, 4.6, 3.0)).export(tmp_path / "inches.stl")
     build = Builder(bench, tmp_path / "inches.stl")
     step = build.page.open_step
+    assert step.unit.itemText(step.unit.findData("in")).endswith("116.8 x 76.2 x 63.5 mm"), "each unit with the size"
+    assert step.size_text.text().endswith("choose another unit.")
+    assert not build.page.preview.sensor_pose
+    assert "The sensor's axes are drawn" not in build.open_step("sensor").hint_label.text()
+    build.open_step("part")
     choose(step.unit, "in")
     build.settle()
     assert build.page.preview.size_mm == pytest.approx((63.5, 116.84, 76.2), rel=1e-4)
+    assert step.size_text.text().endswith("mm"), "the unit was chosen"
     choose(step.unit, "m")
     build.settle()
     assert build.page.preview.surface is None

@@ -1,11 +1,12 @@
 """Remarks on a calibration before it is written: what is odd is named with its channels, and what is right is not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from skincal.files.export import lint, write_calibration
+from skincal.files.export import lint, usual_format, write_calibration
 from skincal.taxels.result import Method
 from tests.approved import approved
 from tests.skincal.files.files_support import CHANNELS, make_calibration
@@ -109,3 +110,11 @@ def test_a_position_on_a_thermal_pad_is_named(part):
 def test_no_position_at_all_is_said(part):
     found = lint(make_calibration(part, unseen=tuple(range(48))), Method.FREE)
     assert found == (approved("lint.nothing_placed"),)
+
+
+@pytest.mark.parametrize(
+    ("link", "robot", "usual"),
+    [("r_forearm_dh_frame", None, "icub"), ("patch", None, "csv"), ("plate", object(), "urdf"), ("forearm", object(), "urdf")],
+)
+def test_the_proposed_format_fits_the_part(link, robot, usual):
+    assert usual_format(SimpleNamespace(link=link, robot=robot)).value == usual

@@ -168,6 +168,7 @@ def test_a_channel_has_one_place(tmp_path):
         (GOOD, 'unit = "mm"', 'unit = "furlong"', ["'furlong'", approved("scene.units")]),
         (GOOD, 'unit = "mm"', "", ["unit is missing"]),
         (GOOD, 'polarity = "down"', 'polarty = "down"', ["unknown name 'polarty'"]),
+        (GOOD, "force_min = 3", "sign = -1\nforce_min = 3", ["unknown name 'sign'", "belongs to [wrench]"]),
         (GOOD, "force_min = 3", "force_minimum = 3", ["unknown name 'force_minimum'"]),
         (GOOD, "force_min = 3", "force_min = -3", ["force_min is -3", "above 0"]),
         (GOOD, "force = 0.2", "force = nan", ["force is nan"]),

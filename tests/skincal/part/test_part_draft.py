@@ -186,6 +186,20 @@ def test_the_unit_of_a_mesh_is_guessed_from_its_size(sides, unit):
     assert guess_unit(np.array(sides, dtype=float)) == unit
 
 
+def test_the_summary_has_no_tick_for_a_guessed_unit_until_it_is_chosen(cylinder):
+    draft = with_part_file(PartDraft(), cylinder)
+    for each, state in ((draft, State.OPTIONAL), (with_unit(draft, draft.unit), State.COMPLETE)):
+        line = summarize(PartPreviewer().preview(each, {}))[0]
+        assert (line.step, line.state) == ("part", state)
+        assert ("guessed" in line.text) is (state is State.OPTIONAL)
+
+
+def test_a_sheet_is_not_counted_as_a_module():
+    sheet = PartDraft(layout_text=parse_grid("4x4@10mm").layout_text(), channels=16, sensor_pose=IDENTITY_POSE)
+    texts = [line.text for line in summarize(PartPreviewer().preview(sheet, {}))]
+    assert any("1 sheet with 16 taxels" in text for text in texts), texts
+
+
 def test_changes_are_undone_and_the_steps_of_a_drag_at_once():
     first, second, third = (PartDraft(name=name) for name in "abc")
     history = DraftHistory(now=first).changed(second, "drag").changed(third, "drag")
