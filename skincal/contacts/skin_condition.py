@@ -95,6 +95,18 @@ class SkinCondition:
         )
 
 
+def _mean_and_sd(values: FloatArray) -> tuple[float, float]:
+    """Return mean and standard deviation of the values (n,) that are numbers, as `np.nanmean` and `np.nanstd`.
+
+    Both cost a tenth of these functions where all values are numbers, as in nearly every frame.
+    """
+    mean = float(np.add.reduce(values)) / len(values)
+    if math.isnan(mean):
+        return float(np.nanmean(values)), float(np.nanstd(values))
+    off = values - mean
+    return mean, math.sqrt(float(np.add.reduce(off * off)) / len(values))
+
+
 @dataclass(frozen=True, slots=True)
 class _PokeAtTop:
     """A poke with taxels that kept the largest raw value of its still window."""
@@ -144,7 +156,7 @@ class SkinWatch:
         else:
             self._holder = -1
         self._lowest, self._highest = lowest, highest
-        mean, sd = float(np.nanmean(values)), float(np.nanstd(values))
+        mean, sd = _mean_and_sd(values)
         self._same_mean += max(abs(mean - self._mean), abs(sd - self._sd)) < STANDARDISED_MAX_CHANGE * sd
         self._mean, self._sd = mean, sd
         self._note_levels(values)
