@@ -199,7 +199,9 @@ def read_document(data: bytes, path: Path) -> SessionEvent | Result:
         raise InputError(f"{path}: an event or result is {shown(document)}; expected a table; {DAMAGED_OR_FOREIGN}.")
     found = cast("dict[str, Any]", document)
     kind = found.get("type")
-    body = {key: value for key, value in found.items() if key not in ("n", "type")}  # "n" numbered them in older sessions
+    body = {"host_ns": 0, **found}
+    body.pop("type", None)
+    body.pop("n", None)  # it numbered them in older sessions
     try:
         return _from_body(kind, body, path)
     except PARSE_ERRORS as error:
@@ -210,7 +212,6 @@ def read_document(data: bytes, path: Path) -> SessionEvent | Result:
 
 def _from_body(kind: object, body: dict[str, Any], path: Path) -> SessionEvent | Result:
     """Read the event or result of the type `kind`; raises one of `PARSE_ERRORS`, or InputError."""
-    body = {"host_ns": 0, **body}
     match kind:
         case "link":
             return from_json(LinkEvent, body)

@@ -121,7 +121,7 @@ class SessionLog:
     def _check_channels(self, result: DetectorResult) -> None:
         """Refuse outcomes of taxels that the scene does not have."""
         width = self.scene.skin.channels
-        named = [*(result.dead or ()), *(int(c) for outcome in result.outcomes for c in outcome.channels)]
+        named = [*(result.dead or ()), *(c for outcome in result.outcomes for c in outcome.channels.tolist())]
         if named and not 0 <= min(named) <= max(named) < width:
             raise InputError(f"{self.folder}: has a poke on channel {max(named)}; the scene has {width} channels, from 0.")
 

@@ -69,8 +69,9 @@ def parse_json(data: bytes | str) -> Any:
 
     Raises ValueError: it is none, is nested too deep, has whole numbers beyond 64 bits, or holds NaN or Infinity.
     """
+    text = data if isinstance(data, str) else data.decode(json.detect_encoding(data), "surrogatepass")
     try:
-        return json.loads(data, parse_int=_whole_number, parse_constant=_refuse_constant)
+        return _JSON_DECODER.decode(text)
     except RecursionError:
         raise ValueError("it is nested too deep") from None
 
@@ -86,3 +87,7 @@ def _whole_number(digits: str) -> int:
     if not -(1 << 63) <= number < 1 << 63:
         raise ValueError("a whole number beyond 64 bits")
     return number
+
+
+_JSON_DECODER = json.JSONDecoder(parse_int=_whole_number, parse_constant=_refuse_constant)
+"""Made once: a session has thousands of documents, and `json.loads` would make one for each."""
