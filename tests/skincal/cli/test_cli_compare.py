@@ -41,13 +41,15 @@ def test_a_file_of_a_session_repeats_it_and_its_plan_does_not(run, answered, tmp
             (f"{SAMPLE}:foo", str(SAMPLE)),
             approved("places.not_named", named=f"{SAMPLE}:foo", which="foo", head=SAMPLE),
         ),
-        ((str(Path(__file__)), str(SAMPLE)), approved("places.forms")),
+        (("notes.txt", str(SAMPLE)), approved("places.forms")),
         (("nowhere", str(SAMPLE)), approved("places.nowhere", named="nowhere")),
         ((f"{SAMPLE}/truth.json:plan", str(SAMPLE)), "only the folder of a session has a plan"),
         ((str(SAMPLE), f"{SAMPLE}/truth.json:free"), "has no places of the free method"),
     ],
 )
-def test_what_is_not_there_is_said_in_a_sentence(run, arguments, words):
+def test_what_is_not_there_is_said_in_a_sentence(run, arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("notes.txt").write_text("no places\n")
     code, _, err = run("compare", *arguments)
     assert (code, words in err) == (2, True), err
 

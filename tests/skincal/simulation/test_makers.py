@@ -1,5 +1,7 @@
 """Whole sessions over makers' devices: each simulated device speaks its protocol over the real transport to the real reader."""
 
+import os
+import select
 import time
 from contextlib import closing, contextmanager
 
@@ -13,6 +15,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.simulation.device import DeviceSettings, DeviceTimeline
 from skincal.simulation.emulated_devices import MAKERS, assign_devices
 from skincal.simulation.operator import AutoOperator, Habits
+from skincal.simulation.outlets import PtyOutlet
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.serve import Server
 from skincal.streams.intake import Intake
@@ -59,6 +62,24 @@ def readings_of(intake, items, want, seconds=PATIENCE_S):
     raise AssertionError(intake.health(time.monotonic_ns()))
 
 
+@pytest.fixture
+def _patient_ptys(monkeypatch):
+    """Let pseudo-terminals wait for a reader whom a busy machine holds up: by themselves they lose bytes, as serial ports."""
+
+    def write(outlet, data):
+        poller = select.poll()
+        poller.register(outlet._master, select.POLLOUT)
+        while data and outlet._was_open:
+            state = dict(poller.poll(100)).get(outlet._master, 0)
+            if state & select.POLLHUP:
+                return
+            if state & select.POLLOUT:
+                data = data[os.write(outlet._master, data) :]
+
+    monkeypatch.setattr(PtyOutlet, "write", write)
+
+
+@pytest.mark.usefixtures("_patient_ptys")
 @pytest.mark.parametrize("maker", MAKERS)
 @pytest.mark.parametrize("tcp", [True, False])
 def test_each_device_is_read_over_its_transport(maker, tcp):
