@@ -219,7 +219,7 @@ def to_the_file(keys: Keys) -> Path:
     bench = keys.bench
     keys.tap(Key.Key_F13)
     verdict = keys.dialog(VerdictDialog)
-    assert verdict.sentence.text().startswith(approved("verdict.all_done_begin", count=8))
+    assert verdict.sentence.text().startswith(approved("verdict.all_done", count=8))
     assert bench.controller.running is Running.STREAMING, "the verdict did not pause"
     keys.tap(Key.Key_Space)
     export = keys.dialog(ExportDialog)

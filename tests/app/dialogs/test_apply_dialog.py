@@ -45,7 +45,7 @@ def test_it_asks_first_sends_beside_the_window_and_shows_what_was_answered(bench
     manager = SkinManagerOutlet(384)
     with robot(manager) as address:
         dialog = asked(bench)
-        assert dialog.verdict.text().startswith(approved("verdict.not_enough_begin", done=78, count=84))
+        assert dialog.verdict.text().startswith(approved("verdict.not_enough", done=78, count=84))
         dialog.address.setText(address)
         QTest.keyClick(dialog, Qt.Key.Key_Space)
         QTest.keyClick(dialog, Qt.Key.Key_Return)

@@ -89,66 +89,73 @@ def verdict(
     )
 
 
-@pytest.mark.parametrize(
-    ("what", "said"),
-    [
-        (verdict(), approved("verdict.all_done_agree", count=24, predicted=ERRORS)),
-        (verdict(UNUSED), approved("verdict.all_used_done_agree", count=24, predicted=ERRORS)),
-        (verdict(UNUSED, GIVEN_UP), approved("verdict.given_up_agree", done=23, count=24, left=1)),
-        (verdict(NOT_POKED_ENOUGH), approved("verdict.not_enough_agree", done=23, count=24)),
-        (verdict(checked=Check(14, 7)), approved("verdict.all_done_against", count=24, predicted=ERRORS)),
-        (verdict(checked=Check(11, 8)), approved("verdict.all_done_hardly", count=24, predicted=ERRORS)),
-        (verdict(checked=Check(11, 9)), approved("verdict.all_done_agree", count=24, predicted=ERRORS)),
-        (verdict(checked=Check(0, 0)), approved("verdict.all_done_unchecked", tested=0, predicted=ERRORS)),
-        (verdict(checked=Check(4, 4)), approved("verdict.all_done_unchecked", tested=4, predicted=ERRORS)),
-        (
-            verdict(checked=Check(4, 4), landmarks=None),
-            approved("verdict.all_done_unchecked_no_landmarks", tested=4, predicted=ERRORS),
-        ),
-        (
-            verdict(checked=Check(4, 4), landmarks=MISSED),
-            approved("verdict.all_done_unchecked_landmarks_against", tested=4, predicted=ERRORS),
-        ),
-        (verdict(landmarks=None), approved("verdict.all_done_without_landmarks", count=24, predicted=ERRORS)),
-        (verdict(landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, predicted=ERRORS)),
-        (verdict(landmarks=NOISY), approved("verdict.all_done_landmarks_with_noise", count=24, predicted=ERRORS, noise="2.8")),
-        (
-            verdict(landmarks=replace(NOISY, noisier=2.0)),
-            approved("verdict.all_done_landmarks_with_noise", count=24, predicted=ERRORS, noise="2"),
-        ),
-        (verdict(landmarks=replace(NOISY, noisier=1.4)), approved("verdict.all_done_agree", count=24, predicted=ERRORS)),
-        (
-            verdict(landmarks=replace(NOISY, ratio=4.2)),
-            approved("verdict.all_done_landmarks_against", count=24, predicted=ERRORS),
-        ),
-        (
-            verdict(checked=Check(11, 8), landmarks=None),
-            approved("verdict.all_done_hardly_no_landmarks", count=24, predicted=ERRORS),
-        ),
-        (
-            verdict(checked=Check(11, 8), landmarks=MISSED),
-            approved("verdict.all_done_hardly_landmarks_against", count=24, predicted=ERRORS),
-        ),
-        (verdict(checked=Check(14, 7), landmarks=MISSED), approved("verdict.all_done_all_against", count=24, predicted=ERRORS)),
-        (
-            verdict(checked=Check(14, 7), landmarks=None),
-            approved("verdict.all_done_against_no_landmarks", count=24, predicted=ERRORS),
-        ),
-        (
-            replace(verdict(NOT_POKED_ENOUGH, checked=Check(0, 0), landmarks=None), done=0),
-            approved("verdict.none_done_no_landmarks", count=24),
-        ),
-        (
-            replace(verdict(), enough=False, landmarks_left=6),
-            approved("verdict.landmarks_to_go", predicted=ERRORS, left=6),
-        ),
-        (replace(verdict(), states={State.TOUCHED: 20, State.INFERRED: 4}), approved("verdict.states", predicted=ERRORS)),
-        (verdict(UNUSED, used=0), approved("verdict.none_used")),
-        (verdict(used=0), approved("verdict.none_answered")),
-    ],
-)
-def test_one_sentence_says_what_the_session_has_come_to(what, said):
-    assert verdict_sentence(what) == said
+EXPECTED = approved("verdict.expected", predicted=ERRORS)
+HEADLINES = [
+    (verdict(), approved("verdict.all_done", count=24)),
+    (verdict(UNUSED), approved("verdict.all_used_done", count=24)),
+    (verdict(used=1), approved("verdict.only_one")),
+    (verdict(UNUSED, GIVEN_UP), approved("verdict.given_up", done=23, count=24, left=1)),
+    (verdict(NOT_POKED_ENOUGH), approved("verdict.not_enough", done=23, count=24)),
+    (replace(verdict(), done=0), approved("verdict.none_determined", count=24)),
+    (verdict(checked=Check(4, 4)), approved("verdict.tests_unpredicted", tested=4)),
+    (replace(verdict(NOT_POKED_ENOUGH, checked=Check(0, 0)), done=0), approved("verdict.none_done", count=24, left=10)),
+    (replace(verdict(), enough=False, landmarks_left=6), approved("verdict.landmarks_to_go", left=6)),
+    (replace(verdict(checked=Check(6, 6)), enough=False), approved("verdict.tests_to_go", left=4)),
+    (verdict(NOT_POKED_ENOUGH, checked=Check(6, 6)), approved("verdict.taxels_and_tests_to_go", done=23, count=24, left=4)),
+]
+"""Sessions without a doubt, and how their headline begins."""
+TESTS = [
+    (Check(14, 13), approved("verdict.tests_agree")),
+    (Check(11, 9), approved("verdict.tests_agree")),
+    (Check(11, 8), approved("verdict.tests_hardly")),
+    (Check(14, 7), None),
+    (Check(0, 0), ""),
+    (Check(4, 4), ""),
+]
+"""Test pokes and what is said of them; `None` where they contradict the result."""
+LANDMARKS = [
+    (PASSED, approved("verdict.landmarks_agree")),
+    (None, approved("verdict.no_landmarks")),
+    (MISSED, None),
+    (NOISY, approved("verdict.landmarks_agree_with_noise", noise="2.8")),
+    (replace(NOISY, noisier=2.0), approved("verdict.landmarks_agree_with_noise", noise="2")),
+    (replace(NOISY, noisier=1.4), approved("verdict.landmarks_agree")),
+    (replace(NOISY, ratio=4.2), None),
+]
+"""Landmarks and what is said of them; `None` where they contradict the result."""
+DOUBTS = {
+    (False, False): "",
+    (True, False): approved("verdict.but_tests"),
+    (False, True): approved("verdict.but_landmarks"),
+    (True, True): approved("verdict.but_both"),
+}
+"""End of the headline if test pokes, landmarks or both contradict the result."""
+
+
+@pytest.mark.parametrize(("what", "said"), HEADLINES)
+def test_a_headline_says_what_is_finished_or_missing(what, said):
+    assert verdict_headline(what) == f"{said}."
+
+
+@pytest.mark.parametrize(("landmarks", "of_landmarks"), LANDMARKS)
+@pytest.mark.parametrize(("checked", "of_tests"), TESTS)
+def test_a_verdict_joins_headline_doubts_error_test_pokes_and_landmarks(checked, of_tests, landmarks, of_landmarks):
+    begin = approved("verdict.all_done", count=24)
+    if not checked.has_enough:
+        begin = approved("verdict.tests_unpredicted", tested=checked.checked)
+    headline = f"{begin}{DOUBTS[of_tests is None, of_landmarks is None]}."
+    said = " ".join(filter(None, (headline, EXPECTED, of_tests, of_landmarks)))
+    assert verdict_sentence(verdict(checked=checked, landmarks=landmarks)) == said
+
+
+def test_a_verdict_gives_the_error_only_of_a_whole_skin_and_counts_its_states():
+    some = verdict(NOT_POKED_ENOUGH)
+    assert verdict_sentence(some) == f"{verdict_headline(some)} {TESTS[0][1]} {LANDMARKS[0][1]}"
+    states = replace(verdict(), states={State.TOUCHED: 20, State.INFERRED: 4})
+    counted = approved("verdict.states", touched=20, inferred=4)
+    assert verdict_sentence(states) == f"{verdict_headline(states)} {counted} {EXPECTED} {TESTS[0][1]} {LANDMARKS[0][1]}"
+    assert verdict_sentence(verdict(UNUSED, used=0)) == approved("verdict.none_used")
+    assert verdict_sentence(verdict(used=0)) == approved("verdict.none_answered")
 
 
 def test_the_figures_are_those_of_the_verdict():
@@ -226,18 +233,12 @@ def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
     assert done_words(Method.MODULES, 0.002) == approved("verdict.needs_modules", target_mm=2)
 
 
-def test_a_headline_says_what_is_missing_and_finished_only_of_what_was_tested():
-    unfinished = replace(verdict(checked=Check(6, 6)), enough=False)
-    assert verdict_headline(unfinished) == approved("verdict.tests_to_go", left=4) + "."
-    untested = verdict(NOT_POKED_ENOUGH, checked=Check(6, 6))
-    assert verdict_headline(untested) == approved("verdict.taxels_and_tests_to_go", left=4) + "."
+def test_a_verdict_is_finished_only_if_it_was_tested_and_adds_what_was_not_checked():
     # By the modules method 1.5 mm are wanted of a part of the error, so the worst taxel may have a larger one.
     far = replace(verdict(), method=Method.MODULES, wanted=0.0015)
-    assert approved("verdict.expected", predicted=ERRORS) in verdict_sentence(far)
+    assert EXPECTED in verdict_sentence(far)
     added = approved("verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="4.7")
     assert approved("verdict.expected", predicted=added) in verdict_sentence(verdict(unchecked=0.0047, landmarks=None))
-    assert verdict_headline(replace(verdict(), done=0)) == approved("verdict.none_determined") + "."
-    assert verdict_headline(verdict(used=1)) == approved("verdict.only_one") + "."
     assert [verdict(checked=Check(n, n)).is_finished for n in (9, 10)] == [False, True]
     large = replace(verdict(used=4200), states={State.INFERRED: 4200})
     assert verdict_sentence(large).count("4\N{NARROW NO-BREAK SPACE}200") == 2, "one form of a number"
@@ -384,7 +385,7 @@ def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
     bench.key(Key.Key_F)
     bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
     dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
-    assert dialog.sentence.text().startswith(approved("verdict.not_enough_begin", done=0, count=84))
+    assert dialog.sentence.text().startswith(approved("verdict.not_enough", done=0, count=84))
     assert {name: value.text() for name, value in dialog.figures}["Work"] == approved("verdict.work", pokes=3, time="4 s")
     assert dialog.left.model().rowCount() == 84
     on_map = pixels(session_view.workspace.map)

@@ -122,7 +122,7 @@ def test_landmarks_that_are_still_asked_for_are_not_enough_wherever_it_is_said(s
     taxels = [each for each in skipping[-1] if isinstance(each, SkipPoke)]
     enough, words, _ = followed(tmp_path / "s", taxels)
     assert not enough
-    assert words.startswith(approved("verdict.not_enough_begin", done=78, count=84))
+    assert words.startswith(approved("verdict.not_enough", done=78, count=84))
     assert said_of(tmp_path / "s", capsys) == {words}
 
 

@@ -98,7 +98,7 @@ def test_positions_arrive_as_the_file_has_them_and_go_back(capsys, sample, tmp_p
         assert (manager.poses[placed, 6] == 1.0).all()
         assert manager.poses[5].tolist() == had[5].tolist(), "what was not measured stays as it was"
         assert approved("apply.changed", count=TAXELS, part="r_forearm") in said
-        assert said.startswith(approved("verdict.not_enough_begin", done=78, count=84))
+        assert said.startswith(approved("verdict.not_enough", done=78, count=84))
         assert told.count("set pose 5 ") == TAXELS
         assert told.count("set position 5 ") == TAXELS - 1, "one was known to be there"
         before = sample / "before-r_forearm.txt"
