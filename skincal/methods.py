@@ -15,6 +15,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.taxels.contact_table import ContactTable, Evidence
+from skincal.taxels.exchanged import withdraw_claimed
 from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason, placed_state
 from skincal.taxels.shared_errors import SharedRows, add_shared_errors
 from skincal.taxels.solve import Solution, estimate_free, estimate_surface, solve
@@ -88,6 +89,7 @@ def estimate_taxels(
             from skincal.modules.distances import apply_distances
 
             found |= apply_distances(model, kept, found, noise)[0]
+        found |= withdraw_claimed(found, others[begin])
         solved[Method.MODULES] = {
             channel: found.get(channel) or _without(channel, Method.MODULES, dead) for channel in channels
         }

@@ -251,7 +251,7 @@ class Guide:
         covered = self._covered
         if self._surroundings is not None:
             covered = self._surroundings.touched_or_surrounded(
-                np.array([has_touch(each.contacts, each.doubted) for each in estimates], dtype=bool)
+                np.fromiter((has_touch(each.contacts, each.doubted) and not each.is_contradicted for each in estimates), bool)
             )
         recovered, self._covered = (covered != self._covered).tolist(), covered
         numbers = self._own(), know.diversity, know.offset_size, know.depth_bias, know.last_shift, covered
@@ -346,6 +346,8 @@ class Guide:
             # On a large module more taxels need a touch than a pose needs pokes: here each taxel has its own patience.
             touch_alone = np.array([needs == (Need.TOUCH,) for needs in self._needs], dtype=bool)
             exhausted = np.where(touch_alone, self._pokes.asked >= settings.touch_patience, exhausted)
+        contradicted = np.array([Need.AGREEMENT in needs for needs in self._needs], dtype=bool)
+        exhausted = np.where(contradicted, np.maximum(know.own, self._pokes.asked) >= settings.touch_patience, exhausted)
         # Of thousands of taxels only these can be given up: the others are not looked at.
         candidates = exhausted | ((know.contacts == 0) & (unanswered >= settings.unanswered))
         if self._usable_tilt < settings.diversity:
@@ -455,8 +457,9 @@ class Guide:
         """
         know, normal, off = self._statistics, self._normals[row], np.zeros(3)
         if self._is_sheet:
-            # A taxel that lacks a touch alone is to answer, and not a neighbour.
-            return self._places[row] + (np.zeros(3) if tuple(missing) == (Need.TOUCH,) else self._off_taxel(row))
+            # A taxel that lacks a touch alone, or contradicts its place, is to answer, and not a neighbour.
+            is_on_taxel = Need.AGREEMENT in missing or tuple(missing) == (Need.TOUCH,)
+            return self._places[row] + (np.zeros(3) if is_on_taxel else self._off_taxel(row))
         # A poke that corrects the depth moves the taxel: it settles afterwards.
         balancing = {Need.BALANCE, Need.DEPTH, Need.SETTLED} if Need.DEPTH in missing else {Need.BALANCE}
         if not balancing.issuperset(missing):

@@ -80,6 +80,7 @@ class Need(Enum):
     SETTLED = "settled"
     DECISION = "decision"
     TOUCH = "touch"
+    AGREEMENT = "agreement"
 
 
 class Why(Enum):
@@ -91,6 +92,7 @@ class Why(Enum):
     TILT = "tilt"
     AMBIGUOUS = "ambiguous"
     NOT_CONVERGED = "not converged"
+    CONTRADICTED = "contradicted"
     NOT_POKED_ENOUGH = "not poked enough"
 
 
@@ -137,8 +139,13 @@ def find_needs(
     if estimate.state is State.DEAD:
         return ()
     if method is Method.MODULES:
-        inexact = improvable_error(estimate, skin) > settings.module_wanted
-        missing = {Need.POKES: facts.own < settings.module_pokes, Need.ACCURACY: inexact, Need.TOUCH: not facts.is_covered}
+        inexact = not estimate.is_contradicted and improvable_error(estimate, skin) > settings.module_wanted
+        missing = {
+            Need.POKES: facts.own < settings.module_pokes,
+            Need.ACCURACY: inexact,
+            Need.TOUCH: not facts.is_covered,
+            Need.AGREEMENT: estimate.is_contradicted,
+        }
     else:
         missing = {
             Need.POKES: facts.own < settings.own_pokes,
@@ -173,6 +180,8 @@ def give_up_reason(
         return Why.OUT_OF_REACH
     if facts.contacts == 0:
         return Why.NEVER_FIRED if facts.unanswered >= settings.unanswered or patience_exhausted else None
+    if patience_exhausted and Need.AGREEMENT in missing:
+        return Why.CONTRADICTED
     if patience_exhausted:
         return Why.AMBIGUOUS if Need.DECISION in missing else Why.NOT_CONVERGED
     # Axes that all lean by one angle, evenly to all sides, have just that diversity; no others have more.

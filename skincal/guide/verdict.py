@@ -39,6 +39,7 @@ from skincal.modules.pose_fit import fit_modules_from_pokes
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.taxels.contact_table import Evidence
+from skincal.taxels.exchanged import find_denied, find_exchanged
 from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.predictions import PokePredictions
 from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Method, State
@@ -278,6 +279,10 @@ class Verdict:
     """Frame that messages of the wrench name, if it is not settled what their readings mean; else empty."""
     states: Mapping[State, int] = field(default_factory=dict[State, int])
     """Number of used taxels in each state."""
+    contradicted: tuple[int, ...] = ()
+    """Channels with two or more own pokes that all contradict the place that their module gives them, and exchanged ones."""
+    exchanged: tuple[tuple[int, int], ...] = ()
+    """Pairs of channels that look exchanged."""
 
     @property
     def is_finished(self) -> bool:
@@ -293,6 +298,7 @@ class Verdict:
     def doubted(self) -> bool:
         """Whether anything contradicts the predicted errors."""
         contradicted = not self.check.believed or self.check.off_plan is not None or bool(self.frame_in_doubt)
+        contradicted |= bool(self.contradicted)
         return self.has_moved or contradicted or (self.landmarks is not None and not self.landmarks.agrees)
 
     @property
@@ -303,7 +309,7 @@ class Verdict:
     @property
     def believed(self) -> bool:
         """Whether the predicted errors are confirmed (see `is_believed`)."""
-        return not self.frame_in_doubt and is_believed(self.check, self.landmarks)
+        return not self.frame_in_doubt and not self.contradicted and is_believed(self.check, self.landmarks)
 
 
 def verdict_of(
@@ -325,6 +331,8 @@ def verdict_of(
     state = {estimate.channel: estimate.state for estimate in estimates}
     used = [channel for channel in guidance.channels.tolist() if state.get(channel) is not State.DEAD]
     left = tuple(_unfinished_taxels(guidance, state))
+    alone = moment.estimates.get(Method.SURFACE) or moment.estimates.get(Method.FREE, ())
+    exchanged = find_exchanged(estimates, alone)
     return Verdict(
         method=guidance.method,
         enough=guidance.enough and bool(used),
@@ -337,6 +345,8 @@ def verdict_of(
         landmarks_left=0 if guidance.landmark is None else guidance.landmark.pokes_left,
         predicted=predicted_error(estimates, moment.part_size),
         counts=moment.poke_counts,
+        contradicted=find_denied(estimates, exchanged),
+        exchanged=exchanged,
         states=Counter(state[channel] for channel in used if channel in state),
         seconds=working_time(*(np.array([getattr(contact, name) for contact in contacts]) for name in ("start_s", "end_s"))),
     )

@@ -26,10 +26,12 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import SkinKind
+from skincal.modules.contradictions import find_contradicted
 from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO, Fitted, Touches, fit_modules_from_pokes, whitened_rows
 from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.exchanged import contradicted
 from skincal.taxels.predictions import PokePredictions
 from skincal.taxels.result import (
     FORCE_AXIS_MAX_MISS_M,
@@ -116,7 +118,7 @@ def estimate_modules(
         for module in modules:
             fitted_modules.pop(module, None)
     if fit is not None:
-        estimates = list(_estimates(*fit, counts, dead))
+        estimates = list(_estimates(*fit, counts, dead, noise))
         every = _add_shared_errors(*fit, model, noise, estimates, shared, fitted_modules)
         found.update((estimate.channel, estimate) for estimate in every)
     return found
@@ -131,7 +133,9 @@ def _without_pose(channel: int, contacts: int, dead: Mapping[int, str]) -> Estim
     return Estimate(channel, Method.MODULES, State.UNSEEN, 0, reason=StateReason(Cause.MODULE_UNPOKED))
 
 
-def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead: Mapping[int, str]) -> Iterator[Estimate]:
+def _estimates(
+    touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead: Mapping[int, str], noise: NoiseSettings
+) -> Iterator[Estimate]:
     """Yield the estimates of the taxels of the modules that have a pose."""
     gradients = fitted.pads.gradients
     covariances = gradients @ fitted.covariances[fitted.of] @ gradients.transpose(0, 2, 1)
@@ -139,6 +143,7 @@ def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead
     sds, rms = np.sqrt(values[:, 2]), np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     troubles = [_trouble(touches, fitted, module) for module in range(len(touches.modules))]
     doubted, none = _doubted(touches, fitted), dict[int, float]()
+    denied = find_contradicted(touches, fitted.of, fitted.pads.points, fitted.trust, noise)
     pads: list[tuple[int, int]] = list(zip(touches.channels.tolist(), fitted.of.tolist(), strict=True))
     for pad, (channel, module) in enumerate(pads):
         contacts = counts.get(channel, 0)
@@ -157,12 +162,13 @@ def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead
         else:
             triangle, of_poke = int(fitted.pads.triangles[pad]), doubted[module].get(channel, none)
             state = placed_state(contacts, of_poke)
-            yield Estimate(
+            estimate = Estimate(
                 channel, Method.MODULES, state, contacts, position=fitted.pads.points[pad],
                 normal=fitted.pads.normals[pad], covariance=covariances[pad], worst_direction=axes[pad, :, 2],
                 sd=float(sds[pad]), rms=float(rms[pad]), triangle=None if triangle < 0 else triangle,
                 reason=None if state is State.TOUCHED else StateReason(Cause.BY_MODULE), doubted=of_poke,
             )  # fmt: skip
+            yield contradicted(estimate, denied[channel]) if channel in denied else estimate
 
 
 def _trouble(touches: Touches, fitted: Fitted, module: int) -> StateReason | None:

@@ -12,10 +12,12 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
+from skincal.modules.contradictions import find_contradicted
 from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel
 from skincal.modules.sheet_fit import SheetFit, fit_sheets
 from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.exchanged import contradicted
 from skincal.taxels.predictions import PokePredictions
 from skincal.taxels.result import (
     FORCE_AXIS_MAX_MISS_M,
@@ -64,11 +66,11 @@ def estimate_sheets(
     evidence = table.evidence([channel for channel in channels if channel not in dead])
     counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
     for fit in fit_sheets(evidence, table.totals(evidence.pokes), model, noise, others, doubting):
-        estimates = [estimate for estimate in _estimates(fit, counts) if estimate.channel not in dead]
+        estimates = [estimate for estimate in _estimates(fit, counts, noise) if estimate.channel not in dead]
         yield from _with_shared_errors(fit, estimates, len(model.layout.modules), noise, shared)
 
 
-def _estimates(fit: SheetFit, counts: Mapping[int, int]) -> Iterator[Estimate]:
+def _estimates(fit: SheetFit, counts: Mapping[int, int], noise: NoiseSettings) -> Iterator[Estimate]:
     """Yield the estimates of the taxels of a sheet, without the errors that pokes share."""
     trouble = _trouble(fit)
     covariances = _of_pads(fit, fit.covariance)
@@ -77,6 +79,8 @@ def _estimates(fit: SheetFit, counts: Mapping[int, int]) -> Iterator[Estimate]:
     values, axes = np.linalg.eigh(covariances)
     sds, rms = np.sqrt(values[:, 2]).tolist(), np.sqrt(np.trace(covariances, axis1=1, axis2=2)).tolist()
     doubted, none = _doubted(fit), dict[int, float]()
+    of_sheet = np.zeros(len(fit.pads.points), dtype=np.int64)
+    denied = find_contradicted(fit.touches, of_sheet, fit.pads.points, fit.trust, noise)
     for pad, channel in enumerate(fit.touches.channels.tolist()):
         contacts, of_poke = counts.get(channel, 0), doubted.get(channel, none)
         reason = trouble
@@ -90,12 +94,13 @@ def _estimates(fit: SheetFit, counts: Mapping[int, int]) -> Iterator[Estimate]:
             )  # fmt: skip
         else:
             state = placed_state(contacts, of_poke)
-            yield Estimate(
+            estimate = Estimate(
                 channel, Method.MODULES, state, contacts, position=fit.pads.points[pad],
                 normal=fit.pads.normals[pad], covariance=covariances[pad], worst_direction=axes[pad, :, 2],
                 sd=sds[pad], rms=rms[pad], triangle=int(fit.pads.triangles[pad]),
                 reason=None if state is State.TOUCHED else StateReason(Cause.BY_MODULE), doubted=of_poke,
             )  # fmt: skip
+            yield contradicted(estimate, denied[channel]) if channel in denied else estimate
 
 
 def _of_pads(fit: SheetFit, covariance: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.pose import ModuleModel
 from skincal.rig.tip_fusion import TipFusion
 from skincal.taxels.contact_table import ContactTable, TableState
+from skincal.taxels.exchanged import withdraw_claimed
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 from skincal.taxels.shared_errors import SharedRows, add_shared_errors
 
@@ -65,6 +66,8 @@ class Solving:
         self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
         self._alike: dict[Method, dict[int, Estimate]] = {method: {} for method in self._alone}
         """The same without shared errors: start of the search for the modules, which shared errors may not change."""
+        self._claimed: dict[int, Estimate] = {}
+        """Estimates of the modules method before `withdraw_claimed`, of the taxels that it changed."""
         self._pokes, self._channels, self._fresh = set[int](), set[int](), set[int]()
         """Pokes to update in the table; taxels to solve; taxels for the next `take_fresh`."""
 
@@ -112,6 +115,8 @@ class Solving:
                 self._table.drop(poke)
             self._table.add(self._with_tips(kept(self._pokes)))
         self._pokes.clear()
+        if self._claimed:
+            self._estimates[Method.MODULES].update(self._claimed)
         for part in parts:
             self._solve(part, dead)
             self._channels.difference_update(part)
@@ -121,6 +126,8 @@ class Solving:
             self._shown = self._table
             if parts and self._fitted is not None:
                 self._refine()
+        if self.module_model is not None:
+            self._withdraw_claimed()
 
     def _with_tips(self, contacts: Sequence[Contact]) -> Sequence[Contact]:
         return contacts if self.tips is None else self.tips.moved_axes(contacts)
@@ -133,6 +140,12 @@ class Solving:
         assert self._fitted is not None
         moved, self.tried_distances = apply_distances(self.module_model, self._fitted, self._apart, self._noise)
         self._estimates[Method.MODULES].update({**self._apart, **moved})
+
+    def _withdraw_claimed(self) -> None:
+        placed = self._estimates[Method.MODULES]
+        found = withdraw_claimed(placed, self._alike[self._alone[-1]] if self._alone else {})
+        self._claimed = {channel: placed[channel] for channel in found}
+        placed.update(found)
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
         """Look up by method the estimates of some channels, one a channel."""

@@ -37,7 +37,7 @@ class State(Enum):
     INFERRED = "inferred"
     """It has a position and no contact, or outliers alone: its module, or its neighbours, place it."""
     BLIND = "undetermined"
-    """Contacts do not determine its position: see `Estimate.reason`."""
+    """Contacts do not determine its position, or contradict it: see `Estimate.reason`."""
     UNSEEN = "untouched"
     """It has no contact and no position."""
     DEAD = "disabled"
@@ -81,6 +81,8 @@ class Cause(Enum):
     MODULE_ONE_POKE = "module one poke"
     MODULE_LOOSE = "module loose"
     BY_MODULE = "by module"
+    CONTRADICTED = "contradicted"
+    CLAIMED = "claimed"
     SHARED_ERRORS = "shared errors"
     MEAN_OF_POSES = "mean of poses"
     BLIND_IN_POSES = "blind in poses"
@@ -93,11 +95,11 @@ class StateReason:
 
     cause: Cause
     count: int = 0
-    """Pokes, axes or arm poses."""
+    """Pokes, axes or arm poses; `CLAIMED`: the other channel."""
     blind: int = 0
     """`MEAN_OF_POSES`: arm poses left out because the taxel is blind in them."""
     size: float | None = None
-    """m: distance of the axes, movement of a pose, or a standard deviation; `None` if it is not determined."""
+    """m: distance of the axes, movement of a pose, miss of a place, or a standard deviation; `None` if it is not determined."""
     angle: float = 0.0
     """rad, `ALIKE_AXES`: largest angle of an axis to one direction."""
     inner: StateReason | None = None
@@ -159,3 +161,10 @@ class Estimate:
     """Outliers: number of the poke to trust, 0 to less than 1."""
     normal_sd: float | None = None
     """rad, standard deviation of the normal's angle; `None` where it is a triangle's own (`skincal.mesh.smooth_normals`)."""
+    contradicted_place: FloatArray | None = None
+    """(3,) float, metres: the place that its module gives it and pokes contradict; `None` without a contradiction."""
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether pokes contradict the place that its module gives it (`skincal.modules.contradictions`)."""
+        return self.contradicted_place is not None

@@ -54,6 +54,13 @@ STATE_SENTENCES = {
     Cause.MODULE_ONE_POKE: "One poke on its module does not show how the module is turned. Press another of its taxels.",
     Cause.MODULE_LOOSE: "The {count} pokes on its module {tell}. Press taxels farther apart, leaning other ways.",
     Cause.BY_MODULE: "Inferred: no accepted poke touched it, or outliers alone; its module places it.",
+    Cause.CONTRADICTED: (
+        "The force axes of its own pokes ({count}) miss the place that its module gives it by {mm:.0f} mm. Press it again. If "
+        "they still miss it, its channel may be exchanged with another: check the layout."
+    ),
+    Cause.CLAIMED: (
+        "Channel {count} answers at its place, and it does not: the two channels may be exchanged. Check the layout."
+    ),
     Cause.SHARED_ERRORS: (
         "With the errors of the rig included, its position {depth} (limit {sd_max}). Press again, leaning other ways, and "
         "press more landmarks."
@@ -88,7 +95,7 @@ def state_sentence(reason: StateReason | None) -> str:
 STATE_WORDS = {
     State.TOUCHED: "accepted contacts of their own",
     State.INFERRED: "no contact of their own that counts, placed by their module or neighbours",
-    State.BLIND: "no position: contacts do not determine it",
+    State.BLIND: "no position: contacts do not determine it, or contradict it",
     State.UNSEEN: "no position: no contact",
     State.DEAD: "no position: not used",
 }

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from skincal.guide.progress import MIN_CHECKED_POKES, GuideSettings, Need, Why
 from skincal.guide.surroundings import SURROUNDING_MAX_SPACINGS
 from skincal.guide.verdict import Left, Verdict
+from skincal.model.errors import list_channels
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, LandmarkAgreement
 from skincal.taxels.result import Method
@@ -24,6 +25,7 @@ NEED_WORDS: Mapping[Need, str] = {
     Need.SETTLED: "one more poke, since the last one moved its position",
     Need.DECISION: "a poke that decides between two positions",
     Need.TOUCH: "a poke on it, or on taxels on all its sides",
+    Need.AGREEMENT: "a poke that agrees with its place",
 }
 WHY_WORDS: Mapping[Why, str] = {
     Why.DEAD: "disabled",
@@ -32,6 +34,7 @@ WHY_WORDS: Mapping[Why, str] = {
     Why.TILT: "the tool did not lean far enough to determine its depth",
     Why.AMBIGUOUS: "two positions fit its pokes",
     Why.NOT_CONVERGED: "many pokes were not enough",
+    Why.CONTRADICTED: "its pokes contradict the place that its module gives it",
     Why.NOT_POKED_ENOUGH: "not pressed enough yet",
 }
 
@@ -86,8 +89,24 @@ def _doubts(verdict: Verdict) -> list[str]:
         # A movement, or a wrong frame, makes test pokes meaningless.
         against += [] if check.believed else ["test pokes"]
         found += ["taxels answer off the plan of their modules"] if check.believed and check.off_plan is not None else []
+    found += _contradiction_words(verdict)
     against += [] if landmarks is None or landmarks.agrees else ["landmarks"]
     return [*found, *([f"{' and '.join(against)} contradict it"] if against else [])]
+
+
+def _contradiction_words(verdict: Verdict) -> list[str]:
+    """Name the channels that look exchanged, and the others whose pokes contradict their places."""
+    found = list[str]()
+    if verdict.exchanged:
+        pairs = ", ".join(f"{one} and {other}" for one, other in verdict.exchanged)
+        found.append(f"channels {pairs} look exchanged")
+    paired = {channel for pair in verdict.exchanged for channel in pair}
+    alone = [channel for channel in verdict.contradicted if channel not in paired]
+    if alone:
+        word = "channel" if len(alone) == 1 else "channels"
+        where = "the place that its module gives it" if len(alone) == 1 else "the places that their modules give them"
+        found.append(f"all pokes on {word} {list_channels(alone)} contradict {where}")
+    return found
 
 
 def verdict_details(verdict: Verdict) -> str:

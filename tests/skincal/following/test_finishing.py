@@ -22,8 +22,9 @@ from skincal.simulation.example_parts import forearm
 from skincal.simulation.operator import OPERATORS, aimed_presses
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
-from skincal.taxels.result import Method, State
+from skincal.taxels.result import Cause, Method, State
 from skincal.words.poke_words import poke_count_words
+from skincal.words.verdict_words import verdict_sentence
 from tests.approved import approved
 
 MAX_POKES = 150
@@ -41,7 +42,13 @@ class Hand:
     """A careful hand that presses what the guide asks for, on a grid that lies 2.8 mm off its plan."""
 
     def __init__(
-        self, grid: str, seed: int = 1, silent: tuple[int, ...] = (), method: Method = Method.MODULES, kind: str = "sheet"
+        self,
+        grid: str,
+        seed: int = 1,
+        silent: tuple[int, ...] = (),
+        method: Method = Method.MODULES,
+        kind: str = "sheet",
+        exchanged: tuple[tuple[int, int], ...] = (),
     ):
         size = parse_grid(grid)
         count = size.rows * size.columns
@@ -52,6 +59,9 @@ class Hand:
         errors = replace(RigErrors.noise(), mount_shift=0.0028, mount_turn=0.0)
         self.rig = Rig(scene, surface, errors, np.random.default_rng([seed, 7]))
         self.session, self.method, self.silent = Session(scene, surface), method, silent
+        self.order = np.arange(count)
+        for one, other in exchanged:
+            self.order[[one, other]] = other, one
         self.guide = SessionGuide(lay_part(scene, surface, ()))
         self.rng, self.pokes = np.random.default_rng([seed, 11]), 0
         self.phases = Counter[GuidePhase]()
@@ -69,7 +79,9 @@ class Hand:
         pressed = aimed_presses(self.rig, np.zeros(1, dtype=np.int64), *places, habits, self.rng)
         for contact in simulate_contacts(self.rig, pressed, self.rng, pose, self.pokes, habits):
             heard = ~np.isin(contact.channels, self.silent)
-            part = replace(contact, channels=contact.channels[heard], responses=contact.responses[heard])
+            channels, responses = self.order[contact.channels[heard]], contact.responses[heard]
+            turn = np.argsort(channels)
+            part = replace(contact, channels=channels[turn], responses=responses[turn])
             self.session.add(part if heard.any() else rejected(contact, self.pokes, Reason.NO_TAXEL))
 
     def finish(self):
@@ -103,6 +115,22 @@ def test_the_guide_asks_for_touches_until_no_position_lies_beyond_them(grid, cor
     assert (verdict.done, verdict.used) == (len(estimates), len(estimates))
     assert dict(verdict.states) == {State.TOUCHED: int(touched.sum()), State.INFERRED: int((~touched).sum())}
     assert verdict.check.checked >= MIN_CHECKED_POKES
+
+
+@pytest.mark.parametrize("kind", ["sheet", "board"])
+def test_exchanged_channels_are_not_finished_and_are_named(kind):
+    hand = Hand("5x7@9mm", kind=kind, exchanged=((8, 26), (10, 30)))
+    guidance = hand.finish()
+    verdict = hand.verdict()
+    assert verdict.contradicted == (8, 10, 26, 30)
+    assert set(guidance.given_up) == {left.channel for left in verdict.left} == {8, 10, 26, 30}
+    assert verdict.exchanged == ((8, 26), (10, 30))
+    assert verdict.doubted
+    assert approved("verdict.exchanged") in verdict_sentence(verdict)
+    estimates = {each.channel: each for each in hand.session.snapshot().estimates[Method.MODULES]}
+    for channel in verdict.contradicted:
+        assert estimates[channel].reason.cause in (Cause.CONTRADICTED, Cause.CLAIMED)
+        assert (estimates[channel].state, estimates[channel].position, estimates[channel].sd) == (State.BLIND, None, None)
 
 
 def test_a_corner_that_never_answers_is_given_up_and_the_session_ends():

@@ -308,7 +308,8 @@ def test_a_taxel_whose_only_contact_is_an_outlier_is_not_touched():
     wrong[20, 0] += 0.02
     clean = [each for each in press(places, np.tile(np.arange(48), 2), rng) if 20 not in each.channels]
     found = estimate([*clean, *press(wrong, [20], rng, first=97)])[20]
-    assert (found.contacts, found.state, found.reason.cause) == (1, State.INFERRED, Cause.BY_MODULE)
+    assert (found.contacts, found.state, found.reason.cause) == (1, State.BLIND, Cause.CONTRADICTED)
+    assert (found.position, found.sd, found.rms) == (None, None, None)
     (good,) = press(places, [20], rng, first=97)
     assert estimate([*clean, good])[20].state is State.TOUCHED
 
