@@ -121,6 +121,8 @@ class WindowPhotographer:
         self.window.show()
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() > end)
+        # The folder of this run says nothing to a reader.
+        self.window.where.setText(self.window.where.text().replace(str(Path.cwd()), str(Path("~", "skincal"))))
         picture, dialog = self.window.grab(), QApplication.activeModalWidget()
         if dialog is not None:
             dialog.render(picture, self.window.rect().center() - dialog.rect().center())

@@ -41,7 +41,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import ElidedLabel, FittedLabel, escape_tooltip, mix, secondary_label, theme_colours
+from app.panels.widgets import FittedLabel, escape_tooltip, mix, secondary_label, theme_colours
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import GOOD_RMS, Mark, answer_levels, marks
@@ -519,7 +519,7 @@ class MapCard(QFrame):
         self.legend.setTextFormat(Qt.TextFormat.PlainText)
         self.legend.setAccessibleName("legend of the map")
         self.progress, self.errors, self.methods = FittedLabel(), secondary_label(wrap=True), QComboBox()
-        self.pokes = ElidedLabel("muted")
+        self.pokes = secondary_label(wrap=True)
         for method in methods:
             self.methods.addItem(method.value.capitalize() + " method", method)
         self.methods.setVisible(len(methods) > 1)

@@ -16,9 +16,13 @@ from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark
 from app.theme import MODULE_HUES
+from skincal.contacts.outcome import Reason
+from skincal.contacts.poke_counts import PokeCounts
 from skincal.model.scene import resource
 from skincal.part.part import load_part
+from skincal.session.snapshot import Snapshot
 from skincal.words.units import ChannelNames
+from tests.app.cut_texts import cut_texts
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import (
@@ -58,6 +62,19 @@ def test_the_legend_counts_the_marks_and_changes_with_them_alone(qtbot):
         f"untouched {len(PLAN.channels) - 1}, touched, error \N{LESS-THAN OR EQUAL TO} 3 mm 1"
     )
     assert card.legend.text().count(" ") == len("   "), "a line breaks between entries alone"
+
+
+def test_counts_and_legend_are_not_cut_on_a_screen_of_1366_x_768(qtbot, monkeypatch):
+    counts = PokeCounts(1137, 9, 3, {Reason.SLID: 96}, 12)
+    monkeypatch.setattr(Snapshot, "poke_counts", counts)
+    legend = [(symbol, f"touched, error above 3 mm {count}") for count, symbol in enumerate("abcdef", start=123)]
+    monkeypatch.setattr("app.panels.taxel_map.legend_words", lambda *_: legend)
+    card = shown(qtbot, MapCard(None, TaxelMap(SCENE, PLAN.channels, NAMES), METHODS), size=(430, 208))
+    card.show_state(frame(), is_changed=True)
+    qtbot.wait(30)
+    assert cut_texts(card) == []
+    assert card.pokes.height() >= 2 * card.pokes.fontMetrics().height()
+    assert card.map.height() >= 60
 
 
 def around(view: TaxelMap, channel: int, reach: int = 9) -> np.ndarray:
