@@ -85,6 +85,16 @@ class DeviceTime:
         self._total_us += (raw_us - last + half) % CLOCK_MODULUS_US - half
         return self._total_us / US_PER_S
 
+    def unwrap_many(self, raw_us: IntArray) -> FloatArray:
+        """Return the device's clock (n,), seconds, at n > 0 successive records: `unwrap` of each."""
+        last = raw_us[0] if self._raw is None else self._raw
+        before = np.concatenate([[last], raw_us[:-1]])
+        self._total_us = int(last) if self._raw is None else self._total_us
+        half = CLOCK_MODULUS_US // 2
+        totals = self._total_us + np.cumsum((raw_us - before + half) % CLOCK_MODULUS_US - half)
+        self._raw, self._total_us = int(raw_us[-1]), int(totals[-1])
+        return np.where((raw_us == 0) & (before == 0), math.nan, totals / US_PER_S)
+
 
 class SequenceCounter:
     """Unwraps a 16-bit counter of one kind of record and counts missing numbers."""
@@ -114,6 +124,24 @@ class SequenceCounter:
             step = 1
         self._total += step
         return self._total, max(step - 1, 0)
+
+    def follows(self, raw: IntArray) -> bool:
+        """Whether no number is missing before or among n > 0 successive numbers (n,)."""
+        steps = np.diff(raw, prepend=raw[:1] - 1 if self._raw == NO_SEQ else self._raw)
+        return bool((steps % SEQ_MODULUS == 1).all())
+
+    def step_many(self, raw: IntArray, device_s: FloatArray) -> IntArray:
+        """Return the unwrapped numbers (n,) of n > 0 records that follow (`follows`), as `step` of each does."""
+        is_first = self._raw == NO_SEQ
+        first = int(raw[0]) if is_first else self._total + 1
+        elapsed = np.diff(device_s, prepend=math.nan if is_first else self._device_s)
+        period = self._period_s
+        for step_s in elapsed[elapsed > 0].tolist():  # NaN is not above 0
+            known_s = step_s if math.isnan(period) else period
+            period = known_s + (step_s - known_s) * PERIOD_NEWEST_WEIGHT
+        self._period_s = period
+        self._raw, self._device_s, self._total = int(raw[-1]), float(device_s[-1]), first + len(raw) - 1
+        return np.arange(first, first + len(raw))
 
     def _fits(self, step: int, elapsed_s: float) -> bool:
         # Half the circle ahead is as near behind: the counter went back.

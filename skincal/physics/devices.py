@@ -87,7 +87,7 @@ class RobotDevices:
             readings, self._readings[stream] = self._readings[stream], []
             if readings:
                 times, values = zip(*readings, strict=True)
-                data += encoder.encode(stream, np.array(times), np.array(values))
+                data += b"".join(encoder.encode(stream, np.array(times), np.array(values)))
             if data:
                 sent.append((round(self.now * 1e9), stream.value, data))
         if has_header:

@@ -130,8 +130,12 @@ class Pipeline:
             for are_bytes, run in groupby(block, lambda item: isinstance(item, Chunk)):
                 found = list(run)
                 if are_bytes:
-                    self._intake.read_ahead([item for item in found if isinstance(item, Chunk)])
+                    self.read_ahead([item for item in found if isinstance(item, Chunk)])
                 yield from found
+
+    def read_ahead(self, chunks: Sequence[Chunk]) -> None:
+        """Decode the chunks that are fed next, in this order, many at a time. The results stay the same."""
+        self._intake.read_ahead(chunks)
 
     def apply_note(self, note: Result) -> None:
         """Apply what a detector made of an item: outcomes and dead channels, or counts of readings."""

@@ -1,14 +1,16 @@
 """The rig's devices as bytes on a time line.
 
-Each block, `DeviceTimeline` asks the operator, computes the readings of each device and encodes them; the links delay, hold
-back, lose and damage the bytes. Its time is its own: `serve` (real time) and `virtual_session` get the same bytes.
+For each block `DeviceTimeline` asks the operator, computes the readings of each device and encodes them; the links delay,
+hold back, lose and damage the bytes. Its time is its own: `serve` (block by block in real time) and `virtual_session` (many
+blocks at once) get the same bytes.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby, islice, pairwise
 
 import numpy as np
 
@@ -82,7 +84,7 @@ class LossyLink:
     def send(self, data: bytes, now: float, seconds: float) -> tuple[float, bytes]:
         """Return the arrival time and the bytes of a block of `seconds` that is sent at `now`, s."""
         errors, rng = self._errors, self._rng
-        if rng.uniform() < errors.burst_rate * seconds:
+        if rng.random() < errors.burst_rate * seconds:
             self._held_until = now + errors.burst_s
         delay = self._latency + (rng.exponential(errors.jitter) if errors.jitter else 0.0)
         # A link keeps its bytes in order, so none overtakes a slower one before it.
@@ -90,8 +92,8 @@ class LossyLink:
         return self._last, self._damage(data)
 
     def _damage(self, data: bytes) -> bytes:
-        flips = self._rng.binomial(len(data), self._errors.corrupted)
-        losses = self._rng.binomial(len(data), self._errors.dropped)
+        flips = self._rng.binomial(len(data), self._errors.corrupted) if self._errors.corrupted else 0
+        losses = self._rng.binomial(len(data), self._errors.dropped) if self._errors.dropped else 0
         if not flips and not losses:
             return data
         raw = np.frombuffer(data, dtype=np.uint8).copy()
@@ -119,13 +121,93 @@ class SimulatedDevice:
         """Return the header at `now`, s."""
         return encode_header(self.encoder, self.header, int(self.clock.us(np.array([now]))[0]))
 
-    def due(self, end: float) -> FloatArray:
-        """Return the times (n,) of the readings before `end`, s, and count them."""
+    def due(self, ends: Sequence[float]) -> tuple[FloatArray, list[int]]:
+        """Return the times (n,) of the readings before the last of `ends`, s, and their number in each block; count them."""
         # Counted from the start, so that times do not depend on the block length. 1e-9: a rounded-up product adds no reading.
-        until = int(np.ceil(end * self.hz - 1e-9))
-        times = np.arange(self.made, until) / self.hz
-        self.made = max(self.made, until)
-        return times
+        until = [max(self.made, int(np.ceil(end * self.hz - 1e-9))) for end in ends]
+        counts = [after - before for before, after in pairwise([self.made, *until])]
+        times = np.arange(self.made, until[-1]) / self.hz
+        self.made = until[-1]
+        return times, counts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """Successive blocks during which the same actions go on."""
+
+    rig: Rig
+    actions: tuple[OperatorAction, ...]
+    before: SimulatedArmPose
+    """Pose of the arm from which the last movement began."""
+    arm_pose: SimulatedArmPose
+    begins: list[float]
+    """s, of each block."""
+    ends: list[float]
+
+    def goes_on(self, following: Stretch) -> bool:
+        """Whether the actions and poses of a later block are the same."""
+        same = self.before is following.before and self.arm_pose is following.arm_pose
+        return same and [*map(id, self.actions)] == [*map(id, following.actions)]
+
+    def wrenches(self, times: FloatArray, blocks: slice) -> FloatArray:
+        """Return true wrenches (blocks, n, 6), sensor frame, at `times` (blocks, n), s, of some of the blocks."""
+        total = self._weight(times)
+        for action in self.actions:
+            if isinstance(action, HandPress):
+                spans = enumerate(zip(self.begins[blocks], self.ends[blocks], strict=True))
+                felt = [at for at, (begin, end) in spans if action.begin < end and action.end > begin]
+                if felt:
+                    part = slice(felt[0], felt[-1] + 1)
+                    total[part] += self._press_wrench(action, times[part])
+        return total
+
+    def _press_wrench(self, press: HandPress, times: FloatArray) -> FloatArray:
+        load, travel = press.load(times)[..., None], press.travel(times)
+        total = np.zeros((*times.shape, 6))
+        for point, direction, force in zip(press.pokes.points, press.pokes.directions, press.pokes.forces, strict=True):
+            total += self.rig.true_wrenches(point + travel, load * force * direction, self.arm_pose)
+        return total
+
+    def answers(self, times: FloatArray) -> FloatArray:
+        """Return the responses (n, taxels) at `times` (n,), s; the foam responds with a delay."""
+        felt = times - self.rig.foam.lag
+        answers = np.zeros((len(times), len(self.rig.channels)))
+        for action in self.actions:
+            if not isinstance(action, HandPress):
+                continue
+            loads, travel = action.load(felt), action.travel(felt)
+            frames = np.flatnonzero(loads > 0)
+            if not len(frames):
+                continue
+            places = len(action.pokes)
+            pressed = action.pokes.subset(np.tile(np.arange(places), len(frames)))
+            slid = replace(pressed, points=pressed.points + np.repeat(travel[frames], places, axis=0))
+            forces = (loads[frames, None] * action.pokes.forces).ravel()
+            rows, values = self.rig.answers(slid, forces, places)
+            np.add.at(answers, (np.repeat(frames, places)[:, None], rows), values)
+        return answers
+
+    def _share_moved(self, times: FloatArray) -> tuple[FloatArray, SimulatedArmPose]:
+        """Return the arm's progress, 0 to 1, towards the next pose at each time, s, and that pose."""
+        move = next((action for action in self.actions if isinstance(action, Move)), None)
+        if move is None:
+            return np.zeros(times.shape), self.arm_pose
+        share = np.clip((times - move.begin) / (move.free - move.begin), 0.0, 1.0)
+        return 0.5 - 0.5 * np.cos(np.pi * share), move.arm_pose
+
+    def _weight(self, times: FloatArray) -> FloatArray:
+        share, target = self._share_moved(times)
+        return self.before.weight + share[..., None] * (target.weight - self.before.weight)
+
+    def joints(self, times: FloatArray) -> FloatArray:
+        """Return reported joint angles (n, columns), radians, at `times` (n,), s; joints outside the chain are 0."""
+        arm = self.rig.scene.arm
+        if arm is None:
+            return np.zeros((len(times), 0))
+        share, target = self._share_moved(times)
+        angles = np.zeros((len(times), max(arm.arm.joints) + 1))
+        angles[:, arm.arm.joints] = self.before.angles + share[:, None] * (target.angles - self.before.angles)
+        return angles
 
 
 class DeviceTimeline:
@@ -164,21 +246,48 @@ class DeviceTimeline:
 
     def advance(self) -> list[tuple[int, str, bytes]]:
         """Compute one block; return its arrivals (virtual nanoseconds, link, bytes), sorted by time."""
+        return self._compute([self._next_block()])[0]
+
+    def advance_many(self, count: int) -> list[tuple[float, list[tuple[int, str, bytes]]]]:
+        """Compute up to `count` blocks at once, until `finished`; return the end of each, s, and its arrivals as `advance`."""
+        blocks = [self._next_block()]
+        while len(blocks) < count and not self.finished:
+            blocks.append(self._next_block())
+        return list(zip((block.ends[0] for block in blocks), self._compute(blocks), strict=True))
+
+    def _next_block(self) -> Stretch:
+        """Ask the operator what happens in the next block."""
         begin, end = self.now, (self._blocks + 1) * self.settings.block_s
         self._schedule(end)
-        for board in self._boards:
-            data = self._bytes(board, begin, end)
-            if data:
-                at, data = board.line.send(data, end, end - begin)
-                # The count keeps the order of sending for equal times.
-                heapq.heappush(self._arrivals, (round(at * NS_PER_S), self._sent, board.link, data))
-                self._sent += 1
         self._blocks += 1
         self.now = end
+        return Stretch(self.rig, tuple(self._actions), self._from, self.arm_pose, [begin], [end])
+
+    def _compute(self, blocks: Sequence[Stretch]) -> list[list[tuple[int, str, bytes]]]:
+        """Compute the readings of successive blocks, and send them; return the arrivals of each block."""
+        stretches: list[Stretch] = []
+        for block in blocks:
+            if stretches and stretches[-1].goes_on(block):
+                stretches[-1].begins.extend(block.begins)
+                stretches[-1].ends.extend(block.ends)
+            else:
+                stretches.append(replace(block, begins=list(block.begins), ends=list(block.ends)))
+        data = [self._bytes(board, stretches) for board in self._boards]
+        return [self._send(block, [each[at] for each in data]) for at, block in enumerate(blocks)]
+
+    def _send(self, block: Stretch, data: Sequence[bytes]) -> list[tuple[int, str, bytes]]:
+        """Send the bytes of each board; return what arrives until the end of the block."""
+        begin, end = block.begins[0], block.ends[0]
+        for board, sent in zip(self._boards, data, strict=True):
+            if sent:
+                at, arriving = board.line.send(sent, end, end - begin)
+                # The count keeps the order of sending for equal times.
+                heapq.heappush(self._arrivals, (round(at * NS_PER_S), self._sent, board.link, arriving))
+                self._sent += 1
         arrived: list[tuple[int, str, bytes]] = []
         while self._arrivals and self._arrivals[0][0] <= round(end * NS_PER_S):
-            at_ns, _, link, data = heapq.heappop(self._arrivals)
-            arrived.append((at_ns, link, data))
+            at_ns, _, link, arriving = heapq.heappop(self._arrivals)
+            arrived.append((at_ns, link, arriving))
         return arrived
 
     def _schedule(self, end: float) -> None:
@@ -197,74 +306,48 @@ class DeviceTimeline:
                 self._from = self.arm_pose = action.arm_pose
         self._actions = [action for action in self._actions if action.free > self.now]
 
-    def _bytes(self, board: SimulatedDevice, begin: float, end: float) -> bytes:
-        data = b""
-        if begin >= board.next_header:
-            data = board.greeting(begin)
-            board.next_header += self.settings.header_s
-        times = board.due(end)
+    def _bytes(self, board: SimulatedDevice, stretches: Sequence[Stretch]) -> list[bytes]:
+        """Return the bytes of a board in each block."""
+        ends = [end for stretch in stretches for end in stretch.ends]
+        times, counts = board.due(ends)
+        parts = iter(np.split(times, np.cumsum(counts)[:-1]))
+        by_stretch = [list(islice(parts, len(stretch.ends))) for stretch in stretches]
         if board.stream is Stream.WRENCH:
-            # Also in a block without a reading: the sensor's noise continues from block to block.
-            values = self._wrenches(times, begin, end)
-        elif not len(times):
-            return data
+            values = self._wrenches(stretches, by_stretch)
+        elif board.stream is Stream.SKIN:
+            answers = [stretch.answers(np.concatenate(own)) for stretch, own in zip(stretches, by_stretch, strict=True)]
+            values = self.rig.skin_frame(np.concatenate(answers), self._skin_rng)
         else:
-            values = self._skin(times) if board.stream is Stream.SKIN else np.degrees(self._joints(times))
-        return data + board.encoder.encode(board.stream, board.clock.us(times), values)
+            angles = [stretch.joints(np.concatenate(own)) for stretch, own in zip(stretches, by_stretch, strict=True)]
+            values = np.degrees(np.concatenate(angles))
+        records = iter(board.encoder.encode(board.stream, board.clock.us(times), values) if len(times) else ())
+        begins = (begin for stretch in stretches for begin in stretch.begins)
+        return [
+            self._header(board, begin) + b"".join(islice(records, count)) for begin, count in zip(begins, counts, strict=True)
+        ]
 
-    def _wrenches(self, times: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return readings (n, 6) of the force/torque device, with the sign of the scene's sensor."""
-        rig = self.rig
-        total = self._weight(times)
-        for action in self._actions:
-            if isinstance(action, HandPress) and action.begin < end and action.end > begin:
-                total += self._press_wrench(action, times)
-        read = rig.read_wrenches(total) + rig.offset + self._noise.block(times, begin, end)
-        read[:, 5] += self.settings.flicker * np.sin(1000.0 * times)
-        return rig.scene.wrench_sign * read
+    def _header(self, board: SimulatedDevice, begin: float) -> bytes:
+        """Return the board's header if it is due at `begin`, s."""
+        if begin < board.next_header:
+            return b""
+        board.next_header += self.settings.header_s
+        return board.greeting(begin)
 
-    def _press_wrench(self, press: HandPress, times: FloatArray) -> FloatArray:
-        load, travel = press.load(times)[:, None], press.travel(times)
-        total = np.zeros((len(times), 6))
-        for point, direction, force in zip(press.pokes.points, press.pokes.directions, press.pokes.forces, strict=True):
-            total += self.rig.true_wrenches(point + travel, load * force * direction, self.arm_pose)
-        return total
-
-    def _skin(self, times: FloatArray) -> FloatArray:
-        """Return raw frames (n, width); the foam responds with a delay."""
-        felt = times - self.rig.foam.lag
-        answers = np.zeros((len(times), len(self.rig.channels)))
-        for action in self._actions:
-            if not isinstance(action, HandPress) or action.begin > times[-1]:
-                continue
-            loads, travel = action.load(felt), action.travel(felt)
-            for i in np.flatnonzero(loads > 0):
-                slid = replace(action.pokes, points=action.pokes.points + travel[i])
-                rows, values = self.rig.answers(slid, loads[i] * action.pokes.forces)
-                np.add.at(answers[i], rows.ravel(), values.ravel())
-        return self.rig.skin_frame(answers, self._skin_rng)
-
-    def _share_moved(self, times: FloatArray) -> tuple[FloatArray, SimulatedArmPose]:
-        """Return the arm's progress (n,), 0 to 1, towards the next pose, and that pose."""
-        move = next((action for action in self._actions if isinstance(action, Move)), None)
-        if move is None:
-            return np.zeros(len(times)), self.arm_pose
-        share = np.clip((times - move.begin) / (move.free - move.begin), 0.0, 1.0)
-        return 0.5 - 0.5 * np.cos(np.pi * share), move.arm_pose
-
-    def _weight(self, times: FloatArray) -> FloatArray:
-        share, target = self._share_moved(times)
-        return self._from.weight + share[:, None] * (target.weight - self._from.weight)
-
-    def _joints(self, times: FloatArray) -> FloatArray:
-        """Return reported joint angles (n, columns), radians; joints outside the chain are 0."""
-        arm = self.rig.scene.arm
-        if arm is None:
-            return np.zeros((len(times), 0))
-        share, target = self._share_moved(times)
-        angles = np.zeros((len(times), max(arm.arm.joints) + 1))
-        angles[:, arm.arm.joints] = self._from.angles + share[:, None] * (target.angles - self._from.angles)
-        return angles
+    def _wrenches(self, stretches: Sequence[Stretch], times: Sequence[Sequence[FloatArray]]) -> FloatArray:
+        """Return readings (n, 6) of the force/torque device, with the sign of the scene's sensor; `times`, s, by block."""
+        rig, read = self.rig, [np.empty((0, 6))]
+        for stretch, blocks in zip(stretches, times, strict=True):
+            first = 0
+            # Also for blocks without a reading: the sensor's noise continues from block to block.
+            for _, same in groupby(blocks, key=len):
+                at = np.array(list(same))
+                part = slice(first, first + len(at))
+                noise = self._noise.blocks(at, stretch.begins[part], stretch.ends[part])
+                readings = rig.read_wrenches(stretch.wrenches(at, part)) + rig.offset + noise
+                readings[..., 5] += self.settings.flicker * np.sin(1000.0 * at)
+                read.append((rig.scene.wrench_sign * readings).reshape(-1, 6))
+                first += len(at)
+        return np.concatenate(read)
 
 
 def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> list[SimulatedDevice]:

@@ -221,7 +221,7 @@ class HandPress:
         return self.begin + self.ramp + self.hold + self.release
 
     def load(self, times: FloatArray) -> FloatArray:
-        """Return the force (n,) relative to the full force."""
+        """Return the force relative to the full force at each time, s."""
         since = times - self.begin
         rise = _smooth_step(since / self.ramp)
         fall = _smooth_step((since - self.ramp - self.hold) / self.release)
@@ -229,8 +229,8 @@ class HandPress:
         return rise * (1.0 - fall) * shake
 
     def travel(self, times: FloatArray) -> FloatArray:
-        """Compute how far the tip has slid (n, 3) on the skin, metres."""
-        return np.clip((times - self.begin - self.ramp) / self.hold, 0.0, 1.0)[:, None] * self.slide
+        """Compute how far the tip has slid (..., 3) on the skin, metres, at `times` (...), s."""
+        return np.clip((times - self.begin - self.ramp) / self.hold, 0.0, 1.0)[..., None] * self.slide
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ latter two are drawn at the ends of blocks of readings and interpolated between 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -144,12 +145,22 @@ class WrenchNoise:
 
     def block(self, times: FloatArray, begin: float, end: float) -> FloatArray:
         """Draw noise (n, 6), N and N m, at `times` (n,), s, of the next block."""
+        return self.blocks(times[None], [begin], [end])[0]
+
+    def blocks(self, times: FloatArray, begins: Sequence[float], ends: Sequence[float]) -> FloatArray:
+        """Draw noise (blocks, n, 6), N and N m, at `times` (blocks, n), s, of the next blocks."""
+        # One draw for all blocks gives the same numbers as one after the other.
+        count, readings = times.shape
+        slow, drift, white = np.split(self._rng.standard_normal((count, 12 + 6 * readings)), [6, 12], axis=1)
         # Exact at the ends of a block, so that its length does not change the noise.
-        before = self._slow + self._drift
-        seconds = end - begin
-        decay = np.exp(-seconds / self._slow_s)
-        self._slow = decay * self._slow + np.sqrt(1 - decay**2) * self._slow_sd * self._rng.standard_normal(6)
-        self._drift = self._drift + self._step * np.sqrt(seconds) * self._rng.standard_normal(6)
-        share = ((times - begin) / seconds)[:, None]
-        wander = before + share * (self._slow + self._drift - before)
-        return wander + self._white * self._rng.standard_normal((len(times), 6))
+        wander = np.empty((count + 1, 6))
+        wander[0] = self._slow + self._drift
+        seconds = [end - begin for begin, end in zip(begins, ends, strict=True)]
+        for at, length in enumerate(seconds):
+            decay = np.exp(-length / self._slow_s)
+            self._slow = decay * self._slow + np.sqrt(1 - decay**2) * self._slow_sd * slow[at]
+            self._drift = self._drift + self._step * np.sqrt(length) * drift[at]
+            wander[at + 1] = self._slow + self._drift
+        share = ((times - np.array(begins)[:, None]) / np.array(seconds)[:, None])[:, :, None]
+        wandering = wander[:-1, None] + share * (wander[1:, None] - wander[:-1, None])
+        return wandering + self._white * white.reshape(count, readings, 6)

@@ -199,28 +199,31 @@ class Rig:
         return self.arm_poses[name]
 
     def true_wrenches(self, points: FloatArray, forces: FloatArray, arm_pose: SimulatedArmPose) -> FloatArray:
-        """Return the true wrenches (n, 6) of pure forces (n, 3), N, at points (n, 3), metres (eqs. 1-2), sensor frame.
+        """Return the true wrenches (..., 6) of pure forces (..., 3), N, at points (..., 3), metres (eqs. 1-2), sensor frame.
 
         Points and forces on the part are in the link frame.
         """
         sensor_from_link = inverse_pose(arm_pose.true)
         f = forces @ sensor_from_link[:3, :3].T
         c = points @ sensor_from_link[:3, :3].T + sensor_from_link[:3, 3]
-        return np.concatenate([f, np.cross(c, f)], axis=1)
+        return np.concatenate([f, np.cross(c, f)], axis=-1)
 
     def read_wrenches(self, wrenches: FloatArray) -> FloatArray:
-        """Apply the sensor's matrix, (I + E) w, to wrenches (n, 6)."""
+        """Apply the sensor's matrix, (I + E) w, to wrenches (..., 6)."""
         return wrenches @ self.matrix.T
 
-    def answers(self, pokes: PressedPlaces, loads: FloatArray) -> tuple[IntArray, FloatArray]:
+    def answers(self, pokes: PressedPlaces, loads: FloatArray, at_once: int | None = None) -> tuple[IntArray, FloatArray]:
         """Return the responses to n presses with `loads` (n,), N, without noise.
+
+        Taxels are searched for `at_once` successive presses together, or for all: the last bits of a distance depend on it.
 
         Returns
         -------
         rows : (n, k) int, indices into `channels` of nearby taxels
         answers : (n, k) float >= 0, raw units above the baseline
         """
-        rows = self._taxels_near(pokes.points)
+        rows = self._taxels_near(pokes.points.reshape(-1, at_once or max(len(pokes), 1), 3))
+        rows = rows.reshape(len(pokes), rows.shape[-1])
         share = felt_share(self.foam, self.places[rows] - pokes.points[:, None], *tip_axes(pokes))
         normal_load = -loads * np.sum(pokes.directions * pokes.normals, axis=1)
         low, high = self.range
@@ -228,16 +231,19 @@ class Rig:
         return rows, self.gains[rows] * room[rows] * answer(self.foam, normal_load[:, None], share)
 
     def _taxels_near(self, points: FloatArray) -> IntArray:
-        """Return the rows (n, k) of the taxels near each point."""
+        """Return the rows (groups, n, k) of the taxels near each point (groups, n, 3)."""
         near = min(TAXELS_CHECKED_AROUND_TIP, len(self.places))
+        groups, count, _ = points.shape
         if near == len(self.places):
-            return np.tile(np.arange(near), (len(points), 1))
-        rows = np.empty((len(points), near), dtype=np.int64)
-        for start in range(0, len(points), POINTS_PER_NEIGHBOUR_SEARCH):
-            # |p - q|^2 without |p|^2, which is equal for all taxels.
-            block = points[start : start + POINTS_PER_NEIGHBOUR_SEARCH]
-            distances = self._squares - 2.0 * (block @ self.places.T)
-            rows[start : start + POINTS_PER_NEIGHBOUR_SEARCH] = np.argpartition(distances, near, axis=1)[:, :near]
+            return np.tile(np.arange(near), (groups, count, 1))
+        rows = np.empty((groups, count, near), dtype=np.int64)
+        each = max(POINTS_PER_NEIGHBOUR_SEARCH // max(min(count, POINTS_PER_NEIGHBOUR_SEARCH), 1), 1)
+        for first in range(0, groups, each):
+            for start in range(0, count, POINTS_PER_NEIGHBOUR_SEARCH):
+                # |p - q|^2 without |p|^2, which is equal for all taxels.
+                part = np.s_[first : first + each, start : start + POINTS_PER_NEIGHBOUR_SEARCH]
+                distances = self._squares - 2.0 * (points[part] @ self.places.T)
+                rows[part] = np.argpartition(distances, near, axis=-1)[..., :near]
         return rows
 
     def skin_frame(self, answers: FloatArray, rng: np.random.Generator) -> FloatArray:

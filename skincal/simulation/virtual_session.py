@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
 from skincal.streams.links import LinkSpec
 
+BLOCKS_AT_ONCE = 100
+"""Blocks of readings that are computed and decoded together: one second."""
 MIN_SESSION_DURATION_S = 1.0
 """s, minimum length of a session that is ended early, so that each link has data."""
 
@@ -76,9 +79,13 @@ def simulate_session(
         pipeline.feed(LinkEvent(link.name, SESSION_START_TIME_NS, LinkState.OPEN))
     begun = 0
     while not line.finished:
-        for at_ns, link, data in line.advance():
-            pipeline.feed(Chunk(link, SESSION_START_TIME_NS + at_ns, data))
-        pipeline.tick(SESSION_START_TIME_NS + round(line.now * 1e9))
+        blocks = line.advance_many(BLOCKS_AT_ONCE)
+        chunks = [[Chunk(link, SESSION_START_TIME_NS + at_ns, data) for at_ns, link, data in arrived] for _, arrived in blocks]
+        pipeline.read_ahead(list(chain.from_iterable(chunks)))
+        for (end_s, _), arrived in zip(blocks, chunks, strict=True):
+            for chunk in arrived:
+                pipeline.feed(chunk)
+            pipeline.tick(SESSION_START_TIME_NS + round(end_s * 1e9))
         if progress is not None and operator.begun != begun:
             begun = operator.begun
             progress(begun)

@@ -312,8 +312,8 @@ def stream_of(maker):
     """What a maker's device sends, ten readings."""
     encoder = MAKERS[maker].encoder()
     if Stream.WRENCH in MAKERS[maker].carries:
-        return encoder.encode(Stream.WRENCH, np.arange(10) * 10_000, np.full((10, 6), 1.5))
-    return encoder.encode(Stream.SKIN, np.arange(10) * 10_000, np.tile(np.arange(24.0), (10, 1)))
+        return b"".join(encoder.encode(Stream.WRENCH, np.arange(10) * 10_000, np.full((10, 6), 1.5)))
+    return b"".join(encoder.encode(Stream.SKIN, np.arange(10) * 10_000, np.tile(np.arange(24.0), (10, 1))))
 
 
 YARP_SERVER = 10000

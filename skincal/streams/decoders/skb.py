@@ -15,12 +15,23 @@ from __future__ import annotations
 
 import binascii
 import struct
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from skincal.devices.decoding import CRC_CCITT_INITIAL_VALUE, DeviceTime, FrameDecoder, SequenceCounter
-from skincal.model.readings import Loss, Stream
+from skincal.devices.decoding import (
+    CRC_CCITT_INITIAL_VALUE,
+    INVALID_READING_FLAG,
+    SATURATED_READING_FLAG,
+    DeviceTime,
+    FrameDecoder,
+    MarkSplitter,
+    SequenceCounter,
+)
+from skincal.geometry import IntArray
+from skincal.model.readings import Batch, Loss, Stream
 
 HEAD_STRUCT = struct.Struct("<BBHI")
 CRC_BYTES = 2
@@ -55,16 +66,53 @@ class SkbDecoder(FrameDecoder):
         self._counters: dict[int, tuple[DeviceTime, SequenceCounter]] = {}
         """Clock of the source and counter of its type, by type and source in one number."""
 
+    def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
+        """Decode chunks of whole, good records of one type, and headers, with no number missing. Else take nothing."""
+        splitter = self._splitter
+        is_whole = isinstance(splitter, MarkSplitter) and not splitter.has_partial_frame
+        if not is_whole or not chunks or not all(chunk.endswith(self.mark) for chunk in chunks):
+            return None
+        found = _split_records(b"".join(chunks))
+        if found is None:
+            return None
+        records, places, headers = found
+        kind, source = records[0, :2].tolist()
+        if kind not in STREAM_OF_TYPE or (records[:, :2] != (kind, source)).any():
+            return None
+        (stream, dtype), payload, status = STREAM_OF_TYPE[kind], records[:, HEAD_STRUCT.size : -CRC_BYTES], None
+        if payload.shape[1] % dtype.itemsize or (kind == WRENCH_MESSAGE_TYPE and payload.shape[1] != WRENCH_PAYLOAD_BYTES):
+            return None
+        if kind == WRENCH_MESSAGE_TYPE:
+            payload, status = payload[:, :-STATUS_BYTES], _numbers(payload[:, -STATUS_BYTES:], "<u4")[:, 0]
+        values = _numbers(payload, dtype).astype(np.float64)
+        ends = np.searchsorted(places, np.cumsum([len(chunk) for chunk in chunks]))
+        raw_seq, raw_us = _numbers(records[:, 2:4], "<u2")[:, 0], _numbers(records[:, 4:8], "<u4")[:, 0]
+        time, sequence = self._counters.get(kind << 8 | source, (self._times.get(source, DeviceTime()), SequenceCounter()))
+        if (
+            stream not in self._widths
+            or not self._has_width(stream, values.shape[1])
+            or not np.isfinite(values).all()
+            or not np.diff(ends, prepend=0).all()
+            or not sequence.follows(raw_seq.astype(np.int64))
+            or any(self._header(header) is not None for header in headers)
+        ):
+            return None
+        self._times[source], self._counters[kind << 8 | source] = time, (time, sequence)
+        self._widths[stream] = values.shape[1]
+        self.valid_records += len(values)
+        self._first = False
+        device_s = time.unwrap_many(raw_us.astype(np.int64))
+        numbers = sequence.step_many(raw_seq.astype(np.int64), device_s)
+        flags = None if status is None else status.astype(np.int64) & (SATURATED_READING_FLAG | INVALID_READING_FLAG)
+        return self._batch(stream, numbers, device_s, values, flags), ends.tolist()
+
     def _decode(self, frame: bytes) -> Loss | None:
         if not frame:
             return None
         record = unstuffed(frame)
         if record is None or len(record) < HEAD_STRUCT.size + CRC_BYTES:
             return Loss.UNREADABLE
-        body = record[:-CRC_BYTES]
-        if binascii.crc_hqx(body, CRC_CCITT_INITIAL_VALUE) != record[-2] | record[-1] << 8:
-            return Loss.BAD_CHECKSUM
-        return self._record(body)
+        return self._record(record[:-CRC_BYTES]) if _has_good_checksum(record) else Loss.BAD_CHECKSUM
 
     def _record(self, body: bytes) -> Loss | None:
         kind, source, raw_seq, raw_us = HEAD_STRUCT.unpack_from(body)
@@ -95,6 +143,57 @@ class SkbDecoder(FrameDecoder):
         self.valid_records += 1
         self._read_header(header)
         return None
+
+
+def _numbers(rows: NDArray[np.uint8], dtype: np.dtype[Any] | str) -> NDArray[Any]:
+    """Return the numbers in rows of bytes."""
+    return np.ascontiguousarray(rows).view(dtype)
+
+
+def _split_records(data: bytes) -> tuple[NDArray[np.uint8], IntArray, list[bytes]] | None:
+    """Split whole frames into records of one length, with good checksums, and bodies of headers; `None` for other bytes.
+
+    Returns the records with their checksums, (n, bytes), the place of each in `data`, and the bodies of the headers.
+    """
+    frames = np.frombuffer(data, np.uint8)
+    marks = np.flatnonzero(frames == 0)
+    begins = np.concatenate([[0], marks[:-1] + 1])
+    lengths = marks - begins
+    length = int(np.bincount(lengths).argmax())
+    if not HEAD_STRUCT.size + CRC_BYTES < length < COBS_FULL_BLOCK_CODE:
+        return None
+    is_record = lengths == length
+    headers: list[bytes] = []
+    for begin, end in zip(begins[~is_record].tolist(), marks[~is_record].tolist(), strict=True):
+        other = unstuffed(data[begin:end])
+        if other is None or len(other) <= CRC_BYTES or not _has_good_checksum(other) or other[0] != HEADER_MESSAGE_TYPE:
+            return None
+        headers.append(other[:-CRC_BYTES])
+    places = begins[is_record]
+    records = unstuffed_rows(frames[places[:, None] + np.arange(length)])
+    if records is None:
+        return None
+    together, size = records.tobytes(), length - 1
+    bodies = (together[at : at + size] for at in range(0, len(together), size))
+    return (records, places, headers) if all(map(_has_good_checksum, bodies)) else None
+
+
+def _has_good_checksum(record: bytes) -> bool:
+    return binascii.crc_hqx(record[:-CRC_BYTES], CRC_CCITT_INITIAL_VALUE) == record[-2] | record[-1] << 8
+
+
+def unstuffed_rows(frames: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """Undo COBS for n frames (n, bytes) of one length below 255 without zeros: (n, bytes - 1); `None` if one is no COBS."""
+    rows, end = np.arange(len(frames)), frames.shape[1]
+    out, at = frames.copy(), np.zeros(len(frames), np.int64)
+    while len(rows):
+        at = at + frames[rows, at]
+        if (at > end).any():
+            return None
+        inside = at < end
+        rows, at = rows[inside], at[inside]
+        out[rows, at] = 0
+    return out[:, 1:]
 
 
 def unstuffed(frame: bytes) -> bytes | None:

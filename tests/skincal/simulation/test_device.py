@@ -271,3 +271,30 @@ def test_a_finite_time_line_ends_after_the_last_rest():
         arrived += line.advance()
     assert 3.0 < arrived[-1][0] * 1e-9 < 9.0
     assert {name for _, name, _ in arrived} == {"wrench", "skin"}
+
+
+@pytest.mark.parametrize(
+    ("errors", "settings"),
+    [
+        (RigErrors.paper(), DeviceSettings(start_quiet_s=0.1)),
+        (RigErrors.none(), DeviceSettings(start_quiet_s=0.1, format="skt", wrench_hz=1004.0, skin_hz=35.0, joints_hz=7.0)),
+    ],
+)
+@pytest.mark.parametrize("count", [7, 1000])
+def test_many_blocks_at_once_are_the_blocks_one_after_the_other(errors, settings, count):
+    habits = Habits(slide_rate=0.5, double_rate=0.5).at_pace(4.0)
+
+    def line():
+        rig = make_rig(errors, 1, "icub-forearm")
+        hands = np.random.default_rng(2)
+        operator = AutoOperator(rig, habits, hands, 3, list(rig.arm_poses)[:2])
+        return DeviceTimeline(rig, operator, np.random.default_rng(3), settings)
+
+    alone, together = line(), line()
+    known, made = [], []
+    while not alone.finished:
+        arrived = alone.advance()
+        known.append((alone.now, arrived))
+    while not together.finished:
+        made += together.advance_many(count)
+    assert made == known
