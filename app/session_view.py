@@ -90,7 +90,7 @@ class Workspace(QWidget):
         self.part, self.names, self.methods = part, guided.names, guided.methods
         self.view = View3D()
         self.now = NowPanel()
-        self._static = StaticScene(scene, part.surface, part.laid, part.channels)
+        self._static = StaticScene(part)
         self.map = TaxelMap(scene, part.channels, guided.names, quarter_turns(self._static))
         self.panels = {kind.title: kind(guided) for kind in PANEL_TYPES}
         # All widgets have their parents from the start: Qt applies the style sheet again to all in a widget that moves.

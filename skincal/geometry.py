@@ -11,8 +11,9 @@ H_6S (`ftSensor2wristTransformation`, and iKinFwd.cpp for the constants).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,15 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
+
+Columns = TypeVar("Columns")
+"""A dataclass whose fields are arrays with one row for each of the same things."""
+
+
+def select_rows(columns: Columns, rows: int | slice | Sequence[int] | NDArray[Any]) -> Columns:
+    """Select rows of all arrays of a dataclass; an index gives one row, without the first axis."""
+    arrays: Any = columns
+    return type(columns)(*(getattr(arrays, each.name)[rows] for each in fields(arrays)))
 
 
 def cross_matrix(v: FloatArray) -> FloatArray:

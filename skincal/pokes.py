@@ -17,7 +17,7 @@ from typing import Any, Protocol, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray, axis_point, crossed, move_wrench, pitch
+from skincal.geometry import FloatArray, IntArray, axis_point, crossed, move_wrench, pitch, select_rows
 
 NameArray: TypeAlias = NDArray[np.str_]
 
@@ -97,7 +97,7 @@ class Pokes:
 
     def __getitem__(self, rows: int | slice | Sequence[int] | NDArray[Any]) -> Self:
         """Select pokes; an index gives a single poke, without the first axis."""
-        return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
+        return select_rows(self, rows)
 
     def __iter__(self) -> Iterator[Self]:
         return (self[row] for row in range(len(self)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +53,9 @@ def picture(part: Part, snapshot: Snapshot, method: Method, path: Path, size: tu
         There is nothing to draw with here (names the packages), or the file cannot be written.
     """
     choose_offscreen()
-    channels = [estimate.channel for estimate in snapshot.estimates.get(method, ())]
+    channels = np.array([estimate.channel for estimate in snapshot.estimates.get(method, ())], dtype=np.int64)
     plotter = make_plotter(size)
-    renderer = SceneRenderer(plotter, StaticScene(part.scene, part.surface, part.laid, channels), LIGHT)
+    renderer = SceneRenderer(plotter, StaticScene(replace(part, channels=channels)), LIGHT)
     try:
         renderer.show(state_at_rest(part.scene, snapshot, method))
         renderer.fit()

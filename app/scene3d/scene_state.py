@@ -8,7 +8,7 @@ A module has a hue, light and dark follow the window. Colours are (3,) uint8, re
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 
 from app import theme
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.lay import PlacedLayout
-from skincal.mesh.surface import Surface
-from skincal.model.scene import Scene
 from skincal.model.skin import Layout
+from skincal.part.part import Part
 
 Colour: TypeAlias = tuple[int, int, int]
 ColourArray: TypeAlias = NDArray[np.uint8]
@@ -99,14 +97,12 @@ class Comparison:
 class StaticScene:
     """The part of a scene that does not change during a session; `channels` are in the order of the snapshot's estimates."""
 
-    def __init__(
-        self, scene: Scene, surface: Surface | None, laid: PlacedLayout | None, channels: Sequence[int] | IntArray
-    ) -> None:
-        self.scene = scene
-        self.layout = scene.skin.layout
-        self.surface = surface
-        self.laid = laid
-        self.channels: IntArray = np.asarray(channels, dtype=np.int64)
+    def __init__(self, part: Part) -> None:
+        self.scene = part.scene
+        self.layout = part.scene.skin.layout
+        self.surface = part.surface
+        self.laid = part.laid
+        self.channels: IntArray = np.asarray(part.channels, dtype=np.int64)
         self.row = {int(channel): row for row, channel in enumerate(self.channels)}  # Row in `channels` by channel
 
     @cached_property

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.chi_square import CHI2_2DOF_MEDIAN
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, select_rows
 
 POKES_PER_WINDOW = 12
 """Pokes of one window, half a minute of work: 24 numbers, six for a rigid motion."""
@@ -64,7 +64,7 @@ class PokeMisses:
 
     def select(self, rows: IntArray) -> PokeMisses:
         """Keep the pokes in the given rows."""
-        return PokeMisses(*(getattr(self, name)[rows] for name in self.__slots__))
+        return select_rows(self, rows)
 
     def squares(self, scatter: Scatter) -> FloatArray:
         """Compute (n,) squared misses in standard deviations, with the scatter added to each direction."""

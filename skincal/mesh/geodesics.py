@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, select_rows
 from skincal.mesh.search import surface_in_solver
 from skincal.mesh.surface import Surface, cached_per_surface, neighbours
 from skincal.solver.machine import Machine
@@ -27,7 +27,7 @@ class MeshPoints:
     """(n, 3) float, unit, in the planes of the triangles."""
 
     def select(self, rows: IntArray | slice) -> MeshPoints:
-        return MeshPoints(self.triangles[rows], self.points[rows], self.x[rows])
+        return select_rows(self, rows)
 
 
 @dataclass(frozen=True, eq=False)

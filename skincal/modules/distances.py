@@ -34,7 +34,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, select_rows
 from skincal.model.scene import KnownDistance, NoiseSettings
 from skincal.modules.estimate import FittedModule
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesInSpace, join_poses
@@ -261,7 +261,7 @@ class _HeldOutPokes:
         )
 
     def select(self, rows: NDArray[np.bool_]) -> _HeldOutPokes:
-        return _HeldOutPokes(*(getattr(self, name)[rows] for name in self.__slots__))
+        return select_rows(self, rows)
 
     def priors_without_folds(self, prior: _Prior, factors: FloatArray) -> tuple[list[_Prior], NDArray[np.bool_]]:
         """Compute the prior without each fold's pokes, and (folds, b) whether the others determine a module.

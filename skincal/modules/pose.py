@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, cross_matrix, crossed, rotations, tangent_axes
+from skincal.geometry import FloatArray, IntArray, cross_matrix, crossed, rotations, select_rows, tangent_axes
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module, SkinKind
 
@@ -47,7 +47,7 @@ class ModulePoses:
     """(n,) of the surface; -1 without one."""
 
     def select(self, rows: IntArray) -> ModulePoses:
-        return ModulePoses(self.points[rows], self.x[rows], self.normals[rows], self.triangles[rows])
+        return select_rows(self, rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -43,7 +43,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, orthonormal_pair
+from skincal.geometry import FloatArray, IntArray, orthonormal_pair, select_rows
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import (
     MODULE_TURN_TO_LENGTH_RADIUS_M,
@@ -176,7 +176,7 @@ class ModuleRows:
 
     def select(self, rows: IntArray) -> ModuleRows:
         """Keep the pokes in the given rows."""
-        return ModuleRows(*(getattr(self, name)[rows] for name in self.__slots__))
+        return select_rows(self, rows)
 
 
 def whitened_rows(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleRows:

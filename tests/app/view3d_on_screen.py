@@ -15,6 +15,7 @@ from app.scene3d.mesh_actors import MeshActor
 from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
+from skincal.part.part import Part
 from tests.app.scene3d_support import box, laid, layout, project, scene
 
 KEPT: list[QMainWindow] = []  # Windows of this test: Python would delete them with their views
@@ -37,7 +38,7 @@ def view_of(qtbot, canvas, of, surface, skin):
     with qtbot.waitExposed(window):
         window.show()
     with qtbot.waitSignal(view.ready, timeout=60_000):
-        view.begin(StaticScene(of, surface, skin, range(24)))
+        view.begin(StaticScene(Part(of, surface, skin, np.arange(24), ())))
     settle()
     return view
 

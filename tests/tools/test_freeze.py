@@ -76,7 +76,8 @@ application = QApplication([])
 from app.scene3d.canvas import Canvas, load, mount
 from app.scene3d.scene_state import DARK, StaticScene
 from skincal.model.scene import load_scene, resource
-static = StaticScene(load_scene(resource("scenes/flat-patch/scene.toml")), None, None, range(64))
+from skincal.part.part import Part
+static = StaticScene(Part(load_scene(resource("scenes/flat-patch/scene.toml")), None, None, range(64), ()))
 parent = QWidget()
 parent.show()
 canvas, renderer = mount(Canvas.OPENGL, load(Canvas.OPENGL, static, DARK, (300, 200), None), static, DARK, parent)

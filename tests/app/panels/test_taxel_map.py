@@ -159,7 +159,7 @@ def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
 @pytest.mark.parametrize("name", ["flat-patch", "icub-forearm"])
 def test_the_map_lies_as_the_part_is_seen_first(name):
     part = load_part(resource(f"scenes/{name}/scene.toml"))
-    static = StaticScene(part.scene, part.surface, part.laid, part.channels)
+    static = StaticScene(part)
     _, (right, up, back) = first_frame(static.extent, static.facing)
     drawn = lay_out_map(part.scene.skin.layout, part.channels, quarter_turns(static)).places
     seen = static.normals @ back > 0.3

@@ -25,6 +25,7 @@ from skincal.guide.guidance import Target
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Landmark
+from skincal.part.part import Part
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, decided, estimate, guidance_to, laid, layout, project, scene, snapshot, tick_of
 from tests.app.view3d_on_screen import KEPT, make_plotter, pixels, renderer_of, turn, view_of
@@ -46,7 +47,9 @@ class Pictures:
 
     def __init__(self, surface: Surface | None) -> None:
         self.plotter = make_plotter()
-        self.renderer = SceneRenderer(self.plotter, StaticScene(scene(PLAN), surface, laid(PLAN), range(24)), DARK)
+        self.renderer = SceneRenderer(
+            self.plotter, StaticScene(Part(scene(PLAN), surface, laid(PLAN), np.arange(24), ())), DARK
+        )
         self.renderer.fit()
 
     def of(self, frame: ViewState, compared: Comparison | None = None) -> np.ndarray:

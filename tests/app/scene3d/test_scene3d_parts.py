@@ -20,6 +20,7 @@ from app.scene3d.scene_state import LIGHT, MODULE_RGB, StaticScene, module_hues
 from skincal.mesh.surface import contact_point, entry_points, make_surface
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.palette import METHODS
+from skincal.part.part import Part
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, estimate, laid, layout, scene
 from tests.app.view3d_on_screen import make_plotter
@@ -75,7 +76,7 @@ def test_the_contact_is_the_entry_near_the_taxels_or_else_the_axis_itself():
 
 
 def test_edges_of_a_box_are_shaded_sharp():
-    plotter, static = make_plotter(), StaticScene(scene(layout()), box(), None, range(24))
+    plotter, static = make_plotter(), StaticScene(Part(scene(layout()), box(), None, np.arange(24), ()))
     with closing(plotter):
         mesh = SurfaceLayer(plotter, static, box()).outside.mapper.dataset
         corners = mesh.points[mesh.regular_faces]
@@ -205,7 +206,7 @@ def _read_png(path: Path) -> np.ndarray:
 def test_skin_has_a_far_side_only_where_it_is_laid_on_a_surface():
     plan = layout()
     on_part, flat, unlaid = (
-        StaticScene(scene(plan), surface, skin, range(3))
+        StaticScene(Part(scene(plan), surface, skin, np.arange(3), ()))
         for surface, skin in ((box(), laid(plan)), (None, laid(plan)), (box(), None))
     )
     assert (on_part.skin_normals == on_part.normals).all()

@@ -25,6 +25,7 @@ from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark
+from skincal.part.part import Part
 from skincal.taxels.result import Estimate, Method, Rival, State
 from tests.app.scene3d_support import box, contact, decided, estimate, laid, layout, live, project, scene, snapshot, tick_of
 from tests.app.view3d_on_screen import (
@@ -381,7 +382,7 @@ def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot
     view.reset_camera()
     view.set_dark(False)
     with qtbot.waitSignal(view.ready, timeout=60_000):
-        view.begin(StaticScene(scene(PLAN), None, laid(PLAN), range(24)))
+        view.begin(StaticScene(Part(scene(PLAN), None, laid(PLAN), np.arange(24), ())))
     assert view.list_layers() == EVERY[1:], "it may begin again, with another scene"
 
 
@@ -391,7 +392,7 @@ def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
     with qtbot.waitExposed(view):
         view.show()
     with qtbot.assertNotEmitted(view.ready):
-        view.begin(StaticScene(scene(PLAN), box(), laid(PLAN), range(24)))
+        view.begin(StaticScene(Part(scene(PLAN), box(), laid(PLAN), np.arange(24), ())))
         assert not view.show_state(tick_of(snapshot(1, {})))
         view.close_view()
         settle()
@@ -408,7 +409,7 @@ def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, 
     qtbot.addWidget(view)
     with qtbot.waitExposed(view):
         view.show()
-    view.begin(StaticScene(scene(PLAN), box(), laid(PLAN), range(24)))
+    view.begin(StaticScene(Part(scene(PLAN), box(), laid(PLAN), np.arange(24), ())))
     qtbot.waitUntil(lambda: "install libegl1" in view.findChild(QLabel).text(), timeout=30_000)
     assert not view.show_state(tick_of(snapshot(1, {})))
     with pytest.raises(InputError, match="no picture yet"):
