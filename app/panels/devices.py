@@ -35,7 +35,7 @@ _LINK_SIGNS = {
     LinkStatus.SILENT: ("\N{WHITE UP-POINTING TRIANGLE}", "warn"),
     LinkStatus.LOST: ("\N{MULTIPLICATION X}", "bad"),
     LinkStatus.ENDED: ("\N{WHITE SQUARE}", "muted"),
-    LinkStatus.AWAY: ("\N{WHITE CIRCLE}", "muted"),
+    LinkStatus.NOT_READ: ("\N{WHITE CIRCLE}", "muted"),
 }
 """Shape and colour of the theme for each state."""
 STATUS_SYMBOL_SIZE_PX = 18

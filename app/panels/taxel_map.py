@@ -44,20 +44,20 @@ from PySide6.QtWidgets import (
 from app.panels.widgets import FittedLabel, escape_tooltip, mix, secondary_label, theme_colours
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
-from app.state.policies import GOOD_RMS, Mark, answer_levels, marks
+from app.state.policies import Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
-from app.text.mark_text import MARK_WORDS
+from app.text.mark_text import LEGEND_WORDS, MARK_WORDS
 from app.text_size import scaled
 from app.theme import MODULE_HUES, WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
-from skincal.taxels.result import Method, State
+from skincal.taxels.result import Method
 from skincal.words.poke_words import poke_count_words
 from skincal.words.taxel_words import skin_error_words, summary_words
-from skincal.words.units import ChannelNames, millimetres, number
+from skincal.words.units import ChannelNames, number
 
 MIN_HEIGHT_OVER_WIDTH_TO_TURN_MAP = 1.25
 """Without a laid skin, a map that is this many times higher than wide is turned by a quarter."""
@@ -90,17 +90,6 @@ ZOOM_KEYS: dict[int, float] = {
     Qt.Key.Key_Equal: ZOOM_FACTOR_PER_STEP,
     Qt.Key.Key_Minus: 1 / ZOOM_FACTOR_PER_STEP,
     Qt.Key.Key_0: 0.0,
-}
-GOOD_MM = millimetres(GOOD_RMS, 0)
-LEGEND_WORDS: dict[Mark, tuple[str, str]] = {
-    Mark.UNSEEN: ("\N{WHITE CIRCLE}", State.UNSEEN.value),
-    Mark.BLIND: ("\N{CIRCLE WITH UPPER RIGHT QUADRANT BLACK}", State.BLIND.value),
-    Mark.INFERRED: ("\N{BULLSEYE}", State.INFERRED.value),
-    Mark.ROUGH: ("\N{CIRCLE WITH RIGHT HALF BLACK}", f"{State.TOUCHED.value}, error > {GOOD_MM}"),
-    Mark.GOOD: ("\N{BLACK CIRCLE}", f"{State.TOUCHED.value}, error \N{LESS-THAN OR EQUAL TO} {GOOD_MM}"),
-    Mark.FINISHED_INFERRED: ("\N{WHITE SQUARE CONTAINING BLACK SMALL SQUARE}", f"{State.INFERRED.value}, finished"),
-    Mark.FINISHED: ("\N{BLACK SQUARE}", f"{State.TOUCHED.value}, finished"),
-    Mark.DEAD: ("\N{BALLOT X}", State.DEAD.value),
 }
 
 

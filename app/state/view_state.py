@@ -31,7 +31,7 @@ class LinkStatus(Enum):
     SILENT = "silent"
     LOST = "lost"
     ENDED = "ended"
-    AWAY = "not read"
+    NOT_READ = "not read"
     """Paused, or only viewing a recording."""
 
 
@@ -41,13 +41,13 @@ _BY_ANSWER = {
     LinkAnswer.NO_ANSWER: LinkStatus.SILENT,
     LinkAnswer.FROZEN: LinkStatus.FROZEN,
 }
-LINK_FAULTS = (LinkStatus.LOST, LinkStatus.FROZEN)  # The device is away, or no longer measures
+LINK_FAULTS = (LinkStatus.LOST, LinkStatus.FROZEN)  # The device is lost, or no longer measures
 
 
 def link_status(health: LinkHealth, now_ns: int, *, connected: bool = True) -> LinkStatus:
     """Return the state of a link at a time of the host's monotonic clock; `connected` while the program reads devices."""
     if not connected:
-        return LinkStatus.AWAY
+        return LinkStatus.NOT_READ
     if health.state in (LinkState.LOST, LinkState.FAILED):
         return LinkStatus.LOST
     if health.state is LinkState.ENDED:

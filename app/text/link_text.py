@@ -66,4 +66,4 @@ def _link_detail(health: LinkHealth, look: LinkStatus, last: str) -> str:
         return health.text or "Connected, no data yet. Check the address, the baud rate and that the device sends."
     if look in (LinkStatus.WRONG, LinkStatus.FROZEN):
         return link_verdict_words(health.verdict)
-    return health.warning if look in (LinkStatus.STREAMING, LinkStatus.AWAY) else health.text
+    return health.warning if look in (LinkStatus.STREAMING, LinkStatus.NOT_READ) else health.text

@@ -15,7 +15,7 @@ from skincal.guide.progress import GuideSettings
 FRICTION_ANGLES_RAD: FloatArray = np.radians(np.linspace(5.0, 60.0, 56))
 FRICTION_PRIOR_RAD = (float(np.radians(40.0)), float(np.radians(10.0)))
 """Mean and sd before any poke: a rubber tip on foam. Assumed."""
-SLIP_PROBABILITIES = (0.1, 0.5)
+SLIDE_PROBABILITIES = (0.1, 0.5)
 """Probability that a push slides that leans less, and more, than the friction angle. They are nearer to each other than by
 friction alone, since hands slide for other reasons too: one slide changes nothing."""
 TILT_MARGIN_RAD = float(np.radians(5.0))
@@ -60,7 +60,7 @@ class TiltLimit:
 
     def add_pokes(self, tilts: FloatArray, *, slid: bool, remove: bool = False) -> None:
         """Count pokes with `tilts`, (n,) rad from the normal, NaN if unknown; with `remove`, no longer count them."""
-        more, less = (SLIP_PROBABILITIES[1], SLIP_PROBABILITIES[0]) if slid else (1.0 - p for p in SLIP_PROBABILITIES[::-1])
+        more, less = (SLIDE_PROBABILITIES[1], SLIDE_PROBABILITIES[0]) if slid else (1.0 - p for p in SLIDE_PROBABILITIES[::-1])
         known: FloatArray = tilts[np.isfinite(tilts)]
         beyond: IntArray = np.sum(known[:, None] > FRICTION_ANGLES_RAD, axis=0)
         likelihood = beyond * np.log(more) + (len(known) - beyond) * np.log(less)

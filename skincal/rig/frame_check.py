@@ -272,10 +272,10 @@ def _elsewhere(evidence: _LandmarkEvidence, beside: int | None = None) -> _Hypot
     """Compute the cost of a sensor that sits elsewhere than reported, with poke `beside`, or a likely one, at another point."""
     scales, cost = np.repeat([MOUNT_TURN_SD, MOUNT_SHIFT_SD_M], 3), np.zeros((1, 1))
     step: FloatArray = np.zeros(6)
-    slipped = np.zeros(len(evidence.pokes))
+    elsewhere = np.zeros(len(evidence.pokes))
     force, moment = evidence.pokes.force[None], evidence.pokes.moment[None]
     if beside is not None:
-        slipped[beside] = 1.0
+        elsewhere[beside] = 1.0
     for _ in range(GAUSS_NEWTON_STEPS):
         rows = evidence.rows(force, moment, _mounted(scales * step))
         slopes = rows.slopes[0] * scales
@@ -284,7 +284,7 @@ def _elsewhere(evidence: _LandmarkEvidence, beside: int | None = None) -> _Hypot
         total = (
             rows.covariances[0]
             + slopes @ slopes.T
-            + np.diag(np.repeat(slipped, 2) * (WRONG_POINT_POKED_SD_M / POKE_TO_LANDMARK_SD_M) ** 2)
+            + np.diag(np.repeat(elsewhere, 2) * (WRONG_POINT_POKED_SD_M / POKE_TO_LANDMARK_SD_M) ** 2)
         )
         cost = _costs(misses[None], total[None])
         step = -slopes.T @ np.asarray(np.linalg.solve(total, misses), dtype=np.float64)
@@ -294,7 +294,7 @@ def _elsewhere(evidence: _LandmarkEvidence, beside: int | None = None) -> _Hypot
     if beside is None and (likely := _least(cost, sides)[1][0]) is not None:
         # Repeated without the influence of that poke.
         return _elsewhere(evidence, likely)
-    whole = float(cost[0, 0] + sides[0] @ (1.0 - slipped) + WRONG_POINT_COST * np.sum(slipped) + _cost_of_size(force)[0])
+    whole = float(cost[0, 0] + sides[0] @ (1.0 - elsewhere) + WRONG_POINT_COST * np.sum(elsewhere) + _cost_of_size(force)[0])
     distances = evidence.rows(force, moment, _mounted(move)).distances[0]
     return _Hypothesis(Mistake(MistakeKind.MOUNT, motion=motion), whole, distances, beside)
 

@@ -97,7 +97,7 @@ class PokeSettings:
     settle_s: float = 4.0
     """s at most to reach the wanted force."""
     slip_share: float = 0.5
-    """Share of the wanted force below which a held tip has slipped."""
+    """Share of the wanted force below which a held tip has slid."""
     arrive: float = 0.0015
     """m, from a goal at which it is reached."""
     late_s: float = 3.0
@@ -470,7 +470,7 @@ class PokingClient:
         plan, own = self._present, self.settings
         missing = plan.target.force - self.force
         is_over = self._is_held or self.arm.time_s > self._expected_s
-        # A tip that has slipped lets go, too: skincal sees the slip and says what it wants now.
+        # A tip that has slid lets go, too: skincal sees that and says what it wants now.
         if is_over or self.force < own.slip_share * plan.target.force:
             self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
         elif not self._is_pressed_well(missing):

@@ -156,7 +156,7 @@ def test_looks_of_links():
     assert look(link(state=LinkState.FAILED, last_host_ns=0)) is LinkStatus.LOST
     assert look(link(state=LinkState.ENDED)) is LinkStatus.ENDED
     away = link_words(link(state=LinkState.LOST), round(100.1e9), connected=False)
-    assert (away.look, away.detail) == (LinkStatus.AWAY, "")
+    assert (away.look, away.detail) == (LinkStatus.NOT_READ, "")
     assert link_words(link(), round(100.1e9)).short == "force/torque sensor 1000 Hz"
     assert link_words(link(), 0).losses == ((approved("now.checksum"), 3),)
 
