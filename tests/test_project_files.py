@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from skincal.version import __version__
-from tools.launch import TIMING_FILES
+from tools.launch import CHECK_ARGUMENTS, TIMING_FILES
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
@@ -45,3 +45,16 @@ def test_each_test_that_must_run_alone_is_in_a_file_that_the_check_runs_alone():
     marked = [path for path in (CHECKOUT / "tests").rglob("*.py") if "@pytest.mark.quiet" in path.read_text(encoding="utf-8")]
     marked.remove(Path(__file__).resolve())
     assert {path.relative_to(CHECKOUT).as_posix() for path in marked} == set(TIMING_FILES)
+
+
+def test_each_file_of_tests_is_in_one_group_of_the_check():
+    run_by_their_names = tuple(f"tests/{folder}/" for folder in ("benchmarks", "consumers/by_name", "long"))
+    groups = [words for words in CHECK_ARGUMENTS.values() if "not quiet" in words]
+    for path in (CHECKOUT / "tests").rglob("test_*.py"):
+        name = path.relative_to(CHECKOUT).as_posix()
+        if name.startswith(run_by_their_names):
+            continue
+        above = [folder.as_posix() for folder in Path(name).parents]
+        running = [words for words in groups if any(each in words and f"--ignore={each}" not in words for each in above)]
+        left_out = [words for words in running if any(f"--ignore={each}" in words for each in above)]
+        assert len(running) - len(left_out) == 1, name

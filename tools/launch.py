@@ -20,36 +20,31 @@ TESTED_PROCESSORS = ("sse2", "sse4.1", "avx")
 """Older processors, for which the tests of the 3D view's pixels run again."""
 PROCESSOR_VARIABLE = "GALLIUM_OVERRIDE_CPU_CAPS"
 """Mesa's variable that limits the processor features of its software OpenGL."""
-SLOW_CORE_TESTS = tuple(
-    f"tests/skincal/{room}" for room in ("cli", "following", "guide", "journal", "part", "session", "simulation", "studies")
-)
-"""Tests of the core that take the longest."""
+SESSION_TESTS = ("tests/skincal/session", "tests/skincal/simulation")
+"""Tests of recorded and simulated sessions."""
+SLOW_CORE_TESTS = tuple(f"tests/skincal/{room}" for room in ("cli", "following", "guide", "journal", "part", "studies"))
+"""Other tests of the core that take long."""
 READER_TESTS = tuple(f"tests/skincal/{room}" for room in ("files", "mesh", "model", "ros", "streams"))
 """Tests of what reads files and devices."""
 WINDOW_PARTS = tuple(
-    f"tests/app/{room}" for room in ("dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
+    f"tests/app/{room}" for room in ("builder", "dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
 )
 """Tests of the window that take as long as those of whole windows."""
+OTHER_CORE_TESTS = ("tests", *(f"--ignore={tests}" for tests in ("tests/app", *SESSION_TESTS, *SLOW_CORE_TESTS, *READER_TESTS)))
 CHECK_ARGUMENTS = {
     "ruff check": ("-m", "ruff", "check"),
     "ruff format --check": ("-m", "ruff", "format", "--check"),
-    "pytest of the window": (
-        *PYTEST_ARGUMENTS,
-        "-m",
-        "not quiet",
-        "tests/app",
-        *(f"--ignore={folder}" for folder in WINDOW_PARTS),
-    ),
-    f"pytest {' '.join(SLOW_CORE_TESTS)}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *SLOW_CORE_TESTS),
-    "pytest of the core": (
-        *PYTEST_ARGUMENTS,
-        "-m",
-        "not quiet",
-        "tests",
-        *(f"--ignore={folder}" for folder in ("tests/app", *SLOW_CORE_TESTS, *READER_TESTS)),
-    ),
-    "pytest of the window's parts": (*PYTEST_ARGUMENTS, "-m", "not quiet", *WINDOW_PARTS),
-    "pytest of the readers": (*PYTEST_ARGUMENTS, "-m", "not quiet", *READER_TESTS),
+    **{
+        f"pytest of {name}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *arguments)
+        for name, arguments in {
+            "the window": ("tests/app", *(f"--ignore={folder}" for folder in WINDOW_PARTS)),
+            "the core": OTHER_CORE_TESTS,
+            "the readers": READER_TESTS,
+            " ".join(SLOW_CORE_TESTS): SLOW_CORE_TESTS,
+            "the window's parts": WINDOW_PARTS,
+            "sessions": SESSION_TESTS,
+        }.items()
+    },
     "pyright": ("-m", "pyright"),
     **{
         f"pytest as on {caps}": (*PYTEST_ARGUMENTS, "-m", "pixels", "tests/app/scene3d/test_pixels.py")
