@@ -82,8 +82,13 @@ def other_results(facts, **changes):
 
 
 @pytest.fixture(scope="module")
-def page(facts) -> Page:
-    return Page(report_page(facts))
+def page_text(facts) -> str:
+    return report_page(facts)
+
+
+@pytest.fixture(scope="module")
+def page(page_text) -> Page:
+    return Page(page_text)
 
 
 def test_the_numbers_are_those_of_the_core(facts, page):
@@ -118,12 +123,12 @@ def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
     assert "SIMULATED" in page.text
 
 
-def test_only_a_verdict_is_coloured_and_no_name_that_reads_like_one(facts):
+def test_only_a_verdict_is_coloured_and_no_name_that_reads_like_one(facts, page):
     marks, misses = (Landmark("agrees", np.zeros(3), None),), {"agrees": (0.001,)}
     snapshot = facts.results.snapshot
     named_snapshot = replace(snapshot, decisions=replace(snapshot.decisions, landmarks=marks))
     named = replace(facts, results=other_results(facts, snapshot=named_snapshot), misses=misses)
-    coloured = [Page(report_page(each)).attributes.count(("class", "agrees")) for each in (facts, named)]
+    coloured = [each.attributes.count(("class", "agrees")) for each in (page, Page(report_page(named)))]
     assert coloured[0] == coloured[1] > 0
 
 
@@ -144,8 +149,8 @@ def test_a_check_stands_once_and_the_closing_check_is_one_of_them(facts, page):
     assert "Final check" in page.text
 
 
-def test_modules_stand_in_the_order_of_their_numbers(facts):
-    rows = re.findall(r"<tr><td>(\d+)</td><td>12 of 12</td>", report_page(facts))
+def test_modules_stand_in_the_order_of_their_numbers(page_text):
+    rows = re.findall(r"<tr><td>(\d+)</td><td>12 of 12</td>", page_text)
     assert len(rows) == 7
     assert rows == sorted(rows, key=int)
 
@@ -164,10 +169,9 @@ def test_a_table_of_many_rows_is_looked_through_once(facts, monkeypatch):
     assert report_page(facts).count("<table") == len(looked)
 
 
-def test_what_is_wider_than_a_small_screen_moves_by_itself(facts):
-    text = report_page(facts)
-    assert text.count("<table") == text.count('<div class="wide">\n  <table')
-    assert text.count("<img") == text.count('<div class="wide"><img')
+def test_what_is_wider_than_a_small_screen_moves_by_itself(page_text):
+    assert page_text.count("<table") == page_text.count('<div class="wide">\n  <table')
+    assert page_text.count("<img") == page_text.count('<div class="wide"><img')
 
 
 def test_what_a_device_measures_beside_its_readings_stands_with_it(facts):
@@ -179,15 +183,14 @@ def test_what_a_device_measures_beside_its_readings_stands_with_it(facts):
     assert text.count("temperature 31.0 degC (30.5 to 33.2)") == 1
 
 
-def test_the_page_needs_no_other_file_and_prints(facts):
-    text = report_page(facts)
-    sources = re.findall(r'<img src="([^"]*)"', text)
+def test_the_page_needs_no_other_file_and_prints(page_text):
+    sources = re.findall(r'<img src="([^"]*)"', page_text)
     kinds = [source.partition(";")[0] for source in sources]
     assert kinds == ["data:image/png", "data:image/svg+xml", "data:image/svg+xml"]
     pictures = [b64decode(source.partition(",")[2]) for source in sources]
     assert pictures[0].startswith(b"\x89PNG")
     assert all(b"<script" not in picture for picture in pictures)
-    rest = re.sub(r'src="data:[^"]*"', "", text)
+    rest = re.sub(r'src="data:[^"]*"', "", page_text)
     assert not re.search(r"https?:|//|url\(|@import|<link|<script|<iframe", rest)
     assert "@page" in rest
     assert "default-src 'none'" in rest
