@@ -230,7 +230,9 @@ def _undefined(name: str) -> MessageError:
     return MessageError(f"the type {name} has no definition here; add its .msg file to the topic: TOPIC?msg=FILE")
 
 
+@lru_cache(maxsize=256)
 def _parse_definition(name: str, text: str) -> Any:
+    """Parse the text of a `.msg` file; a recording that is opened again, or in many files, names the same definitions."""
     from rosbags.typesys import TypesysError, get_types_from_msg
 
     if len(text) > MAX_DEFINITION_BYTES:
