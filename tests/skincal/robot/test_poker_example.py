@@ -1,9 +1,7 @@
-"""The template for a real robot, against the real target server: one poke, and what ends one early."""
+"""The template for a real robot: what only it does, and pokes that count in the physics engine.
 
-import importlib.util
-import threading
-import time
-from contextlib import closing
+`test_both_clients.py` has what every client must do.
+"""
 
 import numpy as np
 import pytest
@@ -14,198 +12,66 @@ from skincal.physics.effects import Effects
 from skincal.physics.layouts import make_robot
 from skincal.physics.session import RobotSession
 from skincal.robot.target_lines import (
-    Answer,
-    Held,
+    AnswerKind,
     Judged,
     NoTarget,
-    PokeTarget,
     RobotPace,
     TipPose,
     read_answer_line,
-    write_answer,
     write_line,
 )
-from skincal.robot.target_server import TargetServer, parse_port
-
-PATIENCE_S = 60.0
-DOWN = np.array([0.0, 0.0, -1.0])
-STIFFNESS = 2000.0
-
-
-def load_example():
-    spec = importlib.util.spec_from_file_location("poker", resource("examples/poker.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-class FlatPart:
-    """An arm above a flat part at height 0, in its own time, four times as fast: faster, its reports were a flood."""
-
-    frame = "flat part"
-
-    def __init__(self):
-        self.now_s, self.place, self.force_age_s, self.stiffness = 0.0, (0.0, 0.0, 0.2), 0.0, STIFFNESS
-        self.course, self.reach, self.load = [], lambda _place: True, lambda _place: 0.0
-
-    def monotonic(self):
-        return self.now_s
-
-    def sleep(self, seconds):
-        self.now_s += seconds
-        time.sleep(seconds / 4.0)
-
-    def read(self):
-        force = 3.0 + self.stiffness * max(0.0, -self.place[2]) + self.load(self.place)
-        return self.place, force, self.force_age_s
-
-    def move_tip(self, place, _push):
-        self.course.append(place[2])
-        self.place = place
-
-    def can_reach(self, place, _push):
-        return self.reach(place)
-
-
-class Bench:
-    """The example, running; the server that asks it, and what it answers."""
-
-    def __init__(self, server):
-        self.server, self.arm, self.answers, self.ended = server, FlatPart(), [], None
-        example = load_example()
-        example.time = self.arm
-        self.example, self.poker = example, example.Poker(self.arm, server.host, server.port)
-        self.thread = threading.Thread(target=self._run, daemon=True)
-        self.thread.start()
-
-    def _run(self):
-        try:
-            self.poker.run()
-        except ConnectionError as error:
-            self.ended = error
-
-    def ask(self, number, place=(0.01, 0.02, 0.0), push=DOWN, frame="flat part"):
-        self.server.send([PokeTarget(number, 3, np.array(place), push, frame=frame, force=9.5, hold=0.6)])
-        return self
-
-    def until(self, condition):
-        end = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < end, (self.arm.place, self.answers)
-            self.answers += [item for item in self.server.read_answers() if isinstance(item, (Answer, RobotPace, TipPose))]
-            time.sleep(0.005)
-        return self
-
-    @property
-    def said(self):
-        return [write_answer(item) for item in self.answers if isinstance(item, Answer)]
-
-    def until_pressed(self):
-        return self.until(lambda: self.arm.place[2] < -0.001)
+from tests.skincal.robot.client_benches import DOWN, PATIENCE_S, load_example, template
 
 
 @pytest.fixture
-def bench():
-    with closing(TargetServer(*parse_port("0"))) as server:
-        bench = Bench(server)
-        yield bench
-        server.send([NoTarget.ENOUGH])
-        bench.thread.join(PATIENCE_S)
+def client():
+    with template() as example:
+        yield example
 
 
-def test_it_greets_presses_as_asked_and_lets_go_when_held(bench):
-    bench.ask(1).until(lambda: -STIFFNESS * bench.arm.place[2] > 0.94 * 9.5)
-    bench.server.send([Held(1)])
-    bench.until(lambda: bench.said)
-    assert bench.said == ["reached 1"]
-    assert bench.answers[0] == RobotPace(0.1, 6.0)
-    assert any(isinstance(item, TipPose) for item in bench.answers)
-    assert bench.arm.place[2] == pytest.approx(bench.example.STANDOFF, abs=3e-3)
-    assert -STIFFNESS * min(bench.arm.course) < 1.1 * 9.5
-    assert np.abs(np.diff(bench.arm.course)).max() <= bench.example.TRAVEL * bench.example.PERIOD_S + 1e-9
-    bench.ask(2).until(lambda: len(bench.said) == 2)
-    assert bench.said[1] == "reached 2", "without held it ends, too"
-    bench.server.send([NoTarget.ENOUGH])
-    bench.thread.join(PATIENCE_S)
-    assert not bench.thread.is_alive()
+def test_it_greets_reports_its_tip_and_keeps_its_speed(client):
+    client.ask(1).until_answers()
+    assert client.answers[0] == RobotPace(0.1, 6.0)
+    assert any(isinstance(item, TipPose) for item in client.answers)
+    assert np.abs(np.diff(client.heights())).max() <= client.example.TRAVEL * client.example.PERIOD_S + 1e-9
+    client.say(NoTarget.ENOUGH)
+    client.thread.join(PATIENCE_S)
+    assert not client.thread.is_alive()
 
 
-def test_what_it_cannot_reach_it_skips_with_the_reason(bench):
-    bench.arm.reach = lambda place: place[0] < 0.05
-    bench.ask(1, (0.06, 0.0, 0.0)).until(lambda: bench.said)
-    bench.ask(2).until(lambda: len(bench.said) == 2)
-    bench.ask(3, push=-DOWN).until(lambda: len(bench.said) == 3)
-    assert bench.said == ["skip 1 out of reach", "reached 2", "skip 3 out of reach"]
+def test_the_other_side_of_the_part_and_another_frame_are_refused_with_the_reason(client):
+    client.ask(1).until_answers().ask(2, push=-DOWN).until_answers(2)
+    assert (client.said()[1], client.text()) == ((AnswerKind.SKIP, 2), "out of reach")
+    client.ask(3, frame="r_hand").until_answers(3)
+    assert client.text() == "the target is in the frame r_hand, the robot works in flat part"
 
 
-def test_a_target_in_another_frame_is_a_fault_without_a_motion(bench):
-    bench.ask(1, frame="r_hand").until(lambda: bench.said)
-    assert bench.said == ["fault 1 the target is in the frame r_hand, the robot works in flat part"]
-    assert not bench.arm.course
-    bench.ask(2).until(lambda: len(bench.said) == 2)
-    assert bench.said[1] == "reached 2"
-
-
-@pytest.mark.parametrize("line", [NoTarget.STOP, NoTarget.WAIT])
-def test_a_stop_lets_go_and_stays(bench, line):
-    bench.ask(1).until_pressed()
-    bench.server.send([line])
-    bench.until(lambda: bench.arm.place[2] > bench.example.STANDOFF - 1e-9)
-    count = len(bench.arm.course)
-    time.sleep(0.1)
-    assert len(bench.arm.course) == count
-    bench.until(lambda: True)
-    assert bench.said == []
-
-
-def test_nothing_moves_towards_the_part_without_a_fresh_force(bench):
-    bench.ask(1).until(lambda: 0.0 < bench.arm.place[2] < 0.02)
-    bench.arm.force_age_s = 1.0
-    count = len(bench.arm.course) + 1
-    bench.until(lambda: len(bench.arm.course) > count + 50)
-    assert (np.diff(bench.arm.course[count:]) >= 0.0).all()
-    bench.arm.force_age_s = 0.0
-    bench.until(lambda: bench.said)
-    assert bench.said == ["reached 1"]
-
-
-def test_a_pressing_tip_lets_go_once_the_force_is_old(bench):
-    bench.ask(1).until_pressed()
-    bench.arm.force_age_s = 1.0
-    bench.until(lambda: bench.said)
-    assert bench.said == ["fault 1 no fresh force reading"]
-    assert bench.arm.place[2] == pytest.approx(bench.example.STANDOFF, abs=3e-3)
-
-
-def test_without_any_force_the_arm_stays_where_it_is(bench):
-    bench.arm.force_age_s = 1.0
-    bench.ask(1).until(lambda: bench.said)
-    assert bench.said == ["fault 1 no fresh force reading"]
-    assert set(bench.arm.course) == {0.2}
+def test_without_any_force_the_arm_stays_where_it_is(client):
+    client.silence()
+    client.ask(1).until_answers()
+    assert (client.said(), client.text()) == ([(AnswerKind.FAULT, 1)], "no fresh force reading")
+    assert set(client.arm.course) == {0.2}
 
 
 @pytest.mark.parametrize("load", [30.0, -30.0])
-def test_what_is_met_on_the_way_stops_it(bench, load):
-    bench.arm.load = lambda place: load if place[2] < 0.1 else 0.0
-    bench.ask(1).until(lambda: bench.said)
-    assert bench.said == ["fault 1 something was met on the way"]
-    assert bench.arm.place[2] > 0.095
+def test_an_obstacle_in_either_direction_stops_it(client, load):
+    client.arm.load = lambda place: load if place[2] < 0.1 else 0.0
+    client.ask(1).until_answers()
+    assert (client.said(), client.text()) == ([(AnswerKind.FAULT, 1)], "something was met on the way")
+    assert client.arm.place[2] > 0.095
 
 
-def test_a_force_above_the_limit_ends_the_poke(bench):
-    bench.arm.stiffness = 1e6
-    bench.ask(1).until(lambda: bench.said)
-    assert bench.said == ["skip 1"]
-    assert bench.arm.place[2] == pytest.approx(bench.example.STANDOFF, abs=3e-3)
+def test_a_force_above_the_limit_ends_the_poke(client):
+    client.arm.stiffness = 1e6
+    client.ask(1).until_answers()
+    assert (client.said(), client.text()) == ([(AnswerKind.SKIP, 1)], "")
+    assert client.arm.place[2] == pytest.approx(client.standoff_m, abs=3e-3)
 
 
-def test_without_skincal_it_lets_go(bench):
-    bench.ask(1).until_pressed()
-    bench.server.close()
-    bench.thread.join(PATIENCE_S)
-    assert isinstance(bench.ended, ConnectionError)
-    assert bench.poker.side == tuple(DOWN), "after the next connection it first goes back"
-    assert bench.arm.place[2] == pytest.approx(bench.example.STANDOFF, abs=3e-3)
+def test_after_a_lost_connection_it_first_goes_back(client):
+    client.ask(1).until_pressed().lose_skincal()
+    assert isinstance(client.ended, ConnectionError)
+    assert client.poker.side == tuple(DOWN)
 
 
 class PhysicsArm:

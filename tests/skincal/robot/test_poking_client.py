@@ -1,10 +1,12 @@
-"""The client of the target lines on an arm without a physics engine: a poke, and everything that may go wrong in one."""
+"""The client of the target lines on an arm without a physics engine: a poke, and everything that may go wrong in one.
+
+`test_both_clients.py` has what every client must do.
+"""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skincal.mesh.surface import make_surface
 from skincal.robot.aim_correction import AimCorrection
 from skincal.robot.clearance import Clearance
 from skincal.robot.poking_client import (
@@ -16,26 +18,12 @@ from skincal.robot.poking_client import (
     WAY_BLOCKED,
     Phase,
     PokeSettings,
-    PokingClient,
 )
-from skincal.robot.target_lines import Answer, AnswerKind, Held, NoTarget, PokeTarget, TipPose
-from tests.skincal.robot.plain_arm import WEIGHT, PlainArm
+from skincal.robot.target_lines import Answer, AnswerKind, Held, NoTarget, PokeTarget
+from tests.skincal.robot.client_benches import BOX, DOWN, HALF, Program, box
+from tests.skincal.robot.plain_arm import WEIGHT
 
-UP, DOWN = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
-HALF = np.array([0.03, 0.06, 0.02])
-"""m, of the part: a box."""
-
-
-def box(*boxes):
-    """A surface of boxes, each given by its middle and its half sides."""
-    corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = np.array([[(a, b, c), (a, c, d)] for a, b, c, d in quads]).reshape(-1, 3)
-    vertices = np.concatenate([middle + corner * half for middle, half in boxes])
-    return make_surface(vertices, np.concatenate([faces + 8 * number for number in range(len(boxes))]))
-
-
-BOX = box((np.zeros(3), HALF))
+UP = -DOWN
 
 
 def target(number, place=(0.01, 0.02, 0.02), push=DOWN, force=9.5, frame="box"):
@@ -43,38 +31,14 @@ def target(number, place=(0.01, 0.02, 0.02), push=DOWN, force=9.5, frame="box"):
     return PokeTarget(number, 3, place, push, frame=frame, force=force, hold=0.6)
 
 
-class Bench:
-    """A client, its arm, and what it says."""
-
-    def __init__(self, surface=BOX, **options):
-        self.arm, self.answers, self.tips = PlainArm(surface, **options), [], []
-        self.client = PokingClient(self.arm, surface, self.hear, PokeSettings(frame="box"))
-
-    def hear(self, line):
-        (self.tips if isinstance(line, TipPose) else self.answers).append(line)
-
-    def run(self, until, limit_s=40.0):
-        """Do periods until something is true."""
-        end = self.arm.time_s + limit_s
-        while not until(self):
-            assert self.arm.time_s < end, (self.client.phase, self.answers, self.arm.position)
-            self.client.run_period()
-        return self
+class Bench(Program):
+    """The client, asked by whole lines; conditions get the bench."""
 
     def ask(self, line):
-        self.client.receive_line(line)
-        return self
+        return self.say(line)
 
-    def until_phase(self, phase):
-        return self.run(lambda bench: bench.client.phase is phase)
-
-    def rest(self, seconds):
-        end = self.arm.time_s + seconds
-        return self.run(lambda bench: bench.arm.time_s >= end, seconds + 1.0)
-
-    @property
-    def forces(self):
-        return np.array([force for _, _, force in self.arm.course])
+    def run(self, until, limit_s=40.0):
+        return self.until(lambda: until(self), limit_s)
 
 
 def answered(bench):
@@ -156,7 +120,6 @@ COURT = box(
     (np.array([0.0, 0.0, -0.02]), np.array([0.1, 0.1, 0.01])), (np.array([0.03, 0.0, 0.03]), np.array([0.005, 0.1, 0.05]))
 )
 IMPOSSIBLE = {
-    "out of reach": (BOX, target(1), lambda place, _: place[2] > 0.05, OUT_OF_REACH),
     "no way around": (BOX, target(1, (0.0, 0.0, -0.02), UP), lambda place, _: abs(place[2]) > 0.02, OUT_OF_REACH),
     "the part is in the way": (COURT, target(1, (0.02, 0.0, -0.01), (-0.5, 0.0, -0.8660254)), None, WAY_BLOCKED),
 }
@@ -229,15 +192,6 @@ def test_it_draws_back_from_what_it_meets_on_its_way():
     bench.arm.obstacle = None
     bench.ask(target(3)).run(lambda bench: len(bench.answers) == 3)
     assert bench.answers[2] == Answer(AnswerKind.REACHED, 3)
-
-
-def test_on_the_first_way_of_all_it_draws_back_from_what_it_meets():
-    bench = Bench()
-    bench.arm.obstacle = lambda centre: centre[2] < 0.2
-    bench.ask(target(1)).run(answered)
-    assert bench.answers == [Answer(AnswerKind.SKIP, 1)]
-    assert min(place[2] for place, _, _ in bench.arm.course) > 0.19
-    assert bench.forces[-1] == 0.0
 
 
 def test_a_force_above_the_limit_is_not_tried():
