@@ -118,7 +118,7 @@ def estimate_modules(
         for module in modules:
             fitted_modules.pop(module, None)
     if fit is not None:
-        estimates = list(_estimates(*fit, counts, dead, noise))
+        estimates = list(_estimates(*fit, counts, dead, model.layout.spacing))
         every = _add_shared_errors(*fit, model, noise, estimates, shared, fitted_modules)
         found.update((estimate.channel, estimate) for estimate in every)
     return found
@@ -134,7 +134,7 @@ def _without_pose(channel: int, contacts: int, dead: Mapping[int, str]) -> Estim
 
 
 def _estimates(
-    touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead: Mapping[int, str], noise: NoiseSettings
+    touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead: Mapping[int, str], spacing: float
 ) -> Iterator[Estimate]:
     """Yield the estimates of the taxels of the modules that have a pose."""
     gradients = fitted.pads.gradients
@@ -143,7 +143,7 @@ def _estimates(
     sds, rms = np.sqrt(values[:, 2]), np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     troubles = [_trouble(touches, fitted, module) for module in range(len(touches.modules))]
     doubted, none = _doubted(touches, fitted), dict[int, float]()
-    denied = find_contradicted(touches, fitted.of, fitted.pads.points, fitted.trust, noise)
+    denied = find_contradicted(touches, fitted.of, fitted.pads.points, fitted.trust, spacing)
     pads: list[tuple[int, int]] = list(zip(touches.channels.tolist(), fitted.of.tolist(), strict=True))
     for pad, (channel, module) in enumerate(pads):
         contacts = counts.get(channel, 0)

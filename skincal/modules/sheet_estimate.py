@@ -66,11 +66,11 @@ def estimate_sheets(
     evidence = table.evidence([channel for channel in channels if channel not in dead])
     counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
     for fit in fit_sheets(evidence, table.totals(evidence.pokes), model, noise, others, doubting):
-        estimates = [estimate for estimate in _estimates(fit, counts, noise) if estimate.channel not in dead]
+        estimates = [estimate for estimate in _estimates(fit, counts, model.layout.spacing) if estimate.channel not in dead]
         yield from _with_shared_errors(fit, estimates, len(model.layout.modules), noise, shared)
 
 
-def _estimates(fit: SheetFit, counts: Mapping[int, int], noise: NoiseSettings) -> Iterator[Estimate]:
+def _estimates(fit: SheetFit, counts: Mapping[int, int], spacing: float) -> Iterator[Estimate]:
     """Yield the estimates of the taxels of a sheet, without the errors that pokes share."""
     trouble = _trouble(fit)
     covariances = _of_pads(fit, fit.covariance)
@@ -80,7 +80,7 @@ def _estimates(fit: SheetFit, counts: Mapping[int, int], noise: NoiseSettings) -
     sds, rms = np.sqrt(values[:, 2]).tolist(), np.sqrt(np.trace(covariances, axis1=1, axis2=2)).tolist()
     doubted, none = _doubted(fit), dict[int, float]()
     of_sheet = np.zeros(len(fit.pads.points), dtype=np.int64)
-    denied = find_contradicted(fit.touches, of_sheet, fit.pads.points, fit.trust, noise)
+    denied = find_contradicted(fit.touches, of_sheet, fit.pads.points, fit.trust, spacing)
     for pad, channel in enumerate(fit.touches.channels.tolist()):
         contacts, of_poke = counts.get(channel, 0), doubted.get(channel, none)
         reason = trouble
