@@ -158,11 +158,14 @@ def load(
 
 
 def _renderer_class(static: StaticScene) -> type[SceneRenderer]:
-    from app.scene3d.draft_renderer import DraftRenderer
-    from app.scene3d.draft_state import DraftStatic
+    # The modules of a draft take as long to import as the layers take to be built: a session goes without them.
+    if static.is_draft:
+        from app.scene3d.draft_renderer import DraftRenderer
+
+        return DraftRenderer
     from app.scene3d.scene_renderer import SceneRenderer
 
-    return DraftRenderer if isinstance(static, DraftStatic) else SceneRenderer
+    return SceneRenderer
 
 
 def mount(

@@ -21,6 +21,8 @@ NO_PLACES: FloatArray = np.empty((0, 3))
 class DraftStatic(StaticScene):
     """Mesh and laid layout of one moment of a draft."""
 
+    is_draft = True
+
     def __init__(self, surface: Surface | None = None, layout: Layout | None = None, laid: PlacedLayout | None = None) -> None:
         channels: IntArray = np.empty(0, np.int64) if layout is None else layout.channels
         self.surface, self.layout, self.laid, self.channels = surface, layout, laid, channels

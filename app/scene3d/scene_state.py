@@ -97,6 +97,9 @@ class Comparison:
 class StaticScene:
     """The part of a scene that does not change during a session; `channels` are in the order of the snapshot's estimates."""
 
+    is_draft = False
+    """The part is being described, and has no session."""
+
     def __init__(self, part: Part) -> None:
         self.scene = part.scene
         self.layout = part.scene.skin.layout

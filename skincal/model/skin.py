@@ -174,15 +174,26 @@ class Layout:
     @cached_property
     def spacing(self) -> float:
         """Median distance of a taxel to its nearest neighbour in the layout, metres; infinite for a single taxel."""
-        places = self.places[self.channels]
-        # In blocks: the differences of 4,200 taxels at once would take 280 MB.
-        nearest = np.empty(len(places))
-        for start in range(0, len(places), TAXELS_PER_NEIGHBOUR_SEARCH):
-            block = places[start : start + TAXELS_PER_NEIGHBOUR_SEARCH]
-            distances = np.linalg.norm(block[:, None] - places[None], axis=-1)
-            distances[np.arange(len(block)), start + np.arange(len(block))] = np.inf
-            nearest[start : start + TAXELS_PER_NEIGHBOUR_SEARCH] = distances.min(axis=1)
+        x, y = self.places[self.channels].T
+        order = np.argsort(x)
+        x, y = x[order], y[order]
+        # A taxel at hand is no nearer than the nearest: beyond its distance along x, no other one can be. In blocks: the
+        # differences of 4,200 taxels at once would take 280 MB.
+        bounds, nearest = _distances_at_hand(self.places[self.channels])[order], np.empty(len(x))
+        for start in range(0, len(x), TAXELS_PER_NEIGHBOUR_SEARCH):
+            rows = np.arange(start, min(start + TAXELS_PER_NEIGHBOUR_SEARCH, len(x)))
+            reach = (1.0 + 1e-9) * bounds[rows].max()  # Beyond the rounding of the sums below
+            first, last = (int(end) for end in np.searchsorted(x, [x[rows[0]] - reach, x[rows[-1]] + reach]))
+            squares = (x[rows, None] - x[first:last]) ** 2 + (y[rows, None] - y[first:last]) ** 2
+            squares[np.arange(len(rows)), rows - first] = np.inf
+            nearest[rows] = np.sqrt(squares.min(axis=1))
         return float(np.median(nearest))
+
+
+def _distances_at_hand(places: FloatArray) -> FloatArray:
+    """Return the distance of each of n places, (n, 2) float, to the one before or after it; infinite for an only one."""
+    steps = np.concatenate([[np.inf], np.linalg.norm(np.diff(places, axis=0), axis=1), [np.inf]])
+    return np.minimum(steps[:-1], steps[1:])
 
 
 def load_layout(path: Path, width: int) -> Layout:

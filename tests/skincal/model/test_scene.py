@@ -7,6 +7,7 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, with_layout
+from skincal.model.skin import KINDS, Layout, Module
 from tests.approved import approved, approved_pattern
 
 GOOD = """
@@ -138,6 +139,17 @@ def test_the_spacing_is_that_of_the_whole_layout_and_not_of_its_first_module(tmp
     first = load_scene(write(tmp_path, GOOD, bars + MODULES.replace("id = 5", "id = 6").replace("[1, 2]", "[90, 2]") + wide))
     assert first.skin.layout is not None
     assert first.skin.layout.spacing == pytest.approx(5.0e-3, abs=1e-5)
+
+
+@pytest.mark.parametrize("modules", [1, 2, 7, 150])
+def test_the_spacing_is_the_median_of_the_least_distances_wherever_modules_lie(modules):
+    rng, kind = np.random.default_rng(modules), KINDS["triangle_12"]
+    places = np.round(rng.uniform(-0.3, 0.3, (modules, 2)), 3)
+    layout = Layout(
+        tuple(Module(at, kind, 12 * at, place, 0.5 * at, False) for at, place in enumerate(places)), 12 * modules
+    )  # fmt: skip
+    away = np.linalg.norm(layout.places[:, None] - layout.places, axis=-1) + np.diag(np.full(12 * modules, np.inf))
+    assert layout.spacing == np.median(away.min(axis=1))
 
 
 def test_a_channel_has_one_place(tmp_path):
