@@ -11,9 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import pyqtgraph as pg
+from numpy.typing import NDArray
 from PySide6.QtCore import QEvent, QPointF, QRect, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import (
     QBrush,
@@ -49,7 +51,7 @@ from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
 from app.text.mark_text import LEGEND_WORDS, MARK_WORDS
 from app.text_size import scaled
-from app.theme import MODULE_HUES, WIDGET_GAP_PX
+from app.theme import MODULE_HUES, WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
@@ -215,7 +217,12 @@ class TaxelMap(pg.GraphicsView):
         self._target: int | None = None
         self._selected: int | None = None
         self.generation: tuple[object, ...] = ()  # Key of the marks: they change with it alone
+        self._drawn: tuple[object, IntArray] = (None, np.empty(0, dtype=np.int64))
+        """Theme and radius of the marks that are drawn, and the marks, (n,)."""
+        self._module_colours: Colours | None = None
         self._symbols = {mark.value: mark_path(mark) for mark in Mark}
+        self._module_sizes = [float(np.ptp(line, axis=0).min()) for line in self._plan.outlines]
+        """Shorter side of each module's box."""
         self._modules = [QGraphicsPolygonItem(QPolygonF([QPointF(*p) for p in line])) for line in self._plan.outlines]
         self._numbers = [QGraphicsSimpleTextItem(label) for label in self._plan.labels]
         self._halos, self._states, self._wedges, self._rings = (pg.ScatterPlotItem(antialias=True) for _ in range(4))
@@ -412,20 +419,29 @@ class TaxelMap(pg.GraphicsView):
 
     def _draw_modules(self) -> None:
         colours = theme_colours()
+        if colours is not self._module_colours:
+            self._module_colours = colours
+            self._paint_modules(colours)
+        for size, text in zip(self._module_sizes, self._numbers, strict=True):
+            # The number of an only module tells nothing, and would lie under all of its taxels.
+            is_large = size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT * self._scale >= MIN_MODULE_NUMBER_HEIGHT_PX
+            text.setVisible(is_large and len(self._numbers) > 1)
+
+    def _paint_modules(self, colours: Colours) -> None:
+        """Give the modules the colours of a theme."""
         self.setBackgroundBrush(QColor(colours.panel))
         font = QFont(self.font())
         font.setBold(True)
         font.setPixelSize(40)
+        pens = [pg.mkPen(mix(hue, colours.panel, 0.45), width=1.2) for hue in MODULE_HUES]
+        brushes = [QBrush(mix(colours.panel, hue, 0.07)) for hue in MODULE_HUES]
+        ink = QBrush(mix(colours.panel, colours.text, MODULE_NUMBER_OPACITY))
         for index, (polygon, text) in enumerate(zip(self._modules, self._numbers, strict=True)):
-            hue = MODULE_HUES[index % len(MODULE_HUES)]
-            polygon.setPen(pg.mkPen(mix(hue, colours.panel, 0.45), width=1.2))
-            polygon.setBrush(mix(colours.panel, hue, 0.07))
-            corners, size = self._plan.outlines[index], float(np.ptp(self._plan.outlines[index], axis=0).min())
+            polygon.setPen(pens[index % len(MODULE_HUES)])
+            polygon.setBrush(brushes[index % len(MODULE_HUES)])
+            corners, size = self._plan.outlines[index], self._module_sizes[index]
             text.setFont(font)
-            text.setBrush(mix(colours.panel, colours.text, MODULE_NUMBER_OPACITY))
-            # The number of an only module tells nothing, and would lie under all of its taxels.
-            is_large = size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT * self._scale >= MIN_MODULE_NUMBER_HEIGHT_PX
-            text.setVisible(is_large and len(self._numbers) > 1)
+            text.setBrush(ink)
             scale, middle = size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT / 40.0, text.boundingRect().center()
             # Upright, although y of the map points up.
             move = QTransform.fromTranslate(*corners.mean(axis=0).tolist())
@@ -433,22 +449,37 @@ class TaxelMap(pg.GraphicsView):
 
     def _draw_states(self) -> None:
         colours, radius = theme_colours(), self._radius()
-        values = self._marks[self._plan.channels].tolist()
-        brushes: dict[tuple[int, str], QBrush] = {}
-        for value, hue in {*zip(values, self._hues, strict=True)}:
-            colour = QColor(colours.muted if value == Mark.DEAD.value else hue or colours.muted)
-            colour.setAlphaF(MARK_OPACITY.get(Mark(value), 1.0) if radius < SMALL_TAXEL_MARK_RADIUS_PX else 1.0)
-            brushes[value, hue] = QBrush(colour)
-        self._states.setData(
-            pos=self._plan.places, size=2.0 * radius, pen=None, symbol=[self._symbols[value] for value in values],
-            brush=[brushes[key] for key in zip(values, self._hues, strict=True)],
-        )  # fmt: skip
+        values, look = self._marks[self._plan.channels], (colours, radius)
+        before_look, before = self._drawn
+        self._drawn = look, values
+        if look == before_look:
+            # A poke changes few marks: only these are given their pixels again.
+            rows = np.flatnonzero(values != before)
+            spots = cast("NDArray[np.void]", self._states.data)
+            changed = spots[rows]
+            changed["symbol"], changed["brush"] = self._look_of(rows.tolist(), colours, radius)
+            changed["sourceRect"] = 0
+            spots[rows] = changed
+            self._states.updateSpots()
+        else:
+            symbols, brushes = self._look_of(range(len(values)), colours, radius)
+            self._states.setData(pos=self._plan.places, size=2.0 * radius, pen=None, symbol=symbols, brush=brushes)
         # A wedge at the upper right of each taxel that may as well lie elsewhere.
         rivals = self._plan.places[np.isin(self._plan.channels, list(self._rivals))] + 0.9 * radius / self._scale
         self._wedges.setData(
             pos=rivals, size=max(MIN_AMBIGUOUS_TAXEL_WEDGE_PX, 1.8 * radius), symbol=_wedge_path(),
             brush=pg.mkBrush(colours.text), pen=pg.mkPen(colours.panel, width=1.2),
         )  # fmt: skip
+
+    def _look_of(self, rows: Sequence[int], colours: Colours, radius: float) -> tuple[list[QPainterPath], list[QBrush]]:
+        """Return symbols and brushes of the marks in some rows of the map."""
+        values, brushes = self._marks[self._plan.channels].tolist(), dict[tuple[int, str], QBrush]()
+        keys = [(values[row], self._hues[row]) for row in rows]
+        for value, hue in {*keys}:
+            colour = QColor(colours.muted if value == Mark.DEAD.value else hue or colours.muted)
+            colour.setAlphaF(MARK_OPACITY.get(Mark(value), 1.0) if radius < SMALL_TAXEL_MARK_RADIUS_PX else 1.0)
+            brushes[value, hue] = QBrush(colour)
+        return [self._symbols[value] for value, _ in keys], [brushes[key] for key in keys]
 
     def _draw_halos(self) -> None:
         levels, colour = self._levels[self._plan.channels], QColor(theme_colours().text)

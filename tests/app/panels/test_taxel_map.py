@@ -120,6 +120,32 @@ def test_an_answer_a_state_and_a_selection_each_change_their_taxel_alone(taxels)
     assert changed(before, pixels(taxels)) == 0
 
 
+def test_a_poke_gives_the_marks_that_it_changes_their_pixels_and_no_others(qtbot, monkeypatch):
+    states = [frame(session(generation, {c: estimate(c, (0, 0, 0)) for c in range(3 * generation)})) for generation in range(6)]
+    changing = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
+    changing.show_state(states[0])
+    looks: list[int] = []
+    look_of = TaxelMap._look_of
+    monkeypatch.setattr(TaxelMap, "_look_of", lambda its, rows, *rest: looks.append(len(rows)) or look_of(its, rows, *rest))
+    for state in states[1:]:
+        changing.show_state(state)
+    assert looks == [3] * 5
+    at_once = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
+    at_once.show_state(states[-1])
+    assert changed(pixels(changing), pixels(at_once)) == 0
+
+
+def test_a_map_that_is_resized_keeps_the_look_of_its_modules(qtbot, monkeypatch):
+    view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES), (420, 300))
+    painted: list[object] = []
+    paint = TaxelMap._paint_modules
+    monkeypatch.setattr(TaxelMap, "_paint_modules", lambda its, colours: painted.append(colours) or paint(its, colours))
+    view.resize(700, 500)
+    qtbot.wait(30)
+    assert painted == []
+    assert changed(pixels(view), pixels(shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES), (700, 500)))) == 0
+
+
 @pytest.mark.usefixtures("qapp")
 def test_states_differ_in_shape_not_only_in_colour():
     drawn = []
