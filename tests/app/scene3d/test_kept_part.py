@@ -13,6 +13,7 @@ from app.scene3d.offscreen import draw
 from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import DARK, LIGHT, StaticScene
 from app.state.view_state import ViewState
+from skincal.part.part import Part
 from tests.app.scene3d_support import box, contact, estimate, laid, layout, live, scene, snapshot, tick_of
 from tests.app.view3d_on_screen import make_plotter
 
@@ -27,7 +28,7 @@ class Camera:
 
     def __init__(self, *, keeps: bool) -> None:
         self.plotter, self.keeps = make_plotter(), keeps
-        self.renderer = SceneRenderer(self.plotter, StaticScene(scene(PLAN), box(), laid(PLAN), range(24)), DARK)
+        self.renderer = SceneRenderer(self.plotter, StaticScene(Part(scene(PLAN), box(), laid(PLAN), np.arange(24), ())), DARK)
         self.renderer.fit()
 
     def picture(self, state: ViewState) -> np.ndarray:
