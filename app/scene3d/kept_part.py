@@ -1,8 +1,8 @@
 """The drawn part is kept while the camera stands still: a picture draws only the region where something changed in it.
 
-While a tool presses, only its force axis moves inside the part. On software OpenGL the part costs two thirds of a picture. So
-the pixels of renderer `PART` are kept with their depth, and those of `PART` and `WITHIN` together without it. A later picture
-copies the second, in the changed region the first, and draws `WITHIN` in that region only.
+While a tool presses, only its force axis and its contact move. On software OpenGL the part costs two thirds of a picture, and
+the labels a fifth. So three pictures are kept: of renderer `PART` with its depth, of `PART` and `WITHIN`, and of all. A later
+picture copies the last one. In the region where something changed it copies one of the others, and draws the rest.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from vtkmodules.vtkCommonDataModel import vtkRecti
 from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLFramebufferObject, vtkOpenGLRenderWindow
 
 from app.scene3d.camera import Viewpoint
+from app.scene3d.mesh_actors import FRONT, PART, WITHIN
 from skincal.geometry import FloatArray
 
 if TYPE_CHECKING:
     import pyvista as pv
-    from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer, vtkRenderWindow
+    from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderWindow
 
     from app.scene3d.mesh_actors import MeshActor
 
@@ -35,22 +36,26 @@ MAX_REGION_SHARE = 0.7  # Of the picture: a larger region is drawn as a whole pi
 
 
 class KeptPart:
-    """Pixels of the renderers `part` and `within` of one window without multisampling."""
+    """Pixels of the renderers of one window without multisampling: of `PART`, with `WITHIN`, and with `FRONT`."""
 
-    def __init__(self, window: vtkRenderWindow, part: pv.Renderer, within: pv.Renderer, front: vtkRenderer) -> None:
+    def __init__(self, window: vtkRenderWindow, part: pv.Renderer, within: pv.Renderer, front: pv.Renderer) -> None:
         assert isinstance(window, vtkOpenGLRenderWindow), "every window that VTK makes here"
-        self.window, self.part, self.within, self._camera = window, part, within, part.GetActiveCamera()
-        self.drawn_parts = 0  # Pictures for which the whole part was drawn
+        self.window, self.part, self.within = window, part, within
+        self._camera = part.GetActiveCamera()
+        self.drawn_parts = self.drawn_fronts = self.drawn_labels = 0
+        """Pictures for which the whole part, all before it, and the labels were drawn."""
         self._size = (0, 0)
-        self._opaque, self._whole = vtkOpenGLFramebufferObject(), vtkOpenGLFramebufferObject()
+        self._opaque, self._whole, self._picture = (vtkOpenGLFramebufferObject() for _ in range(3))
         self._viewpoint: Viewpoint | None = None
         self._key: object = None
+        self._labels_key: object = None
         self._is_kept = False
         """The kept pixels are those of `_viewpoint` and `_key`."""
         self._moving: dict[MeshActor, tuple[tuple[bool, int], Region]] = {}
-        self._region = NOTHING
-        self._is_new = True
-        """The whole part is drawn in this picture, and kept afterwards."""
+        self._region, self._front_region = NOTHING, NOTHING
+        """Where `WITHIN` is drawn again, and where `FRONT` is."""
+        self._is_new = self._is_front_new = True
+        """The whole part, or all before it, is drawn in this picture."""
         self._observers = [
             (renderer, renderer.AddObserver(event, react))
             for renderer, event, react in (
@@ -58,51 +63,68 @@ class KeptPart:
                 (within, vtkCommand.StartEvent, self._before_within),
                 (within, vtkCommand.EndEvent, self._after_within),
                 (front, vtkCommand.StartEvent, self._before_front),
+                (front, vtkCommand.EndEvent, self._after_front),
             )
         ]
 
-    def prepare(self, viewpoint: Viewpoint, moving: Sequence[MeshActor], depth_range: tuple[float, float]) -> None:
-        """Decide what the next picture draws; `moving` are the actors of `WITHIN` that change while the camera stands still."""
+    def prepare(
+        self, viewpoint: Viewpoint, actors: Sequence[MeshActor], labels_key: object, depth_range: tuple[float, float]
+    ) -> None:
+        """Decide what the next picture draws; `labels_key` changes with the look of the labels."""
+        moving = [actor for actor in actors if actor.renderer != PART]
         own = {actor.actor for actor in moving}
         still = (prop for renderer in (self.part, self.within) for prop in renderer.actors.values() if prop not in own)
         key = depth_range, self.part.GetBackground(), tuple(_key_of(prop) for prop in still)
-        states = {actor: (_key_of(actor.actor), _region_of(actor, viewpoint)) for actor in moving}
-        width, height = viewpoint.size
         is_same = viewpoint.is_same(self._viewpoint) and key == self._key
-        region = NOTHING
-        for actor, (actor_key, now) in states.items():
-            before_key, before = self._moving.get(actor, ((False, 0), NOTHING))
-            if actor_key != before_key:
-                region = _union(region, _union(now, before))
-        self._moving, self._viewpoint, self._key = states, viewpoint, key
-        left, bottom, right, top = region
-        self._region = max(left, 0), max(bottom, 0), min(right, width), min(top, height)
-        area = max(0, self._region[2] - self._region[0]) * max(0, self._region[3] - self._region[1])
-        if not area:
-            self._region = NOTHING
-        self._is_new = not (is_same and self._is_kept and area <= MAX_REGION_SHARE * width * height)
+        self._region, front = self._changed(moving, viewpoint)
+        self._front_region = _union(self._region, front)
+        room = MAX_REGION_SHARE * viewpoint.size[0] * viewpoint.size[1]
+        self._is_new = not (is_same and self._is_kept and _area(self._region) <= room)
+        self._is_front_new = self._is_new or labels_key != self._labels_key or _area(self._front_region) > room
         # A moving camera would only make each picture pay for the copies.
         self._is_kept = is_same and self._make_buffers(viewpoint.size)
+        self._viewpoint, self._key, self._labels_key = viewpoint, key, labels_key
         self.part.SetDraw(self._is_new)
-        self.within.SetDraw(self._is_new or area > 0)
+        self.within.SetDraw(self._is_new or self._region != NOTHING)
         self.drawn_parts += self._is_new
+        self.drawn_fronts += self._is_front_new
+
+    def has_labels_to_draw(self, boxes: FloatArray) -> bool:
+        """Return whether the next picture draws labels in boxes, (n, 4) float: left, bottom, right, top in device pixels."""
+        left, bottom, right, top = self._front_region
+        is_hit = (boxes[:, 0] < right) & (boxes[:, 2] > left) & (boxes[:, 1] < top) & (boxes[:, 3] > bottom)
+        is_drawn = self._is_front_new or (self._front_region != NOTHING and bool(is_hit.any()))
+        self.drawn_labels += is_drawn
+        return is_drawn
 
     def close(self) -> None:
         for renderer, observer in self._observers:
             renderer.RemoveObserver(observer)
         if self._size != (0, 0):
             self.window.MakeCurrent()
-            self._opaque.ReleaseGraphicsResources(self.window)
-            self._whole.ReleaseGraphicsResources(self.window)
+            for buffer in (self._opaque, self._whole, self._picture):
+                buffer.ReleaseGraphicsResources(self.window)
+
+    def _changed(self, moving: Sequence[MeshActor], viewpoint: Viewpoint) -> tuple[Region, Region]:
+        """Return the pixels where actors of `WITHIN` changed since the last picture, and where those of `FRONT` did."""
+        states = {actor: (_key_of(actor.actor), _region_of(actor, viewpoint)) for actor in moving}
+        regions = {WITHIN: NOTHING, FRONT: NOTHING}
+        for actor, (actor_key, now) in states.items():
+            before_key, before = self._moving.get(actor, ((False, 0), NOTHING))
+            if actor_key != before_key:
+                regions[actor.renderer] = _union(regions[actor.renderer], _union(now, before))
+        self._moving = states
+        return regions[WITHIN], regions[FRONT]
 
     def _make_buffers(self, size: tuple[int, int]) -> bool:
         if size == self._size:
             return True
         self._size = size
         made = True
-        for buffer, has_depth in ((self._opaque, True), (self._whole, False)):
+        for buffer in (self._opaque, self._whole, self._picture):
             buffer.SetContext(self.window)
             self.window.GetState().PushFramebufferBindings()
+            has_depth = buffer is self._opaque
             made = buffer.PopulateFramebuffer(*size, True, 1, VTK_UNSIGNED_CHAR, has_depth, DEPTH_BITS, 0) and made
             self.window.GetState().PopFramebufferBindings()
         return made
@@ -119,9 +141,7 @@ class KeptPart:
         frame = self.window.GetRenderFramebuffer()
         self._copy(self._whole, frame, self._full(), GL_COLOR_BUFFER_BIT)
         self._copy(self._opaque, frame, self._region, GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT)
-        left, bottom, right, top = self._region
-        self._camera.SetScissorRect(vtkRecti(left, bottom, right - left, top - bottom))
-        self._camera.SetUseScissor(True)
+        self._draw_only(self._region)
 
     def _after_within(self, *_: object) -> None:
         self._camera.SetUseScissor(False)
@@ -130,13 +150,31 @@ class KeptPart:
             self._copy(self.window.GetRenderFramebuffer(), self._whole, region, GL_COLOR_BUFFER_BIT)
 
     def _before_front(self, *_: object) -> None:
-        if not (self._is_new or self.within.GetDraw()):
-            self._copy(self._whole, self.window.GetRenderFramebuffer(), self._full(), GL_COLOR_BUFFER_BIT)
+        frame = self.window.GetRenderFramebuffer()
+        if not self._is_front_new:
+            self._copy(self._picture, frame, self._full(), GL_COLOR_BUFFER_BIT)
+            self._copy(self._whole, frame, self._front_region, GL_COLOR_BUFFER_BIT)
+            self._draw_only(self._front_region)
+        elif not (self._is_new or self.within.GetDraw()):
+            self._copy(self._whole, frame, self._full(), GL_COLOR_BUFFER_BIT)
+
+    def _after_front(self, *_: object) -> None:
+        self._camera.SetUseScissor(False)
+        if self._is_kept:
+            region = self._full() if self._is_front_new else self._front_region
+            self._copy(self.window.GetRenderFramebuffer(), self._picture, region, GL_COLOR_BUFFER_BIT)
+
+    def _draw_only(self, region: Region) -> None:
+        left, bottom, right, top = region
+        self._camera.SetScissorRect(vtkRecti(left, bottom, right - left, top - bottom))
+        self._camera.SetUseScissor(True)
 
     def _full(self) -> Region:
         return 0, 0, self._size[0], self._size[1]
 
     def _copy(self, source: vtkOpenGLFramebufferObject, to: vtkOpenGLFramebufferObject, region: Region, planes: int) -> None:
+        if region == NOTHING:
+            return
         state = self.window.GetState()
         state.PushFramebufferBindings()
         source.Bind(GL_READ_FRAMEBUFFER)
@@ -166,7 +204,12 @@ def _region_of(actor: MeshActor, viewpoint: Viewpoint) -> Region:
     places = viewpoint.on_screen(points) * viewpoint.ratio + (width / 2.0, height / 2.0)
     reach = actor.pixels * viewpoint.ratio / 2.0 + REGION_MARGIN_PX
     low, high = np.clip(np.floor(places.min(axis=0) - reach), 0, None), np.ceil(places.max(axis=0) + reach)
-    return int(low[0]), int(low[1]), int(min(high[0], width)), int(min(high[1], height))
+    region = int(low[0]), int(low[1]), int(min(high[0], width)), int(min(high[1], height))
+    return region if _area(region) else NOTHING
+
+
+def _area(region: Region) -> int:
+    return max(0, region[2] - region[0]) * max(0, region[3] - region[1])
 
 
 def _union(first: Region, second: Region) -> Region:

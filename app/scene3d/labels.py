@@ -20,6 +20,7 @@ from skincal.geometry import FloatArray
 
 LABEL_FONT_SIZE_PT = 14
 LETTER_PX = np.array([8.5, 20.0])  # Width of a letter and height of a line with its plate, at most
+BOX_MARGIN = 1.2  # Size of the box around a label over its largest size by the numbers above
 LABEL_DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=float)
 """Right and up: where words are tried, in this order."""
 LABEL_OBSTACLE_HALF_WIDTH_PX = 7.0  # Half the width of what labels should not cover
@@ -42,14 +43,19 @@ class Labels:
         self._hierarchy.SetPriorityArrayName("priority")
         self._scale = 1.0
         self.shown: tuple[str, ...] = ()
+        self.version = 0  # Changes with the look of the labels
+        self._boxes = np.empty((0, 4))
+        """(n, 4) float: left, bottom, right, top of each label, pixels of the desktop from the middle of the picture."""
 
     def set_colours(self, colours: SceneColours) -> None:
+        self.version += 1
         self._mapper.SetBackgroundColor(pv.Color(colours.background).float_rgb)
         self._hierarchy.GetTextProperty().SetColor(pv.Color(colours.ink).float_rgb)
 
     def set_font_scale(self, scale: float) -> None:
         """Write with letters `scale` times as large as usual."""
         self._scale = scale
+        self.version += 1
         self._hierarchy.GetTextProperty().SetFontSize(round(LABEL_FONT_SIZE_PT * scale))
         self._hierarchy.Modified()
 
@@ -57,9 +63,19 @@ class Labels:
         """Show these labels and no others, where they cover least of the obstacles, (n, 3) float, metres."""
         labels = sorted(labels, key=lambda label: -label.priority)
         self.shown = tuple(label.text for label in labels)
-        self.actor.SetVisibility(bool(labels))
+        self.version += 1
+        self.set_drawn(True)
+        self._boxes = np.empty((0, 4))
         if labels:
             self.mesh.shallow_copy(_mesh_of(labels, self._corners(labels, viewpoint.on_screen(obstacles), viewpoint)))
+
+    def set_drawn(self, is_drawn: bool) -> None:
+        """Draw the labels in the next pictures, or leave them out."""
+        self.actor.SetVisibility(is_drawn and bool(self.shown))
+
+    def boxes(self, viewpoint: Viewpoint) -> FloatArray:
+        """Return (n, 4) float: left, bottom, right and top of each label with a margin, device pixels from the lower left."""
+        return self._boxes * viewpoint.ratio + np.tile(viewpoint.size, 2) / 2.0
 
     def _corners(self, labels: Sequence[Label], obstacles: FloatArray, viewpoint: Viewpoint) -> FloatArray:
         """Return the lower left corner of each label, (n, 3) float, metres."""
@@ -74,6 +90,8 @@ class Labels:
             outside = np.maximum(np.abs(places) + half - edge, 0.0).sum(axis=1)
             middles[row] = places[np.argmin(np.prod(np.maximum(sides, 0.0), axis=-1).sum(axis=1).round() + 100.0 * outside)]
             taken = np.concatenate([taken, [[*middles[row] - half, *middles[row] + half]]])
+        wide = BOX_MARGIN * halves
+        self._boxes = np.concatenate([middles - wide, middles + wide], axis=1)
         moved = middles - halves - viewpoint.on_screen(at)
         return at + viewpoint.pixel_at(at)[:, None] * moved @ viewpoint.pose.axes[:2]
 

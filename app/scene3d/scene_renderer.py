@@ -225,9 +225,8 @@ class SceneRenderer:
         self._set_depth_range()
         if self.kept_part is not None:
             actors = [actor for layer in self.layers for own in layer.parts().values() for actor in own]
-            self.kept_part.prepare(
-                viewpoint, [actor for actor in actors if actor.renderer == WITHIN], self.camera.GetClippingRange()
-            )
+            self.kept_part.prepare(viewpoint, actors, self.labels.version, self.camera.GetClippingRange())
+            self.labels.set_drawn(self.kept_part.has_labels_to_draw(self.labels.boxes(viewpoint)))
 
     def _set_depth_range(self) -> None:
         """Set the depths between which the camera sees: a force axis that turns at the part does not change them."""

@@ -13,7 +13,9 @@ from app.scene3d.offscreen import draw
 from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import DARK, LIGHT, StaticScene
 from app.state.view_state import ViewState
+from skincal.guide.guidance import Target
 from skincal.part.part import Part
+from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, contact, estimate, laid, layout, live, scene, snapshot, tick_of
 from tests.app.view3d_on_screen import make_plotter
 
@@ -21,6 +23,9 @@ PLAN = layout()
 POKES = [contact(poke, 3, (1e-3 * poke, 0.0, 0.0), (0.3 * poke, 1.0, -8.0)) for poke in range(5)]
 PLACES = laid(PLAN).places - 2e-3 * laid(PLAN).normals
 ESTIMATED = snapshot(1, {channel: estimate(channel, PLACES[channel]) for channel in range(24)}, pokes=POKES)
+MOVED = snapshot(2, {channel: estimate(channel, PLACES[channel] + 3e-3 * (channel == 5)) for channel in range(24)}, pokes=POKES)
+UP = np.array([0.0, 0.0, 1.0])
+TARGET = Target(15, PLACES[15], UP, -UP, 0.0, np.inf, 0.0)
 
 
 class Camera:
@@ -59,7 +64,9 @@ def presses() -> list[ViewState]:
     forces = [(0.0, 0.0, -8.0), (2.0, 0.0, -8.0), (4.0, 3.0, -8.0), (-6.0, 1.0, -5.0)]
     at = [(0.0, 0.0, 0.0), (0.01, 0.005, -0.002), (-0.03, 0.02, 0.0), (0.038, -0.038, 0.0)]
     states = [tick_of(ESTIMATED, live(place, force)) for place, force in zip(at, forces, strict=True)]
-    return [tick_of(ESTIMATED), *states, *(replace(state, selected=3) for state in states), states[2], tick_of(ESTIMATED)]
+    selected = [replace(state, selected=3) for state in states]
+    released = [tick_of(ESTIMATED), tick_of(MOVED), tick_of(MOVED, None, Method.FREE, 3, TARGET)]
+    return [tick_of(ESTIMATED), *states, *selected, states[2], *released, tick_of(MOVED, live(*at[:1]), Method.FREE, 3, TARGET)]
 
 
 @pytest.mark.pixels
@@ -67,6 +74,8 @@ def test_pictures_of_a_press_are_those_of_a_part_that_is_drawn_each_time(cameras
     keeping, drawing = cameras
     for state in (presses()[0], *presses()):
         np.testing.assert_array_equal(keeping.picture(state), drawing.picture(state))
+    kept = keeping.kept
+    assert 2 < kept.drawn_parts < kept.drawn_labels < len(presses()), "labels are drawn again where an axis meets them"
     assert len({keeping.picture(state).tobytes() for state in presses()[:5]}) == 5, "each of them differs"
 
 
@@ -74,7 +83,7 @@ def test_a_press_draws_the_part_only_until_it_is_kept(cameras):
     keeping, _ = cameras
     for tilt in np.linspace(0.0, 1.0, 20):
         keeping.picture(tick_of(ESTIMATED, live((0.01, 0.01, 0.0), (tilt, 0.0, -8.0))))
-    assert keeping.kept.drawn_parts == 2
+    assert keeping.kept.drawn_parts == keeping.kept.drawn_fronts == keeping.kept.drawn_labels == 2
 
 
 def test_camera_colours_layers_and_size_make_the_part_be_drawn_again(cameras):
