@@ -33,7 +33,7 @@ from tests.app.view3d_on_screen import (
 )
 from tests.app.view3d_on_screen import pixels as picture
 from tests.app.whole_window import Bench
-from tests.app.window_support import PLAN, Paints, changed, context, frame, is_elided, pixels, reading, session
+from tests.app.window_support import PLAN, changed, context, frame, is_elided, paints_from_now, pixels, reading, session
 from tests.approved import approved
 
 Key = Qt.Key
@@ -210,8 +210,7 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded, monke
     assert session_view.state.method is Method.MODULES
     bench.until(lambda: not bench.window.messages.isVisible(), 5000)
     bench.window.messages.dismiss()
-    qtbot.wait(100)
-    paints = Paints(bench.window)
+    paints = paints_from_now(qtbot, bench.window)
     qtbot.wait(1200)
     assert paints.count == 0
 

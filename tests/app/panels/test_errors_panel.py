@@ -298,8 +298,7 @@ def test_the_error_against_truth_and_file_follows_an_exclusion_and_is_kept(bench
         assert last[TAXELS] == (0 if summary is None else summary.taxels)
         if summary is not None:
             assert last[[MEAN, P95, MAX]] == pytest.approx([summary.mean, summary.p95, summary.max])
-    qtbot.wait(600)
-    paints = Paints(bench.window)
+    paints = paints_from_now(qtbot, bench.window)
     qtbot.wait(1500)
     assert paints.count == 0
     first = bench.accepted()[0].poke

@@ -102,9 +102,14 @@ def test_one_robot_at_a_time(server):
             assert [second.line(), second.line(), second.line()] == [GREETING, "refused another robot is connected", None]
         server.send([target(1)])
         assert first.line() == write_line(target(1))
-    time.sleep(0.2)
-    with robot(server) as third:
-        assert [third.line(), third.line()] == [GREETING, write_line(target(1))]
+
+    def third_hears():
+        # Until the server has noticed that the first one left, it refuses another.
+        with robot(server) as third:
+            heard = [third.line(), third.line()]
+        return heard if heard[1] != "refused another robot is connected" else None
+
+    assert wait_for(third_hears) == [GREETING, write_line(target(1))]
 
 
 LIES = {

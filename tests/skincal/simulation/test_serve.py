@@ -101,11 +101,10 @@ def test_a_board_answers_and_pauses():
     with serving(tcp=True, form="skt") as server, connect(server, "skin") as client:
         assert receive_some(client, b"\n").startswith(b"H,skt1,")  # as after a boot
         client.sendall(b"P\n")
-        time.sleep(0.2)
-        receive(client, 0.1)
+        while receive(client, 0.2):
+            pass  # frames that were on their way
         client.sendall(b"?\n")
-        time.sleep(0.2)
-        answer = client.recv(65536)
+        answer = receive_some(client, b"\n") + receive(client, 0.2)
         assert answer.startswith(b"H,skt1,")
         assert answer.count(b"\n") == 1
         client.sendall(b"S\n")
