@@ -29,6 +29,9 @@ class Stream(Enum):
     TIP = "tip"
     """Position of the poking tip in a fixed frame, such as a robot's base; optional."""
 
+    # An Enum hashes its name in Python, which takes as long as the rest of a lookup.
+    __hash__ = object.__hash__
+
 
 SESSION_START_TIME_NS = 1_000_000_000
 """ns of the host's clock at which a session without a real clock begins (simulated or imported); 0 would mean never."""

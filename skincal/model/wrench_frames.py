@@ -239,6 +239,11 @@ class WrenchFrames:
         self._found: dict[str, WrenchFrame] = {}
 
     @property
+    def count(self) -> int:
+        """Number of the frames that came, with the one of readings without a name."""
+        return len(self._found)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the frames that came, in their order."""
         return tuple(name for name in self._found if name)

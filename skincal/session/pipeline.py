@@ -113,7 +113,9 @@ class Pipeline:
         outcomes: list[Outcome] = []
         try:
             samples = self._intake.feed(item)
-            self._note_frames()
+            if self._intake.has_new_frames:
+                self._intake.has_new_frames = False
+                self._note_frames()
             for sample in samples:
                 outcomes += self._process_sample(sample)
             if self._interrupts_samples(item):

@@ -50,6 +50,11 @@ LATE_MIN_PERIODS, LATE_MIN_S = 0.7, 0.005
 RESTARTS_MAX, RESTARTS_WINDOW_S = 3, 60.0
 """More restarts than this in this many seconds mean that the device keeps no pace."""
 
+MAPPED_TOGETHER_MAX = 256
+"""Readings looked at together; a bucket has 250 at 1 kHz."""
+DATED_TOGETHER_MIN = 32
+"""Readings from which arrays are faster than one reading after the other."""
+
 Point: TypeAlias = tuple[float, float]
 """A reading's time by the device's clock and its arrival, seconds."""
 
@@ -98,6 +103,38 @@ class ConvexHullClock:
         if x - self._bucket_start >= CLOCK_FIT_BUCKET_S:
             self._end_bucket(x, y)
         return arrival_s - (y - self._offset - self._slope * x)
+
+    def map_many(self, device_s: FloatArray, arrival_s: FloatArray) -> FloatArray:
+        """Return `map` of each of n successive readings, (n,) seconds, bit for bit."""
+        made = np.empty(len(device_s))
+        at = 0
+        while at < len(device_s):
+            part = slice(at, at + MAPPED_TOGETHER_MAX)
+            end = at + self._map_until_change(device_s[part], arrival_s[part], made[part])
+            if end < len(device_s):
+                made[end] = self.map(float(device_s[end]), float(arrival_s[end]))
+            at = end + 1
+        return made
+
+    def _map_until_change(self, device_s: FloatArray, arrival_s: FloatArray, made: FloatArray) -> int:
+        """Map readings while the line stays as it is, into `made`; return their number."""
+        if self._origin is None:
+            return 0
+        x, y = device_s - self._origin[0], arrival_s - self._origin[1]
+        late = y - self._offset - self._slope * x
+        newest = np.maximum(np.maximum.accumulate(device_s), self._last_x)
+        before = np.concatenate([[self._last_x], newest[:-1]])
+        changes = (late < 0.0) | (late > CLOCK_JUMP_MIN_S) | (device_s < before - CLOCK_JUMP_MIN_S)
+        changes |= x - self._bucket_start >= CLOCK_FIT_BUCKET_S
+        count = int(changes.argmax()) if changes.any() else len(late)
+        if not count:
+            return 0
+        lowest = count - 1 - int(late[:count][::-1].argmin())
+        if late[lowest] <= self._lowest[1] - self._offset - self._slope * self._lowest[0]:
+            self._lowest = float(x[lowest]), float(y[lowest])
+        self._behind_since, self._last_x = None, float(newest[count - 1])
+        made[:count] = arrival_s[:count] - late[:count]
+        return count
 
     def _start_line_at(self, device_s: float, arrival_s: float) -> None:
         self.reset()
@@ -288,13 +325,19 @@ class Timestamper:
         `arrival_s` is when the last reading arrived, or (n,) the arrival of the last one that came with each.
         """
         index, count = self._index[batch.stream], len(batch.seq)
+        if count >= DATED_TOGETHER_MIN and not np.isnan(batch.device_s).any():
+            made = self._device.map_many(batch.device_s, np.broadcast_to(arrival_s, count))
+            return self._ascending_from_last(batch.stream, made)
         arrivals = arrival_s.tolist() if isinstance(arrival_s, np.ndarray) else [arrival_s] * count
-        made = [
+        dates = [
             index.map(arrival, number) if math.isnan(clock) else self._device.map(clock, arrival)
             for clock, arrival, number in zip(batch.device_s.tolist(), arrivals, batch.seq.tolist(), strict=True)
         ]
-        stamps = _ascending(np.array(made), self._last.get(batch.stream, -math.inf))
-        self._last[batch.stream] = float(stamps[-1])
+        return self._ascending_from_last(batch.stream, np.array(dates))
+
+    def _ascending_from_last(self, stream: Stream, made: FloatArray) -> FloatArray:
+        stamps = _ascending(made, self._last.get(stream, -math.inf))
+        self._last[stream] = float(stamps[-1])
         return stamps
 
 

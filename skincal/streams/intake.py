@@ -74,6 +74,8 @@ class Intake:
             raise InputError("Two links have the same name; expected a name of its own for each.")
         self.frozen: frozenset[str] = frozenset()
         """Names of the links on which a stream that always has noise repeats one reading."""
+        self.has_new_frames = True
+        """Whether a message named a new frame of the wrench; reset by who looks at `wrench_frames`."""
         self._joints = joints
         self._pairing = Pairing()
         self._now_s = -np.inf
@@ -87,7 +89,7 @@ class Intake:
     @property
     def wrench_frames(self) -> tuple[str, ...]:
         """Names of the frames that messages of the wrench named, in their order."""
-        return tuple(name for link in self._links.values() for name in link.wrench_frames)
+        return tuple(name for link in self._links.values() for name in link.frames.names)
 
     @property
     def unpaired(self) -> int:
@@ -105,6 +107,8 @@ class Intake:
         link = self._links[item.link]
         for arrived in link.feed(item):
             self._add_to_pairing(arrived)
+        if link.frames.count != link.frames_noted:
+            link.frames_noted, self.has_new_frames = link.frames.count, True
         if link.monitor.is_frozen != (item.link in self.frozen):
             self.frozen ^= {item.link}
         # Two readers stamp their bytes before they queue them, so items may be out of order by a little.
@@ -177,7 +181,10 @@ class LinkIntake:
         find_frame: FindFrame = unchecked_frame,
     ) -> None:
         self.spec, self._joint_names, self._joints = spec, joint_names, joints
-        self._wrench_frames = WrenchFrames(find_frame)
+        self.frames = WrenchFrames(find_frame)
+        """Frames of the wrenches."""
+        self.frames_noted = 0
+        """Number of them that `Intake.has_new_frames` counts."""
         self._used_joints = np.array(used_joints, np.int64)
         self._numberless = 0
         self._stamper = Timestamper()
@@ -204,14 +211,9 @@ class LinkIntake:
         self._rate: deque[tuple[int, int]] = deque(maxlen=RATE_AVERAGING_WINDOW_NS // RATE_COUNTING_STEP_NS + 1)
         """Begin of a step, ns, and its number of readings."""
 
-    @property
-    def wrench_frames(self) -> tuple[str, ...]:
-        """Names of the frames that messages of the wrench named, in their order."""
-        return self._wrench_frames.names
-
     def _new_decoder(self) -> LinkDecoder:
         decoder = make_link_decoder(self.spec.address, self._format, self._channels, self.spec.carries)
-        decoder.use_scene(self._joint_names, self._wrench_frames)
+        decoder.use_scene(self._joint_names, self.frames)
         return decoder
 
     def read_ahead(self, chunks: Sequence[Chunk]) -> None:
@@ -223,7 +225,7 @@ class LinkIntake:
         arrivals = [chunk.host_ns * 1e-9 for chunk in chunks]
         stamps = self._stamper.stamp(whole, np.repeat(arrivals, np.diff(ends, prepend=0)))
         parts = (stamps[begin:end] for begin, end in pairwise([0, *ends]))
-        dated = map(TimestampedBatch, whole.cut(ends), parts, arrivals, self.monitor.compare(whole, ends))
+        dated = map(TimestampedBatch, whole.cut(ends), parts, arrivals, self.monitor.compare_ahead(whole, ends))
         self._ahead.extend(zip(chunks, dated, strict=True))
 
     def feed(self, item: Chunk | LinkEvent) -> list[TimestampedBatch]:
@@ -233,7 +235,8 @@ class LinkIntake:
     def _take_chunk(self, chunk: Chunk) -> list[TimestampedBatch]:
         if self._last_ns == 0 and self.state is LinkState.LOST:
             self.state, self._text = LinkState.OPEN, ""
-        self._outages, self._outage_began_ns = self._outages_until(chunk.host_ns), 0
+        if self._outage_began_ns:
+            self._outages, self._outage_began_ns = self._outages_until(chunk.host_ns), 0
         self._last_ns = chunk.host_ns
         if self._ahead:
             ahead, dated = self._ahead.popleft()
@@ -315,7 +318,7 @@ class LinkIntake:
             self._last_ns,
             losses=self._losses_before + decoder.counts + Counter(pairing),
             beside=self.side_readings(),
-            frames=self.wrench_frames,
+            frames=self.frames.names,
             units="; ".join(words for stream, words in decoder.units.items() if stream in spec.carries),
             verdict=self.monitor.diagnose(now_ns),
             address=spec.address,

@@ -61,6 +61,8 @@ class Differences(NamedTuple):
     """Index of the last of these; 0 if there is none."""
     last: NDArray[np.uint64]
     """(1, width) bits of the last reading."""
+    alternates: list[bool]
+    """Of wrenches that were read ahead: see `LinkMonitor.find_alternations`."""
 
 
 class _StreamHistory:
@@ -205,7 +207,20 @@ class LinkMonitor:
         changes = np.add.reduceat(differs, begins)
         newest = np.maximum(np.maximum.reduceat(differs * np.arange(len(bits)), begins) - begins, 0)
         parts = zip(pairwise([0, *ends]), changes.tolist(), newest.tolist(), strict=True)
-        return [Differences(end - begin, count, at, bits[end - 1 : end]) for (begin, end), count, at in parts]
+        return [Differences(end - begin, count, at, bits[end - 1 : end], []) for (begin, end), count, at in parts]
+
+    def compare_ahead(self, batch: Batch, ends: Sequence[int]) -> list[Differences]:
+        """Compare the readings of the next parts as `compare` does, and wrenches with the one before the last, too."""
+        found = self.compare(batch, ends)
+        if batch.stream is not Stream.WRENCH:
+            return found
+        alternates = self.find_alternations(batch.values)
+        unknown = len(batch.values) - len(alternates)  # the first readings of a link
+        parts = pairwise([0, *ends])
+        return [
+            each._replace(alternates=alternates[max(begin - unknown, 0) : max(end - unknown, 0)])
+            for each, (begin, end) in zip(found, parts, strict=True)
+        ]
 
     def on_data(self, data: bytes, host_ns: int, batches: Sequence[Batch], change: Differences | None = None) -> None:
         """Process bytes, and the readings that a decoder of the wanted streams made of them.
@@ -222,7 +237,7 @@ class LinkMonitor:
                     known = self._streams[batch.stream] = _StreamHistory(batch.stream, news.last, host_ns)
                 known.add(news, host_ns)
             if batch.stream is Stream.WRENCH:
-                self._count_alternations(batch.values)
+                self._count_alternations(self.find_alternations(batch.values) if change is None else change.alternates)
             if batch.stream is Stream.SKIN and self._levels is not None:
                 self._levels = _add_levels(self._levels, batch.values)
         if self._wanted_streams and not self._missing(host_ns):
@@ -232,17 +247,25 @@ class LinkMonitor:
             self._missing_since_ns = self._missing_since_ns or host_ns
             self._count_unexpected(data, host_ns)
 
-    def _count_alternations(self, values: FloatArray) -> None:
-        """Count the (n, 6) wrenches that differ from the one before them, but not from the one before that."""
+    def find_alternations(self, values: FloatArray) -> list[bool]:
+        """Find the next (n, 6) wrenches that differ from the one before them, but not from the one before that.
+
+        The first two readings have no such, and are left out.
+        """
         known = self._wrenches if self._wrenches.shape[1] == values.shape[1] else values[:0]
         rows = np.concatenate([known, values])
         self._wrenches = rows[-2:]
-        if len(rows) < 3:
-            return
         step = np.linalg.norm(rows[2:, :3] - rows[1:-1, :3], axis=1)
         over_two = np.linalg.norm(rows[2:, :3] - rows[:-2, :3], axis=1)
-        for alternates in (step > np.maximum(ALTERNATION_MIN_RATIO * over_two, ALTERNATION_MIN_FORCE_N)).tolist():
-            self._alternating = self._alternating + 1 if alternates else 0
+        found: list[bool] = (step > np.maximum(ALTERNATION_MIN_RATIO * over_two, ALTERNATION_MIN_FORCE_N)).tolist()
+        return found
+
+    def _count_alternations(self, alternates: Sequence[bool]) -> None:
+        """Count wrenches that alternate between two series."""
+        if not self._alternating and True not in alternates:
+            return
+        for each in alternates:
+            self._alternating = self._alternating + 1 if each else 0
             if self._alternating >= ALTERNATION_MIN_READINGS:
                 self.mixed_readings += ALTERNATION_MIN_READINGS if self._alternating == ALTERNATION_MIN_READINGS else 1
 

@@ -160,22 +160,29 @@ def _split_records(data: bytes) -> tuple[NDArray[np.uint8], IntArray, list[bytes
     begins = np.concatenate([[0], marks[:-1] + 1])
     lengths = marks - begins
     length = int(np.bincount(lengths).argmax())
-    if not HEAD_STRUCT.size + CRC_BYTES < length < COBS_FULL_BLOCK_CODE:
+    # Arrays undo COBS in the usual, short records; the length of a long one depends on its values.
+    is_short = (lengths == length) & (HEAD_STRUCT.size + CRC_BYTES < length < COBS_FULL_BLOCK_CODE)
+    short = unstuffed_rows(frames[begins[is_short][:, None] + np.arange(length)])
+    if short is None:
         return None
-    is_record = lengths == length
+    together, size = short.tobytes(), length - 1
+    records = [together[at : at + size] for at in range(0, len(together), size)]
+    places = begins[is_short].tolist()
     headers: list[bytes] = []
-    for begin, end in zip(begins[~is_record].tolist(), marks[~is_record].tolist(), strict=True):
+    for begin, end in zip(begins[~is_short].tolist(), marks[~is_short].tolist(), strict=True):
         other = unstuffed(data[begin:end])
-        if other is None or len(other) <= CRC_BYTES or not _has_good_checksum(other) or other[0] != HEADER_MESSAGE_TYPE:
+        if other is None:
             return None
-        headers.append(other[:-CRC_BYTES])
-    places = begins[is_record]
-    records = unstuffed_rows(frames[places[:, None] + np.arange(length)])
-    if records is None:
+        if other[0] == HEADER_MESSAGE_TYPE and len(other) >= HEAD_STRUCT.size + CRC_BYTES and _has_good_checksum(other):
+            headers.append(other[:-CRC_BYTES])
+        else:
+            records.append(other)
+            places.append(begin)
+    widths = {len(record) for record in records}
+    is_one_kind = len(widths) == 1 and min(widths) > HEAD_STRUCT.size + CRC_BYTES and places == sorted(places)
+    if not is_one_kind or not all(map(_has_good_checksum, records)):
         return None
-    together, size = records.tobytes(), length - 1
-    bodies = (together[at : at + size] for at in range(0, len(together), size))
-    return (records, places, headers) if all(map(_has_good_checksum, bodies)) else None
+    return np.frombuffer(b"".join(records), np.uint8).reshape(len(records), -1), np.array(places), headers
 
 
 def _has_good_checksum(record: bytes) -> bool:

@@ -115,6 +115,19 @@ def test_a_devices_chunks(name, data):
     assert_same(decoded(new[0], chunks, blocks), decoded(new[1], chunks, [1] * len(chunks)))
 
 
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_records_of_a_wide_skin_are_decoded_at_once(spoilt):
+    encoder = make_encoder("skb", 255, 384)
+    values = np.random.default_rng(1).integers(0, 40, (30, 384)).astype(float)
+    chunks = [b"".join(encoder.encode(Stream.SKIN, np.array([20_000 * at]), values[at : at + 1])) for at in range(30)]
+    chunks[7] = encoder.header(0, "board=a,n=384,kind=taxel", 384) + chunks[7]
+    chunks[3] = chunks[3][: -9 if spoilt else None]
+    new = [make_decoder("skb", 384, (Stream.SKIN,)) for _ in range(2)]
+    many = decoded(new[0], chunks, [30])
+    assert_same(many, decoded(new[1], chunks, [1] * 30))
+    assert many[3] == (not spoilt)
+
+
 @pytest.mark.parametrize("stream", BOARD_STREAMS)
 def test_whole_records_of_a_board_are_decoded_at_once(stream):
     records = board_records("skb", stream, 7)

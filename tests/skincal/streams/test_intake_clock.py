@@ -1,5 +1,7 @@
 """Device time to host time: against the truth of simulated arrivals, and for clocks that jump."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -247,3 +249,19 @@ def test_numbered_device_whose_pace_is_halved_is_followed_in_the_end():
     clock = IndexClock()
     mapped = run(clock, made + 0.002, np.arange(len(made)))
     np.testing.assert_allclose(mapped[made > 135.0], made[made > 135.0] + 0.002, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_clock_maps_many_readings_as_one_after_the_other(seed):
+    rng = np.random.default_rng(seed)
+    count = 1200
+    device = 100 + np.arange(count) * rng.choice([0.001, 0.01, 0.02]) * (1 + 1e-3 * rng.normal())
+    arrival = np.repeat(device[::10] + 0.02 + rng.exponential(0.004, count // 10), 10)
+    device[rng.integers(count) :] -= [0.0, 0.3, 0.6, -0.7, 5.0, -8.0][seed % 6]
+    arrival = np.maximum.accumulate(arrival + np.where(np.arange(count) > rng.integers(count), [0.0, 4.0][seed % 2], 0.0))
+    alone, together = ConvexHullClock(), ConvexHullClock()
+    known = [alone.map(*reading) for reading in zip(device.tolist(), arrival.tolist(), strict=True)]
+    cuts = [0, *sorted(rng.integers(0, count, 5).tolist()), count]
+    made = [together.map_many(device[a:b], arrival[a:b]) for a, b in pairwise(cuts)]
+    assert np.concatenate(made).tolist() == known
+    assert together.jumps == alone.jumps
