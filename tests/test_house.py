@@ -71,7 +71,7 @@ def test_the_qt_that_aborts_on_python_3_11_cannot_be_installed_with_the_package_
         assert here[0].specifier.contains("6.12.0") is allowed
 
 
-@pytest.mark.parametrize("lock", LOCKS)
+@pytest.mark.parametrize("lock", [*LOCKS, "requirements-uv.lock"])
 def test_a_lock_names_no_host_and_has_hashes_for_every_file(lock: str) -> None:
     text = (CHECKOUT / lock).read_text(encoding="utf-8")
     assert not re.search(r"://|--index-url|--extra-index-url|--find-links|--trusted-host", text)

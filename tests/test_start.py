@@ -20,6 +20,7 @@ from packaging.requirements import Requirement
 from tests.approved import approved
 from tools import checkout as places
 from tools import install, launch
+from tools.lock import select_packages
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 posix_only = pytest.mark.skipif(os.name == "nt", reason="paths of a POSIX environment")
@@ -131,15 +132,19 @@ def test_what_stops_a_command_is_said(monkeypatch: pytest.MonkeyPatch, capsys: p
 
 @posix_only
 @pytest.mark.parametrize(
-    ("line", "code", "unfinished"),
-    [("Collecting numpy", 1, False), ("Installing collected packages: numpy", 1, True), ("Successfully installed", 0, False)],
+    ("work", "code", "unfinished"),
+    [
+        ("", 1, False),
+        ("touch $(echo lib/*/site-packages)/numpy", 1, True),
+        ("touch $(echo lib/*/site-packages)/numpy", 0, False),
+    ],
 )
 def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
-    checkout: Path, line: str, code: int, unfinished: bool
+    checkout: Path, work: str, code: int, unfinished: bool
 ) -> None:
     """As where the network is gone, and what is installed still runs; or where pip was killed while it unpacked."""
     there = f"test -e {install.UNFINISHED_FILE}"  # should it be killed now
-    pretend(f"{there} || exit 9\necho '{line}' > {install.LOG}\nexit {code}")
+    pretend(f"{there} || exit 9\ncd {places.VENV}\n{work}\nexit {code}")
     if code:
         with pytest.raises(places.StopError) as stop:
             install.ensure(checkout)
@@ -149,6 +154,25 @@ def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
         assert install.ensure(checkout)
     assert install.UNFINISHED_FILE.exists() is unfinished
     assert install.is_ready(checkout) is (code == 0)
+
+
+@posix_only
+@pytest.mark.parametrize(
+    ("uv_works", "runs"), [(True, ["pip uv", "uv"]), (False, ["pip uv", "uv", "pip"]), (None, ["pip uv", "pip"])]
+)
+def test_uv_installs_the_packages_and_pip_where_uv_cannot_be_had(
+    checkout: Path, uv_works: bool | None, runs: list[str]
+) -> None:
+    noted = checkout.with_name("runs")
+    (checkout.parent / "requirements-uv.lock").write_text("uv==1\n", encoding="utf-8")
+    fetch = "exit 1" if uv_works is None else "exit 0"
+    pretend(f'case "$*" in *requirements-uv.lock) echo pip uv >> {noted}; {fetch} ;; esac\necho pip >> {noted}')
+    uv = places.interpreter().with_name("uv")
+    uv.write_text(f"#!/bin/sh\necho uv >> {noted}\nexit {0 if uv_works else 2}\n", encoding="utf-8")
+    uv.chmod(0o755)
+    assert install.ensure(checkout)
+    assert noted.read_text(encoding="utf-8").splitlines() == runs
+    assert install.is_ready(checkout)
 
 
 @posix_only
@@ -261,14 +285,14 @@ def test_an_option_installs_the_packages_of_its_extra(option: str) -> None:
     project = tomllib.loads((places.CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extra = project["optional-dependencies"][option.removeprefix("--")]
     assert {Requirement(text).name.replace(".", "-") for text in extra} == set(install.EXTRA_PACKAGES[option])
-    selected = install.select_packages(places.TEST_LOCK.read_text(encoding="utf-8"), install.EXTRA_PACKAGES[option])
+    selected = select_packages(places.TEST_LOCK.read_text(encoding="utf-8"), install.EXTRA_PACKAGES[option])
     assert all(re.search(rf"^{name}==", selected, re.MULTILINE) for name in install.EXTRA_PACKAGES[option])
 
 
 def test_the_packages_of_ros_2_are_selected_with_those_they_need() -> None:
     lock = places.TEST_LOCK.read_text(encoding="utf-8")
-    selected = install.select_packages(lock, install.EXTRA_PACKAGES["--ros2"])
+    selected = select_packages(lock, install.EXTRA_PACKAGES["--ros2"])
     names = {line.partition("==")[0] for line in selected.splitlines() if line[:1].isalnum()}
     assert {"cyclonedds", "rich-click", "rich", "rosbags", "apsw", "lz4", "ruamel-yaml"} <= names
     assert not names & {"mujoco", "pytest", "ruff", "pyside6-essentials"}
-    assert install.select_packages(lock, ()) == ""
+    assert select_packages(lock, ()) == ""

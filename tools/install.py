@@ -1,5 +1,7 @@
 """Installation of a checkout: `.venv` from a lock file with hashes, and the window's system libraries.
 
+pip fetches uv, one wheel, and uv installs the rest. Where uv cannot be had or fails, pip installs it.
+
 A stamp in `.venv` names its lock. It is removed before an installation and written at the end, so that an interrupted one is
 repeated; after an interrupted unpacking `.venv` is emptied first.
 
@@ -24,6 +26,7 @@ from pathlib import Path
 from app.preflight import loads
 from tools import checkout
 from tools.checkout import SYSTEM, StopError, say
+from tools.lock import select_packages
 
 STAMP_FILE = checkout.VENV / "skincal-installed.txt"
 UNFINISHED_FILE = checkout.VENV / "skincal-unfinished.txt"
@@ -77,24 +80,7 @@ def ensure_extra(names: Sequence[str]) -> None:
         selected = checkout.VENV / "extra.lock"
         selected.write_text(select_packages(checkout.TEST_LOCK.read_text(encoding="utf-8"), names), encoding="utf-8")
         say(f"Installing {' and '.join(names)} into {checkout.VENV} (once) ...")
-        _pip_install(selected)
-
-
-def select_packages(lock: str, names: Iterable[str]) -> str:
-    """Select the packages of these names, and those they need, from the text of a lock: a comment names who needs each."""
-    blocks = re.split(r"^(?=[A-Za-z0-9])", lock, flags=re.MULTILINE)[1:]
-    users_of: dict[str, set[str]] = {}
-    for block in blocks:  # one package may have several, each for some versions of Python
-        users_of.setdefault(_package_of(block), set()).update(re.findall(r"^ +# (?:via|  )\s*(\S+)", block, re.MULTILINE))
-    selected, waiting = set[str](), set(names)
-    while waiting:
-        selected |= waiting
-        waiting = {name for name, users in users_of.items() if users & selected} - selected
-    return "".join(block for block in blocks if _package_of(block) in selected)
-
-
-def _package_of(block: str) -> str:
-    return re.split(r"[=\s]", block, maxsplit=1)[0]
+        _install_lock(selected)
 
 
 def is_ready(lock: Path) -> bool:
@@ -127,7 +113,7 @@ def _install_packages(lock: Path) -> None:
     STAMP_FILE.unlink(missing_ok=True)
     _provide_pip()
     say(f"Installing the Python packages of {lock.name} into {checkout.VENV} (once; a few hundred MB to fetch) ...")
-    _pip_install(lock)
+    _install_lock(lock)
     _add_checkout()
     held = (checkout.RUN_LOCK, checkout.TEST_LOCK) if lock == checkout.TEST_LOCK else (lock,)
     STAMP_FILE.write_text("\n".join(_stamp_line(each) for each in held) + "\n", encoding="utf-8")
@@ -161,26 +147,41 @@ def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[st
 def _pip_environment() -> dict[str, str]:
     # Keeps the user's index, certificates and proxies, but not `--user`, which would miss .venv. Child processes of ensurepip
     # need the variable of -P, otherwise they run a `pickle.py` of the working folder.
-    safe = {"PYTHONPATH": "", "PYTHONSAFEPATH": "1"}
-    return os.environ | {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", **safe}
+    safe = {"PYTHONPATH": "", "PYTHONSAFEPATH": "1", "PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    index = os.environ.get("PIP_INDEX_URL")
+    return os.environ | safe | ({"UV_DEFAULT_INDEX": index} if index else {})
 
 
-def _pip_install(lock: Path) -> None:
-    """Run pip with its progress on the terminal and its output in the log."""
-    LOG.unlink(missing_ok=True)
+def _install_lock(lock: Path) -> None:
+    """Install a lock with uv, which pip fetches, or else with pip; their progress is on the terminal."""
+    safely = ("--require-hashes", "--only-binary", ":all:")
+    pip = [checkout.interpreter(), "-P", "-m", "pip", "install", *safely, "--no-input", "--retries", "2"]
+    uv = [checkout.interpreter().with_name("uv"), "pip", "install", *safely, "--python", checkout.interpreter()]
+    uv_lock = checkout.CHECKOUT / "requirements-uv.lock"
+    has_uv = uv_lock.exists() and _call(*pip, "--quiet", "-r", uv_lock)
+    before, done = _installed(), False
     UNFINISHED_FILE.touch()
-    command = [checkout.interpreter(), "-P", "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
-    command += ["--retries", "2", "--log", LOG, "-r", lock]
-    failed = 1
     try:
-        # pip inherits the lock of the checkout and keeps it if it outlives this process.
-        failed = subprocess.call(command, env=_pip_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False)
+        done = (has_uv and _call(*uv, "-r", lock)) or _call(*pip, "--log", LOG, "-r", lock)
     finally:
-        log = LOG.read_text(encoding="utf-8", errors="replace") if LOG.exists() else ""
-        if not failed or "Installing collected packages" not in log:
-            UNFINISHED_FILE.unlink()  # nothing was changed yet
-    if failed:
+        if done or _installed() == before:
+            UNFINISHED_FILE.unlink()
+    if not done:
         raise StopError(INSTALL_FAILED.format(venv=checkout.VENV, log=LOG))
+
+
+def _call(*command: str | Path) -> bool:
+    """Run an installer with its output on the terminal; return whether it succeeded."""
+    # It inherits the lock of the checkout and keeps it if it outlives this process.
+    return not subprocess.call(command, env=_pip_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False)
+
+
+def _installed() -> list[str]:
+    return sorted(entry.name for entry in _site_packages().iterdir())
+
+
+def _site_packages() -> Path:
+    return checkout.VENV / ("Lib" if os.name == "nt" else f"lib/python{VERSION}") / "site-packages"
 
 
 INSTALL_FAILED = """\
@@ -193,14 +194,12 @@ The Python packages could not be installed; see pip's messages above, and all of
 
 
 def _add_checkout() -> None:
-    """Add `app` and `skincal` to the environment, compile them, and make a command `skincal` that runs `start.py`."""
-    site = checkout.VENV / ("Lib" if os.name == "nt" else f"lib/python{VERSION}") / "site-packages"
-    relative = os.path.relpath(checkout.CHECKOUT, site)  # survives a move of the whole checkout
-    (site / "skincal-checkout.pth").write_text(relative + "\n", encoding="utf-8")
+    """Add `app` and `skincal` to the environment, and make a command `skincal` that runs `start.py`."""
+    relative = os.path.relpath(checkout.CHECKOUT, _site_packages())  # survives a move of the whole checkout
+    (_site_packages() / "skincal-checkout.pth").write_text(relative + "\n", encoding="utf-8")
     command = checkout.interpreter().with_name("skincal.cmd" if os.name == "nt" else "skincal")
     command.write_text(WINDOWS_COMMAND if os.name == "nt" else START_SCRIPT, encoding="utf-8")
     command.chmod(0o755)
-    _python("-m", "compileall", "-q", *(str(checkout.CHECKOUT / name) for name in ("app", "skincal")))
 
 
 START_SCRIPT = """#!/bin/sh
