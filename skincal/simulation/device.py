@@ -327,7 +327,7 @@ class DeviceTimeline:
         ]
 
     def _header(self, board: SimulatedDevice, begin: float) -> bytes:
-        """Return the board's header if it is due at `begin`, s."""
+        """Return the header of a board at `begin`, s, or nothing before the next one."""
         if begin < board.next_header:
             return b""
         board.next_header += self.settings.header_s

@@ -117,7 +117,7 @@ class ConvexHullClock:
         return made
 
     def _map_until_change(self, device_s: FloatArray, arrival_s: FloatArray, made: FloatArray) -> int:
-        """Map readings while the line stays as it is, into `made`; return their number."""
+        """Map readings until the line changes, into `made`; return their number."""
         if self._origin is None:
             return 0
         x, y = device_s - self._origin[0], arrival_s - self._origin[1]
