@@ -286,6 +286,8 @@ class LinkIntake:
     def _count_numberless(self, batch: Batch) -> int:
         """Count the readings that are no use for want of numbers: one channel is enough for a skin."""
         finite = np.isfinite(batch.values)
+        if finite.all():
+            return 0
         if batch.stream is Stream.SKIN:
             return int(np.count_nonzero(~finite.any(axis=1)))
         if batch.stream is Stream.JOINTS and len(self._used_joints) and batch.values.shape[1] >= self._joints:

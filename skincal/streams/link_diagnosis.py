@@ -199,13 +199,16 @@ class LinkMonitor:
     def compare(self, batch: Batch, ends: Sequence[int]) -> list[Differences]:
         """Compare each reading with the one before it, part by part. `ends` are the ascending rows after each part."""
         known, bits = self._streams.get(batch.stream), _bits(batch.values)
-        differs = np.zeros(len(bits), np.int64)
-        differs[1:] = (bits[1:] != bits[:-1]).any(axis=1)
+        if len(bits) == 1:  # the usual frame of a skin
+            differs = known is not None and known.width == bits.shape[1] and not np.array_equal(bits, known.last)
+            return [Differences(1, int(differs), 0, bits, [])]
+        changed = np.zeros(len(bits), np.int64)
+        changed[1:] = (bits[1:] != bits[:-1]).any(axis=1)
         if known is not None and known.width == bits.shape[1]:
-            differs[0] = (bits[:1] != known.last).any()
+            changed[0] = (bits[:1] != known.last).any()
         begins = np.array([0, *ends[:-1]])
-        changes = np.add.reduceat(differs, begins)
-        newest = np.maximum(np.maximum.reduceat(differs * np.arange(len(bits)), begins) - begins, 0)
+        changes = np.add.reduceat(changed, begins)
+        newest = np.maximum(np.maximum.reduceat(changed * np.arange(len(bits)), begins) - begins, 0)
         parts = zip(pairwise([0, *ends]), changes.tolist(), newest.tolist(), strict=True)
         return [Differences(end - begin, count, at, bits[end - 1 : end], []) for (begin, end), count, at in parts]
 
