@@ -6,14 +6,11 @@ Nothing here changes the session; `guided_session` records the requests.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise, starmap
-from operator import ne
 
 import numpy as np
 
-from skincal.contacts.outcome import Rejection
 from skincal.geometry import FloatArray
 from skincal.guide.believed_positions import (
     PlannedPlaces,
@@ -23,6 +20,7 @@ from skincal.guide.believed_positions import (
 )
 from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_error_sd
 from skincal.guide.guide import MAX_SKIPS_PER_TAXEL_SIDE, Guide
+from skincal.guide.predictable_pokes import PredictablePokes
 from skincal.guide.progress import (
     MIN_CHECKED_POKES,
     AxisDiversity,
@@ -35,7 +33,7 @@ from skincal.guide.progress import (
 )
 from skincal.guide.robot_order import RobotPace
 from skincal.guide.surroundings import Surroundings
-from skincal.guide.verdict import Left, Verdict, check, held_out, verdict_of
+from skincal.guide.verdict import Left, Verdict, held_out, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.modules.pose import ModuleModel
@@ -57,13 +55,14 @@ from skincal.session.closing_pokes import (
     ClosingProgress,
     closing_rounds,
     closings_of,
+    first_taxels,
     is_due,
     pokes_before,
-    taxel_pokes,
+    strongest_of,
 )
 from skincal.session.decisions import ClosingRound
 from skincal.session.landmark_pokes import landmark_normals
-from skincal.session.snapshot import Snapshot
+from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Estimate, Method, State
 
@@ -85,6 +84,10 @@ class SessionGuide:
         """One for each method that was shown."""
         self.robot: RobotPace | None = None
         """Pace of the robot that pokes; `None` for a hand."""
+        self._predictable = {
+            method: PredictablePokes(self.plan.channels, method, self._scene.noise, self._surface, self._module_model)
+            for method in Method
+        }
         self._followed: tuple[Snapshot, Method] | None = None
         self._skin_guidance: Guidance | None = None
         """Guidance for the skin alone."""
@@ -116,7 +119,7 @@ class SessionGuide:
             self._skin_guidance = self._ask(self._guide_of(method), snapshot)
             self._followed = now
         assert self._skin_guidance is not None
-        if len(snapshot.contacts) < self.first_module_pokes:
+        if self.first_module_pokes and len(snapshot.contacts) < self.first_module_pokes:
             self._guidance = self._stay_on_module(self._skin_guidance, snapshot)
         else:
             before = self.landmarks.before_skin(self._skin_guidance, snapshot, pose, now_s)
@@ -147,27 +150,25 @@ class SessionGuide:
             if isinstance(skip, SkipPoke) and (skip.method == method.value or skip.channel < 0):
                 guide.skip(_target_of(skip, skip.push), is_impossible=bool(skip.reason))
         guide.session_skips = len(snapshot.decisions.skips)
-        asked = {record.outcome.poke: record.asked for record in snapshot.pokes}
         guidance = guide.update(
             snapshot,
-            lambda poke: _asked_target(asked.get(poke)),
-            {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
+            lambda poke: _asked_target(snapshot.record_of(poke)),
             rig_error_sd(snapshot.counting_landmark_pokes, self._scene.noise),
         )
-        return self._with_test_poke(guidance, snapshot)
+        return self._with_test_poke(guide, guidance, snapshot)
 
-    def _with_test_poke(self, guidance: Guidance, snapshot: Snapshot) -> Guidance:
+    def _with_test_poke(self, guide: Guide, guidance: Guidance, snapshot: Snapshot) -> Guidance:
         """Ask for pokes that test the result, once no taxel needs any and too few others could be predicted."""
         if guidance.phase is not GuidePhase.ENOUGH or not guidance.finished:
             return guidance
-        dead = {estimate.channel for estimate in snapshot.estimates[guidance.method] if estimate.state is State.DEAD}
-        used = [channel for channel in guidance.channels.tolist() if channel not in dead]
-        tested = check(snapshot, used, guidance.method, self._scene.noise, self._surface, self._module_model)
-        missing = max(0, MIN_CHECKED_POKES - tested.checked)
+        tested = self._predictable[guidance.method].count_held_out(snapshot, guide.estimate_of, MIN_CHECKED_POKES)
+        missing = max(0, MIN_CHECKED_POKES - tested)
+        if not missing:
+            return guidance
         # Where as many held-out pokes cannot be predicted, as of a single taxel as a module, more pokes do not help.
-        is_in_vain = len(held_out(snapshot.contacts)) - tested.checked >= MIN_CHECKED_POKES
+        is_in_vain = len(held_out(snapshot.columns)[0]) - tested >= MIN_CHECKED_POKES
         target = None if is_in_vain else _test_target(guidance, snapshot)
-        if not missing or target is None:
+        if target is None:
             return replace(guidance, tests_missing=missing)
         return replace(guidance, phase=GuidePhase.TEST, target=target, tests_missing=missing, pokes_left=missing)
 
@@ -309,9 +310,10 @@ class LandmarkGuide:
         name, here = self._pose
         if here is None or not len(self._taxels):
             return None
-        contacts = snapshot.contacts
-        often = [each for each, _ in Counter(contact.pose for contact in contacts).most_common(MAX_PREDICTED_ARM_POSES)]
-        poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
+        last = snapshot.columns.last_rows_of_poses(MAX_PREDICTED_ARM_POSES)
+        poses = {
+            each: sensor for each, row in last.items() if (sensor := snapshot.pokes[row].outcome.link_from_sensor) is not None
+        }
         poses[name] = here
         places = np.array([target.landmark.place for target in self._targets]).reshape(-1, 3)
         normals = np.array([self.normal(target.landmark) for target in self._targets]).reshape(-1, 3)
@@ -369,7 +371,7 @@ class ClosingGuide:
         """Add the first place of a check that begins now; `None` before it is enough, or if the check would have no place."""
         if not guidance.enough:
             return None
-        last = max((record.outcome.poke for record in snapshot.pokes), default=0)
+        last = int(snapshot.columns.numbers.max(initial=0))
         rounds = [*closing_rounds(snapshot, self._noise), ClosingProgress()]
         return self._next(rounds, ClosingRound(last), guidance, snapshot, pose)
 
@@ -379,18 +381,11 @@ class ClosingGuide:
         """Add the next place of the last check; `None` if it has no more."""
         *done, now = rounds
         earlier = frozenset[int]().union(*(each.pokes for each in done))
-        marks = {landmark.name: landmark for landmark in snapshot.decisions.landmarks}
-        at_landmarks = {name: _straight(None, mark.place, self._landmarks.normal(mark), name) for name, mark in marks.items()}
-        for at, pokes, targets in (
-            (ClosingPlaces.LANDMARKS, snapshot.counting_landmark_pokes, at_landmarks),
-            (ClosingPlaces.TAXELS, taxel_pokes(snapshot), _taxel_targets(guidance, snapshot)),
-        ):
-            first = pokes_before(pokes, begun, earlier)
-            poked = list(dict.fromkeys(first.name[first.pose == pose].tolist()))
+        for at in ClosingPlaces:
+            poked, again, targets = self._places(at, guidance, snapshot, pose, begun, earlier, now.pokes)
             names = [name for name in poked[:CLOSING_CHECK_PLACES] if name in targets]
             if len(names) < CLOSING_CHECK_MIN_PLACES:
                 continue
-            again = set(pokes.name[np.isin(pokes.number, list(now.pokes))].tolist())
             places = [] if now.is_complete else [ClosingPlace(at, name) for name in names if name not in again]
             place = next((place for place in places if place not in begun.skipped), now.repeat_place)
             if place is None or place.at is not at or place.name not in targets:
@@ -398,30 +393,51 @@ class ClosingGuide:
             suspect = now.found.poke if place == now.repeat_place and now.found is not None else None
             step = ClosingStep(place, len(again & set(names)), len(names), len(rounds), suspect)
             target = targets[place.name]
-            mark = LandmarkTarget(marks[target.landmark], step.done, step.places) if target.landmark else None
+            marks = (each for each in snapshot.decisions.landmarks if each.name == target.landmark)
+            mark = LandmarkTarget(next(marks), step.done, step.places) if target.landmark else None
             return replace(guidance, phase=GuidePhase.CLOSING, target=target, landmark=mark, closing=step)
         return None
+
+    def _places(
+        self,
+        at: ClosingPlaces,
+        guidance: Guidance,
+        snapshot: Snapshot,
+        pose: str,
+        begun: ClosingRound,
+        earlier: frozenset[int],
+        again_pokes: frozenset[int],
+    ) -> tuple[Sequence[str], set[str], Mapping[str, Target]]:
+        """List the first places of a kind that were poked in an arm pose before a check, those poked again, and all targets."""
+        if at is ClosingPlaces.TAXELS:
+            first, those = first_taxels(snapshot, begun, earlier, pose), strongest_of(snapshot, again_pokes)
+            return list(map(str, first)), set(map(str, those)), _taxel_targets(guidance, snapshot, {*first, *those})
+        made, marks = snapshot.counting_landmark_pokes, snapshot.decisions.landmarks
+        before = pokes_before(made, begun, earlier)
+        targets = {mark.name: _straight(None, mark.place, self._landmarks.normal(mark), mark.name) for mark in marks}
+        names = list(dict.fromkeys(before.name[before.pose == pose].tolist()))
+        return names, set(made.name[np.isin(made.number, list(again_pokes))].tolist()), targets
 
 
 def changes_pose_at_most_pokes(snapshot: Snapshot) -> bool:
     """Whether the arm pose changed between most pokes, as when a robot carries the part to a fixed tip."""
-    poses = [record.outcome.pose for record in snapshot.pokes]
-    changes = sum(starmap(ne, pairwise(poses)))
+    poses = snapshot.columns.poses
+    changes = int(np.count_nonzero(np.diff(poses)))
     return changes >= 2 and 2 * changes > len(poses) - 1
 
 
-def _taxel_targets(guidance: Guidance, snapshot: Snapshot) -> dict[str, Target]:
-    """Make a straight poke at each known taxel, by its channel in words."""
+def _taxel_targets(guidance: Guidance, snapshot: Snapshot, channels: Collection[int]) -> dict[str, Target]:
+    """Make a straight poke at each known one of some taxels, by its channel in words."""
     return {
         str(each.channel): _straight(each.channel, each.position, each.normal)
         for each in snapshot.estimates[guidance.method]
-        if each.position is not None and each.normal is not None
+        if each.channel in channels and each.position is not None and each.normal is not None
     }
 
 
 def _test_target(guidance: Guidance, snapshot: Snapshot) -> Target | None:
     """Choose the finished taxel that was requested least; `None` if the operator or the robot skipped all of them twice."""
-    targets = _taxel_targets(guidance, snapshot)
+    targets = _taxel_targets(guidance, snapshot, set(guidance.channels.tolist()))
     skips = Counter(
         skip.channel for skip in snapshot.decisions.skips if isinstance(skip, SkipPoke) and skip.method == guidance.method.value
     )
@@ -468,7 +484,8 @@ def _target_of(asked: AskPoke | SkipPoke, normal: Sequence[float]) -> Target:
     return Target(channel, place, outward, push, tilt, float("inf"), float("inf"))
 
 
-def _asked_target(asked: AskPoke | None) -> Target | None:
+def _asked_target(record: PokeRecord | None) -> Target | None:
+    asked = None if record is None else record.asked
     if asked is None or not asked.place or not asked.normal or not asked.push:
         return None
     return _target_of(asked, asked.normal)

@@ -98,20 +98,36 @@ def plan_without_positions(channels: IntArray, modules: IntArray | None = None) 
 def believed_positions(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:
     """Compute (n, 3) the believed positions, metres; NaN without plan and estimate.
 
-    Errors of the rig shift all estimates nearly alike, as if the skin lay elsewhere. If the rig error is large, a common offset
-    of the estimates is attributed to the rig, and the targets stay on the planned skin.
-
     Parameters
     ----------
     estimates : in the plan's order
-    rig : m, sd of the rig's shift in each direction
+    rig : as for `believed_from_measured`
     """
+    return believed_from_measured(plan, *measured_positions(estimates), rig)
+
+
+def measured_positions(estimates: Sequence[Estimate]) -> tuple[FloatArray, FloatArray]:
+    """Collect (n, 3) positions, metres, NaN without an estimate, and compute (n, 3, 3) their precisions, 1/m^2, there 0."""
     measured, covariances = np.full((len(estimates), 3), np.nan), np.zeros((len(estimates), 3, 3))
     for row, estimate in enumerate(estimates):
         if estimate.position is not None and estimate.covariance is not None:
             measured[row], covariances[row] = estimate.position, estimate.covariance
     precision = np.asarray(np.linalg.inv(covariances + MIN_ESTIMATE_SD_M**2 * np.eye(3)), dtype=np.float64)
     precision[np.isnan(measured[:, 0])] = 0.0
+    return measured, precision
+
+
+def believed_from_measured(plan: PlannedPlaces, measured: FloatArray, precision: FloatArray, rig: float) -> FloatArray:
+    """Compute (n, 3) the believed positions, metres; NaN without plan and measurement.
+
+    Errors of the rig shift all estimates nearly alike, as if the skin lay elsewhere. If the rig error is large, a common offset
+    of the estimates is attributed to the rig, and the targets stay on the planned skin.
+
+    Parameters
+    ----------
+    measured, precision : (n, 3) and (n, 3, 3), `measured_positions` of the taxels
+    rig : m, sd of the rig's shift in each direction
+    """
     off = np.where(np.isfinite(plan.places), measured - plan.places, np.nan)
     known, module = np.isfinite(off).all(axis=1), plan.modules
     everyone, rig_of_module = np.zeros(int(known.sum()), dtype=np.int64), RIG_SHIFT_SHARE_DIFFERING_BY_MODULE * rig

@@ -214,7 +214,7 @@ class Guidance:
     @property
     def finished(self) -> int:
         """Number of finished taxels."""
-        return sum(not each for each in self.needs)
+        return self.needs.count(())
 
     def before_skin(self, asked: LandmarkTarget, normal: FloatArray, gain: Gain | None) -> Guidance:
         """Ask for a landmark first.

@@ -6,15 +6,15 @@ reasons (`guidance.py`); the sentences are made in `skincal.words` and by the wi
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.contacts.outcome import Contact, Outcome, Reason
 from skincal.geometry import BoolArray, FloatArray, IntArray, orthonormal_pair
-from skincal.guide.believed_positions import PlannedPlaces, believed_positions, planned_sheet_pokes
+from skincal.guide.believed_positions import PlannedPlaces, believed_from_measured, planned_sheet_pokes
 from skincal.guide.candidates import (
     PUSH_AZIMUTHS_TRIED,
     PUSHES_PER_TAXEL,
@@ -26,6 +26,7 @@ from skincal.guide.candidates import (
     next_module_taxel,
     next_taxel,
 )
+from skincal.guide.followed_estimates import FollowedEstimates
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.moment import Moment
 from skincal.guide.poke_history import PokeHistory, TargetOfPoke, with_axis
@@ -40,7 +41,6 @@ from skincal.guide.progress import (
     count_sheet_pokes_left,
     find_needs,
     give_up_reason,
-    improvable_error,
     poke_interval,
 )
 from skincal.guide.robot_order import RobotPace, nearest_open_taxel, travel_seconds
@@ -48,7 +48,7 @@ from skincal.guide.surroundings import Surroundings
 from skincal.guide.taxel_statistics import TaxelStatistics
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose_fit import CONTACT_TO_PAD_CENTRE_SD_FACTOR
-from skincal.taxels.result import Estimate, Method, State, has_touch
+from skincal.taxels.result import Estimate, Method, State
 
 if TYPE_CHECKING:
     from skincal.guide.surface_search import SurfaceSearch
@@ -107,6 +107,12 @@ class Guide:
         self._rig = 0.0
         self._others = NEIGHBOUR_GAIN_WEIGHT_IN_OWN_POKES
         self._gains = GainCache(count)
+        followed = {Method.SURFACE, Method.FREE, method}
+        self._followed: dict[Method, FollowedEstimates] = {
+            each: FollowedEstimates(plan.channels, each, noise.skin) for each in followed
+        }
+        self._own_estimates = self._followed[method]
+        self._moment: Moment | None = None
         self._usable_tilt = self._pokes.tilt.usable
         self._find_neighbours()
         self._choice: PokeChoice | None = None
@@ -117,60 +123,58 @@ class Guide:
         self._just_skipped = -1
         self.session_skips = 0
         """Number of the session's skips that the guide knows."""
-        self._unseen: dict[tuple[Method, int], Estimate] = {}
-        """Estimates of taxels that no estimate is given for: the same object each time, since identities are compared."""
         self.robot: RobotPace | None = None
         """Pace of the robot that pokes; `None` for a hand."""
-        self._estimates: list[Estimate | None] = [None] * count
         self._needs: list[tuple[Need, ...]] = [()] * count
+        # (n,) taxels with a need, those that need nothing but a touch, and those that need agreement.
+        self._is_open, self._needs_touch_alone, self._needs_agreement = np.zeros((3, count), dtype=bool)
         self._surroundings = surroundings if method is Method.MODULES else None
-        # (n,) taxels that are touched or surrounded by touched ones.
+        # (n,) taxels that are touched, as they were at the last look, and those that are touched or surrounded by touched ones.
+        self._touched: BoolArray = np.zeros(count, dtype=bool)
         self._covered: BoolArray = np.full(count, self._surroundings is None)
         self._unknown_error = float(np.sqrt(3.0)) * self.settings.unknown
         self._solved = np.full(count, self._unknown_error)
 
-    def update(
-        self,
-        moment: Moment,
-        target_of: TargetOfPoke,
-        rejections: Mapping[int, Rejection] | None = None,
-        rig: float = 0.0,
-    ) -> Guidance:
+    def update(self, moment: Moment, target_of: TargetOfPoke, rig: float = 0.0) -> Guidance:
         """Update the guide to the session's present state, and choose the next poke.
+
+        Only taxels whose pokes or estimates changed since the last update are computed again.
 
         Parameters
         ----------
         target_of : gives the target that was shown for a poke
-        rejections : by the number of their poke
         rig : m, sd of the shift of all estimates by the rig's errors in each direction, 0 if unknown
         """
-        contacts = {contact.poke: contact for contact in moment.contacts}
-        estimates = {method: self._in_plan_order(method, every) for method, every in moment.estimates.items()}
-        own = estimates[self.method]
-        dirty = self._update_statistics(contacts, estimates, rejections or {}, rig, target_of)
-        if dirty:
-            # A contact that the method doubts counts less here, too.
-            doubted = {each.channel: each.doubted for each in own if each.channel in dirty}
-            found = moment.evidence(dirty)
-            pairs = zip(found.channels[found.taxels].tolist(), found.pokes.tolist(), strict=True)
-            trust = np.array([doubted[channel].get(poke, 1.0) for channel, poke in pairs])
-            drawn = self._plan_positions()
-            centres = {poke: self._pokes.place(poke, drawn) for poke in set(found.pokes.tolist())}
-            self._statistics.recompute(dirty, found.trusted(trust), self._places, drawn, self._normals, centres)
-            self._mark_stale_near([self._statistics.row_of[channel] for channel in dirty])
-        self._update_needs(own, dirty)
-        return self._guidance(own)
+        outcomes = moment.changes_since(self._moment)
+        self._moment = moment
+        # Positions on the mesh have the depth that few free pokes leave open.
+        best = Method.SURFACE if moment.estimates.get(Method.SURFACE) else Method.FREE
+        changed = {method: self._followed[method].update(moment.estimates[method]) for method in {best, self.method}}
+        dirty = self._update_statistics(outcomes, self._followed[best], rig, target_of)
+        if len(dirty):
+            self._update_contacts(moment, dirty)
+        self._update_needs(changed[self.method], dirty)
+        return self._guidance()
 
-    def _in_plan_order(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
-        """Order the estimates of a method as the channels of the plan."""
-        channels = self.plan.channels.tolist()
-        if [estimate.channel for estimate in estimates] == channels:
-            return estimates
-        known, unseen = {estimate.channel: estimate for estimate in estimates}, self._unseen
-        return [
-            known.get(channel) or unseen.setdefault((method, channel), Estimate(channel, method, State.UNSEEN, 0))
-            for channel in channels
-        ]
+    def _update_contacts(self, moment: Moment, dirty: IntArray) -> None:
+        """Compute the statistics of the contacts of taxels, given by their indices (m,), again."""
+        found, estimates = moment.evidence(self.plan.channels[dirty].tolist()), self._own_estimates.estimates
+        trust = np.ones(len(found.pokes))
+        rows: list[int] = self._pokes.rows(found.channels).tolist()
+        for place, row in enumerate(rows):
+            # A contact that the method doubts counts less here, too.
+            if (estimate := estimates[row]) is not None and estimate.doubted:
+                own = slice(*found.starts[place : place + 2].tolist())
+                trust[own] = [estimate.doubted.get(poke, 1.0) for poke in found.pokes[own].tolist()]
+        drawn = self._plan_positions()
+        centres = {poke: self._pokes.place(poke, drawn) for poke in set(found.pokes.tolist())}
+        self._statistics.recompute(dirty, found.trusted(trust), self._places, drawn, self._normals, centres)
+        self._mark_stale_near(dirty)
+
+    def estimate_of(self, channel: int) -> Estimate | None:
+        """Estimate of a channel by the guide's method at the last `update`; `None` if the plan has no such taxel."""
+        row = self._statistics.row_of.get(channel)
+        return None if row is None else self._own_estimates.estimates[row]
 
     def skip(self, target: Target, *, is_impossible: bool = False) -> None:
         """Request another poke instead of a target. A side of a taxel that is skipped twice, or is impossible, is left out."""
@@ -184,16 +188,11 @@ class Guide:
             self._gains.mark_stale(self._just_skipped)
 
     def _update_statistics(
-        self,
-        contacts: Mapping[int, Contact],
-        estimates: Mapping[Method, Sequence[Estimate]],
-        rejections: Mapping[int, Rejection],
-        rig: float,
-        target_of: TargetOfPoke,
-    ) -> set[int]:
-        """Follow the pokes; return the channels of the taxels with new, changed or removed contacts."""
+        self, outcomes: Mapping[int, Outcome | None], best: FollowedEstimates, rig: float, target_of: TargetOfPoke
+    ) -> IntArray:
+        """Follow the pokes; return the indices of the taxels with new, changed or removed contacts, ascending."""
         rows, added, removed = self._pokes.update(
-            contacts, rejections, target_of, self._plan_positions(), self._normals, self._answer_offsets
+            outcomes, target_of, self._plan_positions(), self._normals, self._answer_offsets
         )
         if added or removed:
             self._kept = None
@@ -205,20 +204,19 @@ class Guide:
                 pressed = with_axis(poke) if answered or poke.reason is Reason.NO_TAXEL else None
                 if pressed is not None:
                     self._search.add_poke(pressed, answered=answered)
-            self._search.count_only(contacts.keys() | rejections.keys())
+            self._search.count_pokes({poke: outcome is not None for poke, outcome in outcomes.items()})
         if rows or rig != self._rig:
             if rig != self._rig:
                 self._gains.mark_stale()
-            # Positions on the mesh have the depth that few free pokes leave open.
-            self._rig, best = rig, estimates.get(Method.SURFACE) or estimates[Method.FREE]
-            self._places = believed_positions(self.plan, best, rig)
-            self._add_unplanned([row for row in rows if self._unplanned[row]], best)
+            self._rig = rig
+            self._places = believed_from_measured(self.plan, best.positions, best.precisions, rig)
+            self._add_unplanned([row for row in rows if self._unplanned[row]], best.estimates)
         if self._pokes.tilt.usable != self._usable_tilt:
             self._usable_tilt = self._pokes.tilt.usable
             self._pushes = candidate_pushes(self._normals, self._usable_tilt)
             self._gains.mark_stale()
             self._kept = None
-        return {int(self.plan.channels[row]) for row in rows}
+        return np.array(sorted(rows), dtype=np.int64)
 
     def _plan_positions(self) -> FloatArray:
         """Positions (n, 3), metres, by the plan; believed ones of taxels without a plan.
@@ -233,33 +231,43 @@ class Guide:
         self._answer_offsets = answer_offsets(self._places, self._neighbours)
         self._pushes = candidate_pushes(self._normals, self._usable_tilt)
 
-    def _mark_stale_near(self, rows: Sequence[int]) -> None:
-        self._gains.mark_stale(np.asarray(np.isin(self._neighbours.rows, rows).any(axis=1)))
+    def _mark_stale_near(self, rows: Sequence[int] | IntArray) -> None:
+        # The methods in the plane compare no gains.
+        if len(rows) and not self._in_plane:
+            self._gains.mark_stale(np.asarray(np.isin(self._neighbours.rows, rows).any(axis=1)))
 
-    def _add_unplanned(self, rows: Collection[int], estimates: Sequence[Estimate]) -> None:
+    def _add_unplanned(self, rows: Sequence[int], estimates: Sequence[Estimate | None]) -> None:
         """Take the normals of channels without a planned position from their estimates."""
         for row in rows:
-            if (normal := estimates[row].normal) is not None:
-                self._normals[row] = normal
+            estimate = estimates[row]
+            if estimate is not None and estimate.normal is not None:
+                self._normals[row] = estimate.normal
         if rows:
             self._find_neighbours()
             self._gains.mark_stale()
 
-    def _update_needs(self, estimates: Sequence[Estimate], dirty: Collection[int]) -> None:
-        """Find the needs of each taxel whose contacts or estimate changed."""
-        know, changed = self._statistics, list[int]()
-        covered = self._covered
+    def _update_needs(self, changed: Sequence[int], dirty: IntArray) -> None:
+        """Find the needs of each taxel whose contacts or estimate changed.
+
+        Parameters
+        ----------
+        changed, dirty : indices of the taxels with another estimate, and with other contacts
+        """
+        know, own = self._statistics, self._own_estimates
+        rows = np.union1d(np.array(changed, dtype=np.int64), dirty)
         if self._surroundings is not None:
-            covered = self._surroundings.touched_or_surrounded(
-                np.fromiter((has_touch(each.contacts, each.doubted) and not each.is_contradicted for each in estimates), bool)
-            )
-        recovered, self._covered = (covered != self._covered).tolist(), covered
-        numbers = self._own(), know.diversity, know.offset_size, know.depth_bias, know.last_shift, covered
-        facts = zip(*map(np.ndarray.tolist, numbers), strict=True)
+            touched = np.flatnonzero(own.touched != self._touched)
+            if len(touched):
+                covered = self._surroundings.update_covered(self._covered, own.touched, touched)
+                rows, self._covered = np.union1d(rows, np.flatnonzero(covered != self._covered)), covered
+                self._touched[touched] = own.touched[touched]
+        numbers = self._own(), know.diversity, know.offset_size, know.depth_bias, know.last_shift, self._covered
+        facts = zip(*(column[rows].tolist() for column in numbers), strict=True)
         unseen: tuple[Need, ...] | None = None
-        for row, (estimate, each) in enumerate(zip(estimates, facts, strict=True)):
-            if estimate is self._estimates[row] and estimate.channel not in dirty and not recovered[row]:
-                continue
+        turned, indices = list[int](), list[int](rows.tolist())
+        for row, each in zip(indices, facts, strict=True):
+            estimate = own.estimates[row]
+            assert estimate is not None
             if estimate.state is State.UNSEEN and self._unplanned[row]:
                 needs = ()
             elif estimate.state is State.UNSEEN and unseen is not None:
@@ -269,11 +277,11 @@ class Guide:
                 # The same for all unseen taxels: on a large part they are thousands at first.
                 unseen = needs if estimate.state is State.UNSEEN else unseen
             if bool(self._needs[row]) != bool(needs):
-                changed.append(row)
-            self._estimates[row], self._needs[row] = estimate, needs
-            error = estimate.sd if estimate.rms is None else estimate.rms
-            self._solved[row] = min(self._unknown_error if error is None else error, self._unknown_error)
-        self._mark_stale_near(changed)
+                turned.append(row)
+            self._needs[row], self._is_open[row] = needs, bool(needs)
+            self._needs_touch_alone[row], self._needs_agreement[row] = needs == (Need.TOUCH,), Need.AGREEMENT in needs
+        self._solved[rows] = np.minimum(own.errors[rows], self._unknown_error)
+        self._mark_stale_near(turned)
 
     def _own(self) -> IntArray:
         """Own pokes (n,) of each taxel; by the modules method those of its module."""
@@ -290,10 +298,9 @@ class Guide:
         """Pokes that the sheets need by their plan."""
         return planned_sheet_pokes(self.plan, self._noise, self.settings) or 0
 
-    def _guidance(self, estimates: Sequence[Estimate]) -> Guidance:
-        know, given_up = self._statistics, self._given_up()
-        rms = np.array([np.inf if each.rms is None else each.rms for each in estimates])
-        open_ = np.array([bool(each) for each in self._needs])
+    def _guidance(self) -> Guidance:
+        know, given_up, rms = self._statistics, self._given_up(), self._own_estimates.rms
+        open_ = self._is_open.copy()
         open_[list(given_up)] = False
         choice = self._choice = PokeChoice(
             self._places, self._pushes, self._neighbours, know.information, self._normals, self._pokes.sensor,
@@ -307,7 +314,7 @@ class Guide:
         elif phase is not GuidePhase.ENOUGH:
             target = self._target(choice, phase)
         if self.method is Method.MODULES:
-            errors = np.array([improvable_error(each, self._noise.skin) for each in estimates])
+            errors = self._own_estimates.improvable
             touches = 0 if self._surroundings is None else self._surroundings.count_touches(open_ & ~self._covered)
             if self._is_sheet:
                 pokes = int(know.own.sum())
@@ -327,7 +334,7 @@ class Guide:
             rms=rms[shown],
             diversity=know.diversity[shown],
             own=know.own[shown],
-            needs=tuple(self._needs[row] for row in shown.tolist()),
+            needs=tuple(map(self._needs.__getitem__, shown.tolist())),
             given_up={int(self.plan.channels[row]): why for row, why in given_up.items()},
             usable_tilt=self._usable_tilt,
             pokes_left=count,
@@ -344,14 +351,14 @@ class Guide:
             exhausted = np.maximum(know.own, self._pokes.asked) >= settings.patience
         if self._surroundings is not None:
             # On a large module more taxels need a touch than a pose needs pokes: here each taxel has its own patience.
-            touch_alone = np.array([needs == (Need.TOUCH,) for needs in self._needs], dtype=bool)
-            exhausted = np.where(touch_alone, self._pokes.asked >= settings.touch_patience, exhausted)
-        contradicted = np.array([Need.AGREEMENT in needs for needs in self._needs], dtype=bool)
-        exhausted = np.where(contradicted, np.maximum(know.own, self._pokes.asked) >= settings.touch_patience, exhausted)
+            exhausted = np.where(self._needs_touch_alone, self._pokes.asked >= settings.touch_patience, exhausted)
+        tries = np.maximum(know.own, self._pokes.asked)
+        exhausted = np.where(self._needs_agreement, tries >= settings.touch_patience, exhausted)
         # Of thousands of taxels only these can be given up: the others are not looked at.
         candidates = exhausted | ((know.contacts == 0) & (unanswered >= settings.unanswered))
         if self._usable_tilt < settings.diversity:
             candidates |= know.own >= settings.own_pokes
+        candidates &= self._is_open
         found: dict[int, Why] = {}
         for row in {*np.flatnonzero(candidates).tolist(), *self._skips}:
             why = give_up_reason(
@@ -515,9 +522,10 @@ class Guide:
         choice, row = self._choice, self._statistics.row_of.get(channel, -1)
         if choice is None or row < 0 or not np.isfinite(self._places[row]).all():
             return None
-        found, normal, estimate = moment.evidence([channel]), self._normals[row], self._estimates[row]
+        found, normal = moment.evidence([channel]), self._normals[row]
         pokes, drawn = found.pokes.tolist(), self._plan_positions()
         off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
+        estimate = self._own_estimates.estimates[row]
         doubted: Mapping[int, float] = {} if estimate is None else estimate.doubted
         worth = choice.predict_gains(np.array([row]), self._others)[0]
         return AxisDiversity(

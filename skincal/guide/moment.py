@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
-from skincal.contacts.outcome import Contact
+from skincal.contacts.outcome import Contact, Outcome
+from skincal.contacts.poke_columns import PokeColumns
 from skincal.contacts.poke_counts import PokeCounts
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method
@@ -32,6 +33,19 @@ class Moment(Protocol):
     @property
     def part_size(self) -> float:
         """m, of `known_error`."""
+        ...
+
+    @property
+    def columns(self) -> PokeColumns:
+        """All pokes."""
+        ...
+
+    def contact(self, poke: int) -> Contact:
+        """Find a contact that counts; raise `KeyError` if there is none of that number."""
+        ...
+
+    def changes_since(self, earlier: Any) -> Mapping[int, Outcome | None]:
+        """Map the pokes that may have changed since an earlier moment, ascending, to outcomes; `None` for excluded contacts."""
         ...
 
     def evidence(self, channels: Collection[int]) -> Evidence:

@@ -6,13 +6,13 @@ longer once it is excluded.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import islice, pairwise
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Target
 from skincal.guide.progress import POKES_PER_INTERVAL_ESTIMATE, GuideSettings
@@ -68,7 +68,9 @@ class PokeHistory:
         self.unanswered: IntArray = np.zeros(len(channels), dtype=np.int64)
         """(n,) pokes at each taxel as target that it did not answer."""
         self.tilt = TiltLimit(settings)
-        self._newest: int | None = None
+        self._newest = 0
+        self.ended = set[int]()
+        """Numbers of the pokes that are rejected, or count."""
         self.sensor: FloatArray = np.zeros(3)
         """(3,) float, metres, link frame: the sensor's origin at the last poke."""
 
@@ -80,8 +82,7 @@ class PokeHistory:
 
     def update(
         self,
-        contacts: Mapping[int, Contact],
-        rejections: Mapping[int, Rejection],
+        outcomes: Mapping[int, Outcome | None],
         target_of: TargetOfPoke,
         places: FloatArray,
         normals: FloatArray,
@@ -91,30 +92,41 @@ class PokeHistory:
 
         Parameters
         ----------
-        contacts, rejections : by the number of their poke
+        outcomes : pokes that may have changed, by number, ascending; `None` for a contact that no longer counts
         places, normals : (n, 3) float, metres and unit, outward, of the taxels by the plan
         answer_offsets : (n, 3) float, metres: `candidates.answer_offsets`
         """
-        removed = [poke for poke in self.contacts if poke not in contacts]
+        contacts = {poke: each for poke, each in outcomes.items() if isinstance(each, Contact)}
+        removed = [poke for poke in outcomes if poke in self.contacts and poke not in contacts]
         # A contact that is another object than before was reported again, after the next tare.
         changed = [contact for poke, contact in contacts.items() if self.contacts.get(poke) is not contact]
-        outcomes = (*contacts.values(), *rejections.values())
-        added = sorted((each for each in outcomes if each.poke not in self._known), key=lambda outcome: outcome.poke)
+        added = [each for poke, each in outcomes.items() if each is not None and poke not in self._known]
         self._known.update(outcome.poke for outcome in added)
+        self._count_tries(outcomes, -1)
         former = [self.contacts[poke] for poke in (*removed, *(each.poke for each in changed)) if poke in self.contacts]
         self._forget([contact.poke for contact in former])
         if changed:
             self._remember(changed, places, normals, answer_offsets)
-        self._newest = max(self.contacts, default=None)
-        if self._newest is not None:
+        if self._newest in self.contacts:
+            self._newest = max(self._newest, *contacts, 0)
+        else:
+            self._newest = max(self.contacts, default=0)
+        if self._newest:
             self.sensor = self.contacts[self._newest].link_from_sensor[:3, 3]
+        self.ended.difference_update(poke for poke, each in outcomes.items() if each is None)
+        self.ended.update(poke for poke, each in outcomes.items() if each is not None)
         self._learn(added, target_of, normals)
-        self.asked = self._count({poke: row for poke, row in self._target_rows.items() if poke in contacts})
-        self.unanswered = self._count(
-            {poke: row for poke, row in self._missed_rows.items() if poke in contacts or poke in rejections}
-        )
+        self._count_tries(outcomes, 1)
         rows = {int(row) for contact in (*former, *changed) for row in self.rows(contact.channels) if row >= 0}
         return PokeChanges(rows, added, removed)
+
+    def _count_tries(self, pokes: Iterable[int], by: int) -> None:
+        """Add `by` to the tries at the targets of those of `pokes` that count at present."""
+        for poke in pokes:
+            if poke in self.contacts and poke in self._target_rows:
+                self.asked[self._target_rows[poke]] += by
+            if poke in self.ended and poke in self._missed_rows:
+                self.unanswered[self._missed_rows[poke]] += by
 
     def latest_starts(self) -> FloatArray:
         """Start times of the last contacts, seconds, by number: as many as `poke_interval` uses."""
@@ -123,16 +135,13 @@ class PokeHistory:
 
     def hand(self, places: FloatArray) -> FloatArray | None:
         """Position of the last poke, (3,) metres; `None` if unknown."""
-        place = None if self._newest not in self._positions else self.place(self._newest, places)
+        place = self.place(self._newest, places) if self._newest else None
         return place if place is not None and np.isfinite(place).all() else None
 
     def place(self, poke: int, places: FloatArray) -> FloatArray:
         """Position of a poke by its answers, (3,) metres; NaN if no taxel answered."""
         found = self._positions[poke]
         return places[found.row] + found.offset
-
-    def _count(self, row_of: Mapping[int, int]) -> IntArray:
-        return np.bincount(np.fromiter(row_of.values(), np.int64, len(row_of)), minlength=len(self.channels))
 
     def _forget(self, pokes: Sequence[int]) -> None:
         found = [self._positions.pop(poke) for poke in pokes]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -39,7 +39,9 @@ class SurfaceSearch:
         self.places, self.normals = places, normals
         self._pokes: dict[int, tuple[FloatArray, bool]] = {}
         """By number: position, (3,) metres, and whether a taxel answered."""
-        self._counted: list[int] = []
+        self._counted = set[int]()
+        self._poked, self._answered = (np.full(len(self.places), np.inf) for _ in range(2))
+        """(n,) metres: distance of each place to the nearest poke that counts, and to the nearest that was answered."""
         self._skipped = np.zeros(len(self.places), dtype=bool)
 
     def unpoked(self) -> SurfaceSearch:
@@ -53,9 +55,23 @@ class SurfaceSearch:
         if found.triangles[0] >= 0:
             self._pokes[int(poke.number)] = found.points[0], answered
 
-    def count_only(self, numbers: Collection[int]) -> None:
-        """Keep only the pokes in `numbers`: the others were undone."""
-        self._counted = sorted(self._pokes.keys() & set(numbers))
+    def count_pokes(self, counts: Mapping[int, bool]) -> None:
+        """Count pokes from now on, by their numbers, or no longer: those were undone."""
+        known = {number: is_counted for number, is_counted in counts.items() if number in self._pokes}
+        more = {number for number, is_counted in known.items() if is_counted} - self._counted
+        less = {number for number, is_counted in known.items() if not is_counted} & self._counted
+        self._counted = (self._counted | more) - less
+        if less:
+            self._poked[:] = self._answered[:] = np.inf
+        self._approach([self._pokes[number] for number in (self._counted if less else more)])
+
+    def _approach(self, pokes: Sequence[tuple[FloatArray, bool]]) -> None:
+        """Lower the distances by more pokes."""
+        every, answered = [point for point, _ in pokes], [point for point, has_answer in pokes if has_answer]
+        spatial: Any = import_module("scipy.spatial")
+        for distances, points in ((self._poked, every), (self._answered, answered)):
+            if points:
+                np.minimum(distances, spatial.cKDTree(np.array(points)).query(self.places)[0], out=distances)
 
     def skip(self, place: FloatArray) -> None:
         """Leave a place, (3,) metres, out of the search from now on."""
@@ -63,7 +79,7 @@ class SurfaceSearch:
 
     def next_place(self, hand: FloatArray | None) -> int | None:
         """Choose the next place, given the last poke's position `hand` (3,), metres; `None` if all are covered."""
-        poked, answered = self._distances(), self._distances(answered_only=True)
+        poked, answered = self._poked, self._answered
         waiting = (poked > SEARCH_PLACE_SPACING_M) & ~self._skipped
         near = np.flatnonzero(waiting & (answered <= SKIN_NEIGHBOUR_M))
         if near.size:
@@ -77,15 +93,6 @@ class SurfaceSearch:
 
     def _nearest(self, rows: IntArray, place: FloatArray) -> int:
         return int(rows[int(np.sum((self.places[rows] - place) ** 2, axis=1).argmin())])
-
-    def _distances(self, *, answered_only: bool = False) -> FloatArray:
-        """Compute (n,) the distance of each place to the nearest poke, metres; infinite without one."""
-        pokes = [self._pokes[number] for number in self._counted]
-        points = [point for point, answered in pokes if answered or not answered_only]
-        if not points:
-            return np.full(len(self.places), np.inf)
-        spatial: Any = import_module("scipy.spatial")
-        return np.asarray(spatial.cKDTree(np.array(points)).query(self.places)[0], dtype=np.float64)
 
 
 def spread_over(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:

@@ -42,39 +42,52 @@ class Surroundings:
         away = flat[others] - flat[taxels]
         angles = np.arctan2(away[:, 1], away[:, 0])
         order = np.lexsort((angles, taxels))
-        self._taxels: IntArray = taxels[order]
         self._others: IntArray = others[order]
         self._angles: FloatArray = angles[order]
+        # (n + 1,): taxel i has the neighbours starts[i] to starts[i + 1].
+        self._starts: IntArray = np.searchsorted(taxels[order], np.arange(self._count + 1))
         self._cells: IntArray = _number_cells(flat, planes, reach)
         # (n,) taxels whose neighbours, touched or not, are all on one line.
-        self._is_on_line: BoolArray = ~self._has_area(np.ones(len(self._others), dtype=bool))
+        self._is_on_line: BoolArray = ~self._is_inside(np.ones(self._count, dtype=bool), np.arange(self._count))[1]
 
     def touched_or_surrounded(self, touched: BoolArray) -> BoolArray:
         """Tell (n,) which taxels are touched, or surrounded by touched ones; `touched` is (n,)."""
-        counted = touched[self._others]
-        taxels, angles = self._taxels[counted], self._angles[counted]
-        found = touched.copy()
-        if not len(taxels):
-            return found
-        starts = np.flatnonzero(np.diff(taxels, prepend=-1))
-        ends = np.append(starts[1:], len(taxels)) - 1
+        rows = np.arange(self._count)
+        between, has_area = self._is_inside(touched, rows)
+        return touched | (between & (has_area | self._is_on_line))
+
+    def update_covered(self, covered: BoolArray, touched: BoolArray, changed: IntArray) -> BoolArray:
+        """Compute `touched_or_surrounded` again after a change at the taxels `changed` (m,); before it was `covered` (n,)."""
+        rows = np.union1d(changed, self._neighbours_of(changed)[1])
+        between, has_area = self._is_inside(touched, rows)
+        found = covered.copy()
+        found[rows] = touched[rows] | (between & (has_area | self._is_on_line[rows]))
+        return found
+
+    def _neighbours_of(self, rows: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """List the neighbours of the taxels `rows` (m,), by taxel and angle: (k,) index in `rows`, taxel, and angle in rad."""
+        first, counts = self._starts[rows], self._starts[rows + 1] - self._starts[rows]
+        of = np.repeat(np.arange(len(rows)), counts)
+        at = np.arange(len(of)) + (first - (np.cumsum(counts) - counts))[of]
+        return of, self._others[at], self._angles[at]
+
+    def _is_inside(self, touched: BoolArray, rows: IntArray) -> tuple[BoolArray, BoolArray]:
+        """Tell of the taxels `rows` (m,) which are between touched neighbours, and for which these are not on one line."""
+        of, others, angles = self._neighbours_of(rows)
+        counted = touched[others]
+        of, angles = of[counted], angles[counted]
+        between, has_area = np.zeros(len(rows), dtype=bool), np.zeros(len(rows), dtype=bool)
+        if not len(of):
+            return between, has_area
+        starts = np.flatnonzero(np.diff(of, prepend=-1))
+        ends = np.append(starts[1:], len(of)) - 1
         gaps = np.diff(angles, append=0.0)
         # The last neighbour of a taxel is followed by its first, a turn later.
         gaps[ends] = angles[starts] + 2.0 * np.pi - angles[ends]
-        largest = np.maximum.reduceat(gaps, starts)
-        found[taxels[starts]] |= largest <= np.pi + GAP_TOLERANCE_RAD
-        return touched | (found & (self._has_area(counted) | self._is_on_line))
-
-    def _has_area(self, counted: BoolArray) -> BoolArray:
-        """Tell (n,) whether the `counted` neighbours of a taxel are on more than one line through it."""
-        taxels, angles = self._taxels[counted], self._angles[counted]
-        found = np.zeros(self._count, dtype=bool)
-        if len(taxels):
-            starts = np.flatnonzero(np.diff(taxels, prepend=-1))
-            first = np.repeat(angles[starts], np.diff(np.append(starts, len(taxels))))
-            across = np.maximum.reduceat(np.abs(np.sin(angles - first)), starts)
-            found[taxels[starts]] = across > np.sin(GAP_TOLERANCE_RAD)
-        return found
+        between[of[starts]] = np.maximum.reduceat(gaps, starts) <= np.pi + GAP_TOLERANCE_RAD
+        first = np.repeat(angles[starts], np.diff(np.append(starts, len(of))))
+        has_area[of[starts]] = np.maximum.reduceat(np.abs(np.sin(angles - first)), starts) > np.sin(GAP_TOLERANCE_RAD)
+        return between, has_area
 
     def count_touches(self, open_: BoolArray) -> int:
         """Estimate how many touches cover the taxels `open_` (n,): one for each square of `SURROUNDING_MAX_SPACINGS`."""

@@ -6,7 +6,7 @@ The inverse of the sum is the predicted covariance. Positions are estimated by t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -54,23 +54,22 @@ class TaxelStatistics:
 
     def recompute(
         self,
-        channels: Collection[int],
+        emptied: IntArray,
         evidence: Evidence,
         places: FloatArray,
         drawn: FloatArray,
         normals: FloatArray,
         centres: Mapping[int, FloatArray],
     ) -> None:
-        """Compute the statistics of `channels` again.
+        """Compute the statistics of the taxels of some indices `emptied` (m,) again.
 
         Parameters
         ----------
-        evidence : of those of `channels` that answered
+        evidence : of those of them that answered
         places, normals : (n, 3) float, metres and unit: believed positions and outward normals
         drawn : (n, 3) float, metres: the positions that `centres` are relative to
         centres : (3,) float, metres, of each poke: its position by the answers
         """
-        emptied = np.array([self.row_of[channel] for channel in channels], dtype=np.int64)
         self.information[emptied], self.last_shift[emptied] = self._prior, np.inf
         for numbers in (self.diversity, self.own, self.contacts, self.offset, self.depth_bias):
             numbers[emptied] = 0

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact
+from skincal.contacts.poke_columns import PokeColumns
 from skincal.contacts.poke_counts import PokeCounts
 from skincal.geometry import IntArray
 from skincal.guide.contact_scatter import PokeMisses, learn_scatter
@@ -35,14 +35,14 @@ from skincal.model.scene import NoiseSettings
 from skincal.model.skin import SkinKind
 from skincal.modules.estimate import predict_pokes
 from skincal.modules.pose import ModuleModel
-from skincal.modules.pose_fit import fit_modules_from_pokes
+from skincal.modules.pose_fit import Fitted, Touches, fit_modules_from_pokes
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.exchanged import find_denied, find_exchanged
 from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.predictions import PokePredictions
-from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Method, State
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.taxels.solve import Solution, solve
 
@@ -108,10 +108,12 @@ def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
     return check.has_enough and check.agrees and by_landmarks
 
 
-def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
-    """List number and strongest channel of the held-out contacts, by number."""
-    step = max(1, min(POKES_PER_HELD_OUT_POKE, len(contacts) // MIN_HELD_OUT_POKES))
-    return [(contact.poke, contact.strongest_channel) for contact in contacts[step - 1 :: step]]
+def held_out(pokes: PokeColumns) -> tuple[IntArray, IntArray]:
+    """List numbers and strongest channels of the held-out contacts, by number."""
+    counting = np.flatnonzero(pokes.counting)
+    step = max(1, min(POKES_PER_HELD_OUT_POKE, len(counting) // MIN_HELD_OUT_POKES))
+    rows = counting[step - 1 :: step]
+    return pokes.numbers[rows], pokes.strongest[rows]
 
 
 def check(
@@ -132,67 +134,101 @@ def check(
     """
     if method is Method.MODULES:
         return Check(0, 0) if module_model is None else _check_modules(moment, channels, noise, module_model)
-    used = set(channels)
-    pairs = [(each.poke, each.strongest_channel) for each in moment.contacts if each.strongest_channel in used]
-    answers = moment.evidence(sorted({channel for _, channel in pairs}))
-    cuts = _cuts(answers, pairs)
+    counting = moment.columns.counting
+    numbers, strongest = moment.columns.numbers[counting], moment.columns.strongest[counting]
+    used = np.isin(strongest, list(channels))
+    answers, predicted = predict_by_taxels(moment, numbers[used], strongest[used], method, noise, surface)
+    return _check_misses(moment, answers, predicted)
+
+
+def predict_by_taxels(
+    moment: Moment, pokes: IntArray, strongest: IntArray, method: Method, noise: NoiseSettings, surface: Surface | None
+) -> tuple[Evidence, PokePredictions]:
+    """Predict pokes (n,) at the taxels that answered them most, `strongest` (n,), from the other pokes of these.
+
+    Returns
+    -------
+    Evidence of these taxels, and the predictions, without pokes whose taxel has too few others.
+    """
+    answers = moment.evidence(np.unique(strongest).tolist())
+    cuts = _cuts(answers, list(zip(pokes.tolist(), strongest.tolist(), strict=True)))
     if not cuts:
-        return Check(0, 0)
+        return answers, PokePredictions.none()
     # A taxel for each poke: a channel may be there twice, without another poke each time.
     sizes, others = np.array([len(others) for _, others in cuts]), np.concatenate([others for _, others in cuts])
     solution = solve(answers.take(others, np.arange(len(cuts)), sizes), [method], noise, surface)
     out = np.array([out for out, _ in cuts])
-    return _check_misses(moment.contacts, answers, _predictions(answers, out, solution, method, noise))
+    return answers, _predictions(answers, out, solution, method, noise)
 
 
-def _check_misses(contacts: Sequence[Contact], answers: Evidence, predicted: PokePredictions) -> Check:
+def _check_misses(moment: Moment, answers: Evidence, predicted: PokePredictions) -> Check:
     """Count the held-out pokes, and those inside; the scatter is learned from the other pokes."""
     known = np.flatnonzero(np.isfinite(predicted.misses).all(axis=1))
     rows = predicted.rows[known]
     every = PokeMisses(
         pokes=answers.pokes[rows],
         poses=answers.poses[rows],
-        answers=_answer_counts(contacts, answers.pokes[rows]),
+        answers=_answer_counts(moment, answers.pokes[rows]),
         pairs=answers.pairs[rows],
         levers=predicted.levers[known],
         misses=predicted.misses[known],
         covariances=predicted.covariances[known],
         variances=np.trace(predicted.own[known], axis1=1, axis2=2) / 2.0,
     )
-    out = np.isin(every.pokes, [poke for poke, _ in held_out(contacts)])
+    out = np.isin(every.pokes, held_out(moment.columns)[0])
     scatter = learn_scatter(every.select(np.flatnonzero(~out)))
     squares = every.select(np.flatnonzero(out)).squares(scatter)
     return Check(len(squares), int((squares <= CHI2_2DOF_QUANTILE_95).sum()))
 
 
-def _answer_counts(contacts: Sequence[Contact], pokes: IntArray) -> IntArray:
+def _answer_counts(moment: Moment, pokes: IntArray) -> IntArray:
     """Look up (n,) the numbers of taxels that answered `pokes` (n,)."""
-    counts = {contact.poke: len(contact.channels) for contact in contacts}
-    return np.array([counts[poke] for poke in pokes.tolist()], dtype=np.int64)
+    return np.array([len(moment.contact(poke).channels) for poke in pokes.tolist()], dtype=np.int64)
 
 
 def _check_modules(moment: Moment, channels: Collection[int], noise: NoiseSettings, model: ModuleModel) -> Check:
     """Predict the held-out contacts from the others of their module."""
-    width, module_of, contacts = model.layout.width, model.layout.module_of, moment.contacts
-    answers = moment.evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
     by_channel = {estimate.channel: estimate for estimate in moment.estimates.get(Method.MODULES, ())}
-    weights = {contact.poke: float(contact.responses.sum() / contact.responses.max()) for contact in contacts}
-    totals = np.array([weights[poke] for poke in answers.pokes.tolist()])
+    answers, predicted, boards = predict_by_modules(moment, channels, by_channel, noise, model)
+    checked = _check_misses(moment, answers, predicted)
+    if boards is None:
+        return checked
+    touches, fitted, at = boards
+    answered = _answer_counts(moment, answers.pokes[predicted.rows])
+    return replace(checked, off_plan=find_taxels_off_plan(touches, fitted, model, at, predicted, answered))
+
+
+def predict_by_modules(
+    moment: Moment, channels: Collection[int], estimates: Mapping[int, Estimate], noise: NoiseSettings, model: ModuleModel
+) -> tuple[Evidence, PokePredictions, tuple[Touches, Fitted, IntArray] | None]:
+    """Predict pokes from the other pokes of their module.
+
+    Parameters
+    ----------
+    channels : used taxels of some modules: all of a module, or none of it
+    estimates : of the modules method by channel; the search for the modules' poses begins there
+
+    Returns
+    -------
+    Evidence of these taxels; the predictions; and of boards their touches, their fit, and the (n,) touches that are predicted.
+    """
+    width, module_of = model.layout.width, model.layout.module_of
+    answers = moment.evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
+    pokes, of = np.unique(answers.pokes, return_inverse=True)
+    responses = [moment.contact(poke).responses for poke in pokes.tolist()]
+    totals = np.array([float(each.sum() / each.max()) for each in responses])[of]
     if model.layout.kind is SkinKind.SHEET:
         # Imported only for sheets.
         from skincal.modules.sheet_estimate import predict_sheet_pokes
         from skincal.modules.sheet_fit import fit_sheets
 
-        return _check_misses(contacts, answers, predict_sheet_pokes(fit_sheets(answers, totals, model, noise, [by_channel])))
-    fit = fit_modules_from_pokes(answers, totals, model, noise, [by_channel])
+        return answers, predict_sheet_pokes(fit_sheets(answers, totals, model, noise, [estimates])), None
+    fit = fit_modules_from_pokes(answers, totals, model, noise, [estimates])
     if fit is None:
-        return Check(0, 0)
+        return answers, PokePredictions.none(), None
     touches, fitted = fit
     at = np.flatnonzero(fitted.misses[touches.of] <= FORCE_AXIS_MAX_MISS_M)
-    predicted = predict_pokes(touches, fitted, noise, at)
-    answered = _answer_counts(contacts, answers.pokes[predicted.rows])
-    off_plan = find_taxels_off_plan(touches, fitted, model, at, predicted, answered)
-    return replace(_check_misses(contacts, answers, predicted), off_plan=off_plan)
+    return answers, predict_pokes(touches, fitted, noise, at), (touches, fitted, at)
 
 
 def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:

@@ -6,12 +6,13 @@ loose then that is fastened now. If a single poke decides that something moved, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
 from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.closing import CLOSING_CHECK_PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
@@ -50,54 +51,62 @@ def closings_of(snapshot: Snapshot, noise: NoiseSettings) -> tuple[Closing, ...]
 def closing_rounds(snapshot: Snapshot, noise: NoiseSettings) -> list[ClosingProgress]:
     """Determine the progress of each closing check."""
     rounds = list[ClosingProgress]()
-    if snapshot.decisions.closings:
-        every = {ClosingPlaces.LANDMARKS: snapshot.counting_landmark_pokes, ClosingPlaces.TAXELS: taxel_pokes(snapshot)}
-        for number in range(len(snapshot.decisions.closings)):
-            earlier = frozenset[int]().union(*(each.pokes for each in rounds))
-            rounds.append(_progress(snapshot, number, earlier, every, noise))
+    for number in range(len(snapshot.decisions.closings)):
+        earlier = frozenset[int]().union(*(each.pokes for each in rounds))
+        rounds.append(_progress(snapshot, number, earlier, noise))
     return rounds
 
 
-def _progress(
-    snapshot: Snapshot,
-    number: int,
-    earlier: frozenset[int],
-    every: dict[ClosingPlaces, LandmarkPokes],
-    noise: NoiseSettings,
-) -> ClosingProgress:
+def _progress(snapshot: Snapshot, number: int, earlier: frozenset[int], noise: NoiseSettings) -> ClosingProgress:
     """Determine the progress of a check, given by its index; `earlier` are the pokes of the checks before.
 
     Its pokes are the counting pokes after it began, until three places are repeated, nine pokes are made, or the next check
     begins. Later pokes belong to it only up to a place that had to be repeated.
     """
     begun, *later = snapshot.decisions.closings[number:]
-    places = [
-        (record.outcome.poke, _place(snapshot, record))
-        for record in snapshot.pokes
-        if not record.excluded and (not later or record.outcome.poke <= later[0].after)
-    ]
-    known = {place for poke, place in places if poke <= begun.after}
-    since = [(poke, place) for poke, place in places if poke > begun.after]
-    again, size, is_complete = set[ClosingPlace | None](), 0, False
+    numbers = snapshot.columns.numbers
+    is_of_check = ~snapshot.columns.excluded & (numbers > begun.after)
+    if later:
+        is_of_check &= numbers <= later[0].after
+    since: list[int] = np.flatnonzero(is_of_check).tolist()
+    again, size, is_complete = set[ClosingPlace](), 0, False
     while not is_complete and size < min(len(since), CLOSING_CHECK_MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES):
-        again |= (known & {since[size][1]}) - {None}
+        place = _place(snapshot, snapshot.pokes[since[size]])
+        if place is not None and _was_poked(snapshot, place, begun):
+            again.add(place)
         size += 1
-        is_complete = (
-            max(sum(each is not None and each.at is at for each in again) for at in ClosingPlaces) == CLOSING_CHECK_PLACES
-        )
+        is_complete = max(sum(each.at is at for each in again) for at in ClosingPlaces) == CLOSING_CHECK_PLACES
     tried = size == CLOSING_CHECK_MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES
     while True:
-        pokes = frozenset(poke for poke, _ in since[:size])
+        pokes = frozenset(snapshot.pokes[row].outcome.poke for row in since[:size])
+        every = _pokes_at_places_of(snapshot, pokes)
         found = _result(begun, pokes, earlier, every, noise)
         asked = _place_to_repeat(begun, found, pokes, every)
         if asked is None or not is_complete:
             break
-        tries = [place for _, place in since[size : size + CLOSING_CHECK_MAX_POKES_PER_PLACE]]
+        tries = [_place(snapshot, snapshot.pokes[row]) for row in since[size : size + CLOSING_CHECK_MAX_POKES_PER_PLACE]]
         if asked not in tries:
             asked = asked if len(tries) < CLOSING_CHECK_MAX_POKES_PER_PLACE else None
             break
         size += tries.index(asked) + 1
     return ClosingProgress(pokes, found, is_complete, asked, asked is None if is_complete else tried)
+
+
+def _was_poked(snapshot: Snapshot, place: ClosingPlace, begun: ClosingRound) -> bool:
+    """Whether a place was poked before a check began."""
+    columns = snapshot.columns
+    before = ~columns.excluded & (columns.numbers <= begun.after)
+    at_landmarks = np.isin(columns.numbers, list(snapshot.at_landmarks))
+    if place.at is ClosingPlaces.TAXELS:
+        return bool(np.any(before & ~at_landmarks & (columns.strongest == int(place.name))))
+    pokes = columns.numbers[before & at_landmarks].tolist()
+    return any(snapshot.at_landmarks[poke] == place.name for poke in pokes)
+
+
+def _pokes_at_places_of(snapshot: Snapshot, pokes: frozenset[int]) -> dict[ClosingPlaces, LandmarkPokes]:
+    """Collect all landmark pokes, and of thousands of skin pokes those at the same taxels as `pokes`."""
+    at_taxels = taxel_pokes(snapshot, strongest_of(snapshot, pokes))
+    return {ClosingPlaces.LANDMARKS: snapshot.counting_landmark_pokes, ClosingPlaces.TAXELS: at_taxels}
 
 
 def _result(
@@ -108,9 +117,9 @@ def _result(
     noise: NoiseSettings,
 ) -> Closing | None:
     for at, of_kind in every.items():
-        then, first = of_kind[np.isin(of_kind.number, list(pokes))], pokes_before(of_kind, begun, earlier)
-        # Of thousands of skin pokes, those at the same taxels; of landmark pokes all, which show the rig's errors.
-        before = first if at is ClosingPlaces.LANDMARKS else first[np.isin(first.name, then.name)]
+        then, before = of_kind[np.isin(of_kind.number, list(pokes))], pokes_before(of_kind, begun, earlier)
+        # Of the skin pokes those at the same taxels; of landmark pokes all, which show the rig's errors.
+        before = before if at is ClosingPlaces.LANDMARKS else before[np.isin(before.name, then.name)]
         closing = closing_check(before, then, at, noise)
         if closing is not None:
             return replace(closing, after=begun.after)
@@ -140,21 +149,49 @@ def is_due(snapshot: Snapshot, rounds: Sequence[ClosingProgress]) -> bool:
     if not rounds:
         return True
     last = max(rounds[-1].pokes, default=snapshot.decisions.closings[-1].after)
-    return sum(contact.poke > last for contact in snapshot.contacts) >= MIN_CONTACTS_BETWEEN_CLOSING_CHECKS
+    columns = snapshot.columns
+    return int(np.count_nonzero(columns.counting & (columns.numbers > last))) >= MIN_CONTACTS_BETWEEN_CLOSING_CHECKS
 
 
-def taxel_pokes(snapshot: Snapshot) -> LandmarkPokes:
-    """Collect the skin pokes that count, as pokes at the taxel that answered most, named by its channel, if it is known."""
-    places = {
+def strongest_of(snapshot: Snapshot, pokes: Collection[int]) -> set[int]:
+    """Collect the channels that answered those of some pokes most that count."""
+    columns = snapshot.columns
+    return set(columns.strongest[columns.counting & np.isin(columns.numbers, list(pokes))].tolist())
+
+
+def taxel_pokes(snapshot: Snapshot, channels: Collection[int]) -> LandmarkPokes:
+    """Collect the skin pokes that count and that some taxels answered most, named by its channel, if it has a position."""
+    places = positions_of(snapshot, channels)
+    columns = snapshot.columns
+    rows = np.flatnonzero(columns.counting & np.isin(columns.strongest, list(places)))
+    pokes = Pokes.collect(snapshot.pokes[row].outcome for row in rows.tolist())
+    names = columns.strongest[rows].tolist()
+    return LandmarkPokes.at(pokes, list(map(str, names)), [places[channel] for channel in names])
+
+
+def first_taxels(snapshot: Snapshot, begun: ClosingRound, earlier: frozenset[int], pose: str) -> list[int]:
+    """List the first taxels with a position that were poked in an arm pose before a check began, as many as it needs."""
+    columns, found = snapshot.columns, list[int]()
+    if pose not in columns.pose_names:
+        return found
+    is_before = columns.counting & (columns.numbers <= begun.after) & ~np.isin(columns.numbers, list(earlier))
+    waiting = columns.strongest[is_before & (columns.poses == columns.pose_names.index(pose))]
+    while len(waiting) and len(found) < CLOSING_CHECK_PLACES:
+        channel = int(waiting[0])
+        found += list(positions_of(snapshot, [channel]))
+        waiting = waiting[waiting != channel]
+    return found
+
+
+def positions_of(snapshot: Snapshot, channels: Collection[int]) -> dict[int, FloatArray]:
+    """Look up the positions of some channels, (3,) float, metres, by the last method that has one."""
+    wanted = set(channels)
+    return {
         each.channel: each.position
         for estimates in snapshot.estimates.values()
         for each in estimates
-        if each.position is not None
+        if each.channel in wanted and each.position is not None
     }
-    strongest = ((contact, contact.strongest_channel) for contact in snapshot.contacts)
-    known = [(contact, channel) for contact, channel in strongest if channel in places]
-    pokes = Pokes.collect(contact for contact, _ in known)
-    return LandmarkPokes.at(pokes, [str(channel) for _, channel in known], [places[channel] for _, channel in known])
 
 
 def _place(snapshot: Snapshot, record: PokeRecord) -> ClosingPlace | None:

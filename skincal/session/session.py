@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
+from skincal.contacts.poke_columns import GrowingPokeColumns
 from skincal.geometry import IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import Action, AskPoke, FoundAtLandmark, Redo, Undo
@@ -29,7 +30,7 @@ from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fi
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions, apply_action, is_undoable, take_back, with_excluded
 from skincal.session.landmark_pokes import landmark_pokes
-from skincal.session.snapshot import PokeRecord, Snapshot, without_excluded
+from skincal.session.snapshot import ChangePlace, PokeRecord, Snapshot, without_excluded
 from skincal.session.solving import Solving
 from skincal.session.undo import ActionEntry, History
 from skincal.taxels.result import POSITION_MAX_SD_M, Estimate, Method
@@ -66,6 +67,7 @@ class Session:
         """Requested poke on the skin; `None` before the first request."""
         # By number, in ascending order.
         self._records: dict[int, PokeRecord] = {}
+        self._columns, self._changes = GrowingPokeColumns(), list[int]()
         self._reported: dict[int, Outcome] = {}
         self._frame: UsedCorrection | None = None
         self._landmark_pokes: LandmarkPokes | None = None
@@ -318,6 +320,8 @@ class Session:
             part_size=self._part_size(estimates),
             noise=self.scene.noise,
             table=self._solving.table_state,
+            columns_now=self._columns.now(),
+            changes=ChangePlace(self._changes, len(self._changes)),
         )
         return self._snapshot
 
@@ -382,6 +386,7 @@ class Session:
             outcome = self._corrected(poke)
             # A value under an existing key may change while the items are iterated.
             self._records[poke] = replace(record, outcome=outcome)
+            self._changes.append(poke)
             if isinstance(outcome, Contact):
                 self._solving.poke_changed(poke, ())
         used = self.decisions.corrections.get(RIG)
@@ -411,6 +416,8 @@ class Session:
         poke = record.outcome.poke
         before, late = self._records.get(poke), poke < self.last_poke
         self._records[poke] = record
+        self._columns.store(record.outcome, record.excluded)
+        self._changes.append(poke)
         if before is None and late:
             self._records = dict(sorted(self._records.items()))
         for each, by in ((before, -1), (record, 1)):

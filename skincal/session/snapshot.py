@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import compress
 from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome, PressPhase, Progress, Rejection
+from skincal.contacts.poke_columns import PokeColumns
 from skincal.contacts.poke_counts import PokeCounts, count_pokes
 from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
@@ -40,6 +42,27 @@ class PokeRecord:
     """The operator took it out; it stays in the journal and can be restored."""
     asked: AskPoke | None = None
     """Request of the guide at the time of the poke; `None` if unknown."""
+
+    @property
+    def is_excluded_contact(self) -> bool:
+        """Whether it would count for the taxels if it were not excluded."""
+        return self.excluded and isinstance(self.outcome, Contact)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChangePlace:
+    """Place in the list of a session's changed pokes, which only grows."""
+
+    numbers: Sequence[int]
+    """Number of each poke that was added or changed, in the order of the changes."""
+    count: int
+    """Changes so far."""
+
+    def changed_since(self, earlier: ChangePlace | None) -> Sequence[int] | None:
+        """List the pokes that changed since an earlier place, ascending; `None` if that is of another list."""
+        if earlier is None or earlier.numbers is not self.numbers:
+            return None
+        return sorted(set(self.numbers[min(earlier.count, self.count) : max(earlier.count, self.count)]))
 
 
 def without_excluded(pokes: LandmarkPokes, decisions: Decisions) -> LandmarkPokes:
@@ -80,6 +103,10 @@ class Snapshot:
     """Of the scene."""
     table: TableState | None = None
     """Rows of the contacts, shared with the session until it solves again; see `evidence`."""
+    columns_now: PokeColumns | None = None
+    """Columns of `pokes` if the session keeps them; see `columns`."""
+    changes: ChangePlace | None = None
+    """Place in the session's list of changes; `None` if it has none."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -88,7 +115,42 @@ class Snapshot:
 
     @cached_property
     def _contacts(self) -> tuple[Contact, ...]:
-        return tuple(record.outcome for record in self.pokes if isinstance(record.outcome, Contact) and not record.excluded)
+        counting = (record.outcome for record in compress(self.pokes, self.columns.counting.tolist()))
+        return tuple(outcome for outcome in counting if isinstance(outcome, Contact))
+
+    @property
+    def columns(self) -> PokeColumns:
+        """Columns of `pokes`."""
+        return self._own_columns if self.columns_now is None else self.columns_now
+
+    @cached_property
+    def _own_columns(self) -> PokeColumns:
+        return PokeColumns.collect((record.outcome, record.excluded) for record in self.pokes)
+
+    def record_of(self, poke: int) -> PokeRecord | None:
+        """Find the record of a poke; `None` if there is none."""
+        row = int(np.searchsorted(self.columns.numbers, poke))
+        return self.pokes[row] if row < len(self.pokes) and self.pokes[row].outcome.poke == poke else None
+
+    def contact(self, poke: int) -> Contact:
+        """Find a contact that counts; raise `KeyError` if there is none of that number."""
+        record = self.record_of(poke)
+        if record is None or record.excluded or not isinstance(record.outcome, Contact):
+            raise KeyError(poke)
+        return record.outcome
+
+    def changes_since(self, earlier: Snapshot | None) -> dict[int, Outcome | None]:
+        """Map the pokes that may have changed since an earlier snapshot, ascending, to outcomes; `None` for excluded contacts.
+
+        Without an earlier snapshot of the same session these are all pokes of both.
+        """
+        place = None if earlier is None else earlier.changes
+        changed = None if self.changes is None else self.changes.changed_since(place)
+        if changed is None:
+            pokes = () if earlier is None else earlier.pokes
+            changed = sorted({record.outcome.poke for record in (*pokes, *self.pokes)})
+        records = ((poke, self.record_of(poke)) for poke in changed)
+        return {poke: None if record is None or record.is_excluded_contact else record.outcome for poke, record in records}
 
     def contacts_newest_first(self) -> Iterator[Contact]:
         """Give the contacts that count, one by one: a list of the newest reads no older ones."""

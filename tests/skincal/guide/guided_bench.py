@@ -26,14 +26,14 @@ class GuidedBench:
         solved = (Method.FREE, Method.SURFACE, *((method,) if method is Method.MODULES else ()))
         self.session, self.guide = Session(PART.scene, PART.surface, solved), make_guide(method)
         self.rig, self.rng = displaced_rig(PART, self.conditions, seed), np.random.default_rng(seed)
-        self.contacts, self.rejections, self.targets, self.asked, self.count = {}, {}, {}, [], 0
+        self.contacts, self.targets, self.asked, self.count = {}, {}, [], 0
         self.look()
 
     def update(self, guide, estimates=None, **others):
         """What a guide says of the session."""
         moment = self.session.snapshot()
         moment = moment if estimates is None else replace(moment, estimates=estimates)
-        return guide.update(moment, self.targets.get, self.rejections, **others)
+        return guide.update(moment, self.targets.get, **others)
 
     def look(self):
         self.guidance = self.update(self.guide)
@@ -66,9 +66,11 @@ class GuidedBench:
         self.count += 1
         self.targets[self.count] = self.guidance.target
         force = 8.0 * push
-        self.rejections[self.count] = Rejection(
-            self.count, 0.0, 1.0, reason, 1.0, 0.5, "", np.array(channels, dtype=np.int64), True,
-            force=force, moment=np.cross(place, force), link_from_sensor=np.eye(4),
+        self.session.add(
+            Rejection(
+                self.count, 0.0, 1.0, reason, 1.0, 0.5, "", np.array(channels, dtype=np.int64), True,
+                force=force, moment=np.cross(place, force), link_from_sensor=np.eye(4),
+            )
         )  # fmt: skip
         return self.look()
 

@@ -26,7 +26,8 @@ def steady(method=Method.SURFACE, **options):
 
 
 def follow(history, contacts, targets=None):
-    history.update(contacts, {}, (targets or {}).get, PLAN.places, PLAN.normals, OFFSETS)
+    outcomes = dict(sorted({**dict.fromkeys(history.contacts), **contacts}.items()))
+    history.update(outcomes, (targets or {}).get, PLAN.places, PLAN.normals, OFFSETS)
 
 
 def test_a_taxel_at_the_edge_that_is_poked_exactly_is_balanced():

@@ -30,7 +30,7 @@ def contacts_and_evidence(count=8, weights=(1.0, 0.8, 0.4)):
 def statistics(evidence, in_plane=False, centres=None):
     found = TaxelStatistics(np.array([0]), NOISE, 1e9, in_plane)
     centres = centres or dict.fromkeys(evidence.pokes.tolist(), TAXEL)
-    found.recompute([0], evidence, TAXEL[None], TAXEL[None], NORMAL[None], centres)
+    found.recompute(np.array([0]), evidence, TAXEL[None], TAXEL[None], NORMAL[None], centres)
     return found
 
 
@@ -99,7 +99,7 @@ def test_contacts_without_trust_and_removed_contacts_leave_nothing(in_plane):
     assert (found.diversity[0], found.last_shift[0]) == (0.0, np.inf)
     assert not found.offset[0].any()
     assert np.isfinite(found.information[0]).all()
-    found.recompute([0], ContactTable().evidence([0]), TAXEL[None], TAXEL[None], NORMAL[None], {})
+    found.recompute(np.array([0]), ContactTable().evidence([0]), TAXEL[None], TAXEL[None], NORMAL[None], {})
     fresh = TaxelStatistics(np.array([0]), NOISE, 1e9, in_plane)
     for name in ("information", "diversity", "own", "contacts", "offset", "depth_bias", "last_shift"):
         np.testing.assert_array_equal(getattr(found, name), getattr(fresh, name))

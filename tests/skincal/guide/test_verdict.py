@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from skincal.contacts.poke_columns import PokeColumns
 from skincal.guide.believed_positions import plan_without_positions
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings, Why
@@ -61,7 +62,7 @@ def checked(method=Method.FREE, surface=None, noise=None, **which):
 
 def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
     session, _ = poked_session()
-    pairs = held_out(session.contacts)
+    pairs = list(zip(*map(np.ndarray.tolist, held_out(session.snapshot().columns)), strict=True))
     assert [poke for poke, _ in pairs] == [each.poke for each in session.contacts][
         POKES_PER_HELD_OUT_POKE - 1 :: POKES_PER_HELD_OUT_POKE
     ]
@@ -71,11 +72,15 @@ def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
         assert contact.responses[contact.channels.tolist().index(channel)] == contact.responses.max()
 
 
+def columns_of(contacts):
+    return PokeColumns.collect((contact, False) for contact in contacts)
+
+
 def test_a_short_session_holds_out_so_many_that_they_say_something():
     contacts = poked_session()[0].contacts
     for count, expected in ((7, 7), (19, 19), (39, 39), (40, 20), (55, 27), (60, 20), (119, 23), (120, 20)):
-        assert len(held_out(contacts[:count])) == expected
-    assert [poke for poke, _ in held_out(contacts[:60])] == [contact.poke for contact in contacts[2:60:3]]
+        assert len(held_out(columns_of(contacts[:count]))[0]) == expected
+    assert held_out(columns_of(contacts[:60]))[0].tolist() == [contact.poke for contact in contacts[2:60:3]]
 
 
 @pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
@@ -83,7 +88,7 @@ def test_it_is_predicted_from_what_all_the_other_pokes_say_and_nothing_else(meth
     """By another route: the taxel is solved anew from the other contacts, and the axis's distance summed up in space."""
     session, _ = poked_session(120)
     noise, inside, count = part().scene.noise, 0, 0
-    for poke, channel in held_out(session.contacts):
+    for poke, channel in zip(*held_out(session.snapshot().columns), strict=True):
         others = [contact for contact in session.contacts if contact.poke != poke]
         if sum(channel in other.channels for other in others) < 2:
             continue

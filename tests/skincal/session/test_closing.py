@@ -266,7 +266,7 @@ def test_a_poke_that_is_left_out_counts_as_if_it_had_not_been_made():
 
 def test_without_landmarks_three_of_the_first_taxels_are_poked_once_more():
     it = Sessions(RigErrors.noise(), landmarks=False)
-    first = list(dict.fromkeys(poke.name for poke in taxel_pokes(it.session.snapshot())))[:3]
+    first = list(dict.fromkeys(poke.name for poke in taxel_pokes(it.session.snapshot(), it.session.channels)))[:3]
     assert it.close() == first
     (closing,) = it.verdict().closings
     assert (closing.at, set(closing.names)) == (ClosingPlaces.TAXELS, set(first))
