@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.geometry import BoolArray, IntArray
 
-_INITIAL_ROWS = 64
+_INITIAL_POKE_ROWS = 64
 """Rows to begin with; doubled when full."""
-_POKE = np.dtype([("number", "i8"), ("strongest", "i8"), ("pose", "i8"), ("counting", "?"), ("excluded", "?")])
+_POKE_COLUMNS_DTYPE = np.dtype([("number", "i8"), ("strongest", "i8"), ("pose", "i8"), ("counting", "?"), ("excluded", "?")])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ class GrowingPokeColumns:
     """`PokeColumns` of a session that goes on."""
 
     def __init__(self) -> None:
-        self._rows: NDArray[Any] = np.zeros(_INITIAL_ROWS, dtype=_POKE)
+        self._rows: NDArray[Any] = np.zeros(_INITIAL_POKE_ROWS, dtype=_POKE_COLUMNS_DTYPE)
         self._count = 0
         self._pose_names: list[str] = []
         self._pose_of: dict[str, int] = {}

@@ -6,8 +6,9 @@ Nothing here changes the session; `guided_session` records the requests.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -66,6 +67,9 @@ from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Estimate, Method, State
 
+Answer = TypeVar("Answer")
+MAX_REMEMBERED_LANDMARK_ANSWERS = 4 * MAX_PREDICTED_ARM_POSES
+"""Answers of the landmark guide that are kept: two for each arm pose, and as many again."""
 ARM_STILL_MIN_S = 1.0
 """s. A landmark is requested once the arm has stood still for this long, not in poses that it only passes."""
 
@@ -259,6 +263,8 @@ class LandmarkGuide:
         """Host's monotonic clock, seconds, at which the arm came into this pose."""
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
+        self._remembered: dict[Hashable, Any] = {}
+        """Answers by everything that they depend on, the oldest first."""
 
     def forget(self) -> None:
         """Ask for nothing while guidance is off."""
@@ -300,10 +306,20 @@ class LandmarkGuide:
         any_pose = changes_pose_at_most_pokes(snapshot)
         of_pokes = zip(made.pose.tolist(), made.name.tolist(), strict=True)
         poked, skipped = (
-            [(pose if any_pose else there, name) for there, name in every]
+            tuple((pose if any_pose else there, name) for there, name in every)
             for every in (of_pokes, ((skip.pose, skip.name) for skip in skips))
         )
-        return landmark_targets(decisions.landmarks, poked, pose, skipped)
+        marks = decisions.landmarks
+        key = "targets", tuple((mark.name, mark.place.tobytes()) for mark in marks), poked, pose, skipped
+        return self._remember(key, lambda: landmark_targets(marks, poked, pose, skipped))
+
+    def _remember(self, key: Hashable, compute: Callable[[], Answer]) -> Answer:
+        """Compute an answer, or look it up: it changes with landmark pokes and arm poses, not with each poke on the skin."""
+        if key not in self._remembered:
+            while len(self._remembered) >= MAX_REMEMBERED_LANDMARK_ANSWERS:
+                del self._remembered[next(iter(self._remembered))]
+            self._remembered[key] = compute()
+        return self._remembered[key]
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
         """Predict how much landmark pokes in this arm pose reduce the errors of all taxels poked so far."""
@@ -318,8 +334,14 @@ class LandmarkGuide:
         places = np.array([target.landmark.place for target in self._targets]).reshape(-1, 3)
         normals = np.array([self.normal(target.landmark) for target in self._targets]).reshape(-1, 3)
         every = snapshot.counting_landmark_pokes
-        made, planned = every[np.isin(every.pose, list(poses))], straight_pushes(places, normals, {name: here})
-        return expected_error(made, planned, taxel_pushes(self._taxels, self._outward, poses), self._scene.noise)
+        made = every[np.isin(every.pose, list(poses))]
+
+        def predict() -> Gain:
+            planned = straight_pushes(places, normals, {name: here})
+            return expected_error(made, planned, taxel_pushes(self._taxels, self._outward, poses), self._scene.noise)
+
+        arrays = places, normals, made.number, made.force, made.moment, made.link_from_sensor, here, *poses.values()
+        return self._remember(("gain", name, *poses, *(array.tobytes() for array in arrays)), predict)
 
     def skip(self, *, all_of_pose: bool = False) -> SkipLandmark | None:
         """Make the action that skips this landmark, or all, in this arm pose; `None` without a landmark."""

@@ -239,12 +239,16 @@ def count_module_pokes_left(
     rms : (n,) its `improvable_error`
     touches : that cover the taxels without a touch on or around them
     """
-    count = 0
-    for module in np.unique(modules[open_]).tolist():
-        taxels = modules == module
-        pokes, error = int(own[taxels].max()), float(np.max(np.where(np.isfinite(rms[taxels]), rms[taxels], 0.0)))
-        exact = int(np.ceil(max(pokes, 1) * ((error / settings.module_wanted) ** 2 - 1.0)))
-        count += max(settings.module_pokes - pokes, min(exact, settings.module_patience - pokes), 1)
+    size = int(modules.max(initial=-1)) + 1
+    pokes, error, is_open = np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size, dtype=bool)
+    np.maximum.at(pokes, modules, own)
+    np.maximum.at(error, modules, np.where(np.isfinite(rms), rms, 0.0))
+    is_open[modules[open_]] = True
+    exact = np.ceil(np.maximum(pokes, 1) * ((error / settings.module_wanted) ** 2 - 1.0)).astype(np.int64)
+    left = np.maximum.reduce(
+        [settings.module_pokes - pokes, np.minimum(exact, settings.module_patience - pokes), np.ones_like(pokes)]
+    )
+    count = int(left[is_open].sum())
     return max(count, touches)
 
 

@@ -14,6 +14,7 @@ import pytest
 from skincal.cli import main
 from skincal.cli.record import OrderLine, _loop
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.contacts.poke_columns import PokeColumns
 from skincal.following.session_guide import changes_pose_at_most_pokes
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
@@ -36,6 +37,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.words.poke_words import missed_words
 from tests.approved import approved
+from tests.build import rejection
 from tests.skincal.poke_script import LINKS, Script, as_chunks, outcome_key, same_estimates, small_scene, write_scene
 
 FORCE, POINT = np.array([1.0, 2.0, -8.0]), np.array([0.02, 0.05, 0.10])
@@ -274,5 +276,6 @@ def test_solve_reports_what_landmarks_tell(tmp_path, capsys):
 
 @pytest.mark.parametrize(("poses", "changes"), [("", False), ("ab", False), ("aabba", False), ("abc", True), ("abab", True)])
 def test_an_arm_that_carries_the_part_changes_its_pose_at_most_pokes(poses, changes):
-    snapshot = SimpleNamespace(pokes=[SimpleNamespace(outcome=SimpleNamespace(pose=pose)) for pose in poses])
+    columns = PokeColumns.collect((replace(rejection(number), pose=pose), False) for number, pose in enumerate(poses, start=1))
+    snapshot = SimpleNamespace(columns=columns)
     assert changes_pose_at_most_pokes(snapshot) is changes
