@@ -71,6 +71,8 @@ SAME_SIDE_COSINE = float(np.cos(np.radians(25.0)))
 """Two pushes within this angle come from the same side: half the angle between two that are tried."""
 AZIMUTH_STEP_IN_EIGHTH_TURNS = 3
 """Eighths of a turn between tilted pushes on a module: eight pushes come from eight sides, successive ones far apart."""
+TAXELS_UPDATED_AT_ONCE = 512
+"""Bounds the memory of a first look at a long session."""
 MAX_SKIPS_PER_TAXEL_SIDE = 2
 """A side of a taxel that was skipped so often is left out."""
 
@@ -151,8 +153,8 @@ class Guide:
         best = Method.SURFACE if moment.estimates.get(Method.SURFACE) else Method.FREE
         changed = {method: self._followed[method].update(moment.estimates[method]) for method in {best, self.method}}
         dirty = self._update_statistics(outcomes, self._followed[best], rig, target_of)
-        if len(dirty):
-            self._update_contacts(moment, dirty)
+        for first in range(0, len(dirty), TAXELS_UPDATED_AT_ONCE):
+            self._update_contacts(moment, dirty[first : first + TAXELS_UPDATED_AT_ONCE])
         self._update_needs(changed[self.method], dirty)
         return self._guidance()
 

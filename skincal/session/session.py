@@ -167,6 +167,8 @@ class Session:
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
         asked = self.asked if before is None else before.asked
         self._reported[poke] = outcome
+        if poke in self.decisions.landmark_of_poke:
+            self._landmark_pokes = None
         self._has_tips |= isinstance(outcome, Contact) and outcome.tip is not None
         self._store_record(PokeRecord(self._corrected(poke), poke in self.decisions.excluded, asked))
         # The tare after a poke can turn an accepted poke into a rejection, which cannot be undone.
@@ -269,6 +271,8 @@ class Session:
     def _decide(self, now: Decisions) -> None:
         """Replace the decisions, and mark the results that depend on them as changed."""
         before, self.decisions = self.decisions, now
+        if before.landmark_of_poke is not now.landmark_of_poke or before.landmarks is not now.landmarks:
+            self._landmark_pokes = None
         for poke in before.excluded ^ now.excluded:
             self._store_record(replace(self._records[poke], excluded=poke in now.excluded))
         if before.marked is not now.marked or before.revived is not now.revived:
@@ -430,7 +434,6 @@ class Session:
         self._changed()
 
     def _changed(self) -> None:
-        self._landmark_pokes = None
         # All changes between two snapshots are one generation.
         if self._snapshot is not None:
             self._generation += 1

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 MODULES_AT_ONCE, SHEETS_AT_ONCE, TAXELS_AT_ONCE = 4, 1, 64
 """Solved between two looks at the clock: some 40 ms by the modules method, less for taxels alone."""
 
+PARTS_JOINED_WITHOUT_LIMIT = 12
+"""Parts that are solved together if nobody waits: 48 modules."""
+
 
 def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
     """List the methods that a scene allows."""
@@ -107,7 +110,7 @@ class Solving:
         self._fresh.update(self._channels)
         self._channels.intersection_update(channels)
         parts = self._parts(sorted(self._channels), within_s)
-        if len(parts) > 1 and self._table is self._shown:
+        if len(parts) > 1 and not math.isinf(within_s) and self._table is self._shown:
             # The last snapshot reads its evidence from the old table until everything is solved.
             self._table = ContactTable(self._with_tips(kept(known)))
         else:
@@ -163,13 +166,16 @@ class Solving:
         return TableState(self._shown)
 
     def _parts(self, channels: Sequence[int], within_s: float) -> Sequence[Sequence[int]]:
-        """Split channels into parts to solve; a module's stay together."""
-        if math.isinf(within_s):
-            return [channels]
+        """Split channels into parts to solve; a module's stay together.
+
+        Without a limit of time the parts are larger: they bound the memory of the solver, which does not shrink.
+        """
+        factor = PARTS_JOINED_WITHOUT_LIMIT if math.isinf(within_s) else 1
         if self.module_model is None:
-            return [channels[at : at + TAXELS_AT_ONCE] for at in range(0, len(channels), TAXELS_AT_ONCE)]
+            at_once = factor * TAXELS_AT_ONCE
+            return [channels[at : at + at_once] for at in range(0, len(channels), at_once)]
         modules = self.module_model.modules_of(channels)
-        at_once = SHEETS_AT_ONCE if self.module_model.layout.kind is SkinKind.SHEET else MODULES_AT_ONCE
+        at_once = factor * (SHEETS_AT_ONCE if self.module_model.layout.kind is SkinKind.SHEET else MODULES_AT_ONCE)
         some = [modules[at : at + at_once] for at in range(0, len(modules), at_once)]
         return [[channel for channel in self.module_model.channels_of(part) if channel in self._channels] for part in some]
 

@@ -17,18 +17,20 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
-from itertools import chain, groupby
+from itertools import chain, groupby, islice
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.following.session_guide import SessionGuide
 from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.methods import average_over_poses, estimate_from, estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import find_start, whitened_rows
 from skincal.palette import BLACK, METHODS, ORANGE, PINK, SKY
+from skincal.part.part import lay_part
 from skincal.plotting import Axes, Figure, add_common_legend, label_twos_and_fives, set_log_scales
 from skincal.session.session import Session
 from skincal.simulation.example_parts import ExamplePart
@@ -53,6 +55,8 @@ AS_SHIPPED = (
     "As shipped: with uncertainty, trust and other places that fit, which the other methods do not give. Trust finds pokes "
     "that touched two places, and adds 1 to 2 % to the error where there are none."
 )
+LIVE_WARMUP_POKES, LIVE_TIMED_POKES = 10, 40
+"""Pokes of a guided session before the clock runs, and pokes that are timed."""
 SOLVE_ALL_TAXELS_MAX_MS = 125.0
 """ms of both threads: 105 to 111 were measured. The limit for one thread was 70 ms, its time 59 to 64."""
 NUMPY_TIME_MS = 16.7
@@ -127,13 +131,15 @@ class RuntimeSizes:
     """No further size begins after this time."""
     live_pokes: int = 200
     live_per_taxel: tuple[int, ...] = (12, 100)
+    session_pokes: tuple[tuple[int, ...], tuple[int, ...]] = ((100, 1_000, 10_000), (100, 1_000, 10_000, 50_000))
+    """Pokes of a session before one more is timed, on the small and on the large part."""
 
 
 FULL_SIZES = RuntimeSizes()
 QUICK_SIZES = RuntimeSizes(
     small=PartPlan("icub-forearm", 2, 2, (1_000, 100_000), (1, 30), budget_s=0.3),
     large=PartPlan("whole-body", 1, 2, (1_000,), (), (84, 420), budget_s=0.8),
-    everywhere=False, growth_until_s=20.0, live_pokes=60, live_per_taxel=(12,),
+    everywhere=False, growth_until_s=20.0, live_pokes=60, live_per_taxel=(12,), session_pokes=((100,), (100, 1_000)),
 )  # fmt: skip
 
 
@@ -157,6 +163,9 @@ def measure(bench: Bench, sizes: RuntimeSizes) -> Findings:
     latency = {
         "poke": [poke_time(small, per_taxel, sizes.live_pokes) for per_taxel in sizes.live_per_taxel],
         "whole": whole_time(large, sizes.per_taxel, sizes.large.repeats),
+        "live": [
+            row for part, pokes in zip((small, large), sizes.session_pokes, strict=True) for row in live_times(part, pokes)
+        ],
     }
     agreement: dict[str, float] = {}
     for row in rows:
@@ -477,6 +486,30 @@ def with_neighbours(bench: ExamplePart, contact: Contact) -> Contact:
     return replace(contact, channels=bench.rig.channels[rows][order], responses=responses[order])
 
 
+def live_times(bench: ExamplePart, sizes: Sequence[int]) -> Iterator[Row]:
+    """Time one more poke of a guided session: added, solved by all methods, in a snapshot, and the guide's next target.
+
+    `sizes` are the pokes before it, ascending.
+    """
+    session, guide = Session(bench.scene, bench.surface), SessionGuide(lay_part(bench.scene, bench.surface, ()))
+    # Each size needs its warm-up, and the pokes that are timed.
+    count = sizes[-1] + LIVE_WARMUP_POKES + LIVE_TIMED_POKES
+    every = bench.contacts(-(-count // len(bench.channels)) + 1, seed=3)
+    order = np.random.default_rng(0).permutation(len(every))
+    indices: list[int] = order.tolist()
+    waiting = (replace(every[index], poke=number) for number, index in enumerate(indices, start=1))
+    for size in sizes:
+        for contact in islice(waiting, size - session.last_poke):
+            session.add(contact)
+        seconds: dict[str, list[float]] = {"snapshot_ms": [], "guide_ms": []}
+        for contact in islice(waiting, LIVE_WARMUP_POKES + LIVE_TIMED_POKES):
+            seconds["snapshot_ms"] += time_session_pokes(session, [contact])
+            look = partial(guide.next_target, session.snapshot(), (contact.pose, contact.link_from_sensor), Method.MODULES, 0.0)
+            seconds["guide_ms"] += timed([look])[0]
+        times = {key: quartiles_ms(each[LIVE_WARMUP_POKES:]) for key, each in seconds.items()}
+        yield {"part": bench.name, "taxels": len(bench.channels), "pokes": size, **times}
+
+
 def whole_time(bench: ExamplePart, per_taxel: int, repeats: int) -> dict[str, Any]:
     """Time a warm solve of all taxels.
 
@@ -592,6 +625,12 @@ def describe(result: Mapping[str, Any]) -> list[str]:
         for poke in result["poke"]
         for key, by in (("time_ms", ""), ("with_modules_ms", ", all three methods"))
     ]
+    lines += [
+        "{part}, after {pokes:,} pokes: one more takes {snapshot} for the snapshot and {guide} for the guide".format(
+            snapshot=time_words(row["snapshot_ms"]["median"]), guide=time_words(row["guide_ms"]["median"]), **row
+        )
+        for row in result["live"]
+    ]
     return [*lines, AS_SHIPPED, *result["left_out"]]
 
 
@@ -613,16 +652,18 @@ FIGURE_KEY = (
 
 
 def draw(result: Mapping[str, Any], figure: Figure) -> None:
-    """Draw error against run time on both parts, and the cost of a taxel as the problem grows."""
-    figure.set_size_inches(13.0, 12.0)
+    """Draw error against run time on both parts, the cost of a taxel as the problem grows, and the live cost of a poke."""
+    figure.set_size_inches(14.0, 12.0)
     figure.suptitle(f"Error against run time: lower is more exact, further left is faster\n{FIGURE_KEY}")
     above, below = figure.subfigures(2, 1, height_ratios=[1.3, 1.0])
     rows = main_rows(result)
     parts = list(dict.fromkeys(row["part"] for row in rows))[:2]
     for part, axes in zip(parts, above.subplots(1, len(parts), squeeze=False)[0], strict=True):
         _draw_errors(axes, [row for row in rows if row["part"] == part and row["error_mm"] is not None])
-    for (name, label), axes in zip(GROWTH_AXES.items(), below.subplots(1, 3), strict=True):
+    *growths, live = below.subplots(1, 1 + len(GROWTH_AXES))
+    for (name, label), axes in zip(GROWTH_AXES.items(), growths, strict=True):
         _draw_growth(axes, result["growth"][name], name, label)
+    _draw_live(live, result["live"])
     add_common_legend(figure, above, columns=4)
 
 
@@ -671,6 +712,24 @@ def _draw_growth(axes: Axes, points: Sequence[Mapping[str, Any]], name: str, lab
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.set(xlabel=label, ylabel="processor time per taxel")
     axes.set_title(f"Cost of a taxel against {label}", fontsize=10)
+
+
+def _draw_live(axes: Axes, rows: Sequence[Row]) -> None:
+    for part, own in groupby(rows, key=lambda row: row["part"]):
+        points = list(own)
+        for key, colour, label in (("snapshot_ms", BLACK, "snapshot"), ("guide_ms", ORANGE, "guide")):
+            costs, bars = _error_bars([point[key] for point in points], 1e-3)
+            is_small = part == "icub-forearm"
+            axes.errorbar(
+                [point["pokes"] for point in points], costs, bars, color=colour, marker="o", markersize=4.5, linewidth=1.4,
+                capsize=2, linestyle="--" if is_small else "-", label=f"{label}, {points[0]['taxels']:,} taxels",
+            )  # fmt: skip
+    set_log_scales(axes)
+    axes.yaxis.set_major_formatter(_seconds_tick)
+    axes.xaxis.set_major_formatter("{x:,.0f}")
+    axes.set(xlabel="pokes of the session", ylabel="processor time of one more poke")
+    axes.set_title("Live cost of a poke", fontsize=10)
+    axes.legend(fontsize=8)
 
 
 THIS_STUDY = Study(

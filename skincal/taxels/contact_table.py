@@ -128,6 +128,7 @@ _CONTACT_TABLE_COLUMNS = 17
 """u (3), nearest point of the axis (3), |f|, pitch, sensor's origin (3), e_1 (3), e_2 (3)."""
 _INITIAL_TABLE_ROWS = 64
 """Rows to begin with; doubled when full."""
+CONTACTS_CARRIED_AT_ONCE = 4096
 _CONTACT = np.dtype([("poke", "i8"), ("pose", "i8"), ("live", "?"), ("total", "f8")])
 _ANSWER = np.dtype([("contact", "i8"), ("weight", "f8"), ("unranked", "?")])
 
@@ -331,6 +332,10 @@ def _find_unranked(contacts: Sequence[Contact], sizes: IntArray) -> NDArray[np.b
 def _carry_to_link(contacts: Sequence[Contact]) -> FloatArray:
     """Compute (17, n) the columns of contacts, link frame (eq. 6)."""
     count = len(contacts)
+    if count > CONTACTS_CARRIED_AT_ONCE:
+        # The solver's memory does not shrink.
+        steps = range(0, count, CONTACTS_CARRIED_AT_ONCE)
+        return np.concatenate([_carry_to_link(contacts[at : at + CONTACTS_CARRIED_AT_ONCE]) for at in steps], axis=1)
     columns = shared().run(
         "carry",
         contacts=count,

@@ -34,6 +34,7 @@ SIZES: dict[str, Any] = {
         per_taxel=2,
         live_pokes=3,
         live_per_taxel=(2,),
+        session_pokes=((20,), (20, 100)),
     ),
     "robot": RobotSizes(("arm",), {"all": 1}, max_pokes=4, displaced_mm=(), are_whole=False),
     "tip": TipSizes(
