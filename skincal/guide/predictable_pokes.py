@@ -1,7 +1,7 @@
 """Held-out pokes that a session can predict by one method: how many test the result already.
 
-A poke is predicted from the others of its module or taxel. So what was found for these holds until one of their estimates
-changes, and only as many are looked at as the test needs.
+A poke is predicted from the others of its module or taxel. The result is kept until an estimate of these changes. The count
+stops when the test has enough pokes.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class PredictablePokes:
         """For each held-out poke the estimate of its taxel at the last look, and whether it can be predicted."""
 
     def count_held_out(self, moment: Moment, estimate_of: EstimateOf, enough: int) -> int:
-        """Count the held-out pokes that can be predicted: exactly if they are fewer than `enough`, else at least so many."""
+        """Count the held-out pokes that can be predicted; the count may stop at `enough`."""
         numbers, strongest = held_out(moment.columns)
         if self._method is Method.MODULES:
             return self._count_by_modules(moment, estimate_of, numbers, enough)

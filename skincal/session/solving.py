@@ -30,7 +30,7 @@ MODULES_AT_ONCE, SHEETS_AT_ONCE, TAXELS_AT_ONCE = 4, 1, 64
 """Solved between two looks at the clock: some 40 ms by the modules method, less for taxels alone."""
 
 PARTS_JOINED_WITHOUT_LIMIT = 12
-"""Parts that are solved together if nobody waits: 48 modules."""
+"""Parts that are solved together without a limit of time: 48 modules."""
 
 
 def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
