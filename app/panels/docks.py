@@ -78,10 +78,6 @@ class Docks(QMainWindow):
         # Shares of more pixels than there are.
         self.resizeDocks([self.map, self.panels], [500 * share for share in HEIGHT_SHARES], Qt.Orientation.Vertical)
 
-    @property
-    def is_enlarged(self) -> bool:
-        return self._before_enlarging is not None
-
     def enlarge(self) -> None:
         """Give the tabs most of the room, or restore the arrangement before that."""
         if self._before_enlarging is not None:

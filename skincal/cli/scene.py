@@ -13,6 +13,7 @@ from skincal.model.errors import InputError, plural
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.model.robot import RobotSpec
+    from skincal.model.scene import Scene
     from skincal.part.part import Part
 
 _scenes = typer.Typer(
@@ -152,45 +153,10 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
     """Convert a part to JSON: chain, sensor pose (4 x 4, metres) at the given joint columns (degrees), and findings."""
     import numpy as np
 
-    from skincal.geometry import Arm
-    from skincal.mesh.laid_check import landmark_findings
-    from skincal.part.robot_mesh import describe_shapes
-    from skincal.words.layout_words import kind_findings
-
-    scene, findings = part.scene, list(part.findings)
-    arm = scene.arm
-    angles = None
-    if arm is None and degrees is not None:
-        raise InputError("--joints: the scene has no joints between sensor and part; leave it out.")
-    if arm is not None:
-        if degrees is not None:
-            if len(degrees) <= max(arm.arm.joints):
-                raise InputError(f"--joints has {len(degrees)} angles; the scene needs columns {list(arm.arm.joints)}.")
-            angles = np.radians(degrees)[list(arm.arm.joints)]
-        else:
-            zero = np.zeros(len(arm.arm.joints)) if isinstance(arm.arm, Arm) else arm.arm.middle_angles()
-            angles = next(iter(arm.poses.values()), zero)
-        if not isinstance(arm.arm, Arm) and (warning := arm.arm.limit_warning(angles)) is not None:
-            findings.append(warning)
-    pose = scene.sensor_pose if arm is None or angles is None else arm.arm.link_from_sensor(angles)
-    robot = scene.robot
-    if robot is None and arm is None and np.array_equal(pose, np.eye(4)):
-        findings.append("the sensor is taken at the origin of the link, with the link's axes; [sensor] gives another pose")
-    if robot is not None:
-        findings += robot_findings(robot, scene.link, scene.wrench_sign)
-        if scene.surface is None:
-            seen = describe_shapes(robot.urdf, scene.link, robot.urdf.sensor_named(robot.sensor, str(scene.path)).joint)
-            findings.append(f"no mesh: {seen}. Name the part's mesh by --mesh of scene new, or in [surface]")
-    # Without [sensor] its place is not known.
-    is_placed = robot is not None or arm is not None or not np.array_equal(pose, np.eye(4))
-    findings += _placement_findings(part, pose[:3, 3] if is_placed else None)
-    if scene.skin.layout is None:
-        findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
-    else:
-        findings += kind_findings(scene.skin.layout, is_on_mesh=part.surface is not None)
-    findings += landmark_findings({mark.name: mark.place for mark in scene.landmarks}, part.surface)
-    if not scene.landmarks:
-        findings.append("no landmarks: a shift that all taxels share would go unnoticed")
+    scene, robot = part.scene, part.scene.robot
+    angles, of_joints = _joint_angles(scene, degrees)
+    pose = scene.sensor_pose if scene.arm is None or angles is None else scene.arm.arm.link_from_sensor(angles)
+    findings = [*part.findings, *of_joints, *_scene_findings(part, pose)]
     return {
         "scene": str(scene.path),
         "link": scene.link,
@@ -211,6 +177,58 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         "kind": None if scene.skin.layout is None else scene.skin.layout.kind.value,
         "findings": findings,
     }  # fmt: skip
+
+
+def _joint_angles(scene: Scene, degrees: FloatArray | None) -> tuple[FloatArray | None, list[str]]:
+    """Choose the joint angles (rad) between sensor and part: the given ones, else of an arm pose. Return them and findings."""
+    import numpy as np
+
+    from skincal.geometry import Arm
+
+    if scene.arm is None:
+        if degrees is not None:
+            raise InputError("--joints: the scene has no joints between sensor and part; leave it out.")
+        return None, []
+    arm = scene.arm.arm
+    if degrees is not None:
+        if len(degrees) <= max(arm.joints):
+            raise InputError(f"--joints has {len(degrees)} angles; the scene needs columns {list(arm.joints)}.")
+        angles = np.radians(degrees)[list(arm.joints)]
+    else:
+        zero = np.zeros(len(arm.joints)) if isinstance(arm, Arm) else arm.middle_angles()
+        angles = next(iter(scene.arm.poses.values()), zero)
+    warning = None if isinstance(arm, Arm) else arm.limit_warning(angles)
+    return angles, [] if warning is None else [warning]
+
+
+def _scene_findings(part: Part, pose: FloatArray) -> list[str]:
+    """List what is unusual about robot, layout and landmarks of a scene, with its sensor at `pose` (4, 4), metres."""
+    import numpy as np
+
+    from skincal.mesh.laid_check import landmark_findings
+    from skincal.part.robot_mesh import describe_shapes
+    from skincal.words.layout_words import kind_findings
+
+    scene, robot = part.scene, part.scene.robot
+    findings: list[str] = []
+    # Without [sensor] its place is not known.
+    is_placed = robot is not None or scene.arm is not None or not np.array_equal(pose, np.eye(4))
+    if not is_placed:
+        findings.append("the sensor is taken at the origin of the link, with the link's axes; [sensor] gives another pose")
+    if robot is not None:
+        findings += robot_findings(robot, scene.link, scene.wrench_sign)
+        if scene.surface is None:
+            seen = describe_shapes(robot.urdf, scene.link, robot.urdf.sensor_named(robot.sensor, str(scene.path)).joint)
+            findings.append(f"no mesh: {seen}. Name the part's mesh by --mesh of scene new, or in [surface]")
+    findings += _placement_findings(part, pose[:3, 3] if is_placed else None)
+    if scene.skin.layout is None:
+        findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
+    else:
+        findings += kind_findings(scene.skin.layout, is_on_mesh=part.surface is not None)
+    findings += landmark_findings({mark.name: mark.place for mark in scene.landmarks}, part.surface)
+    if not scene.landmarks:
+        findings.append("no landmarks: a shift that all taxels share would go unnoticed")
+    return findings
 
 
 def _placement_findings(part: Part, sensor: FloatArray | None) -> tuple[str, ...]:

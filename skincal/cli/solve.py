@@ -19,6 +19,7 @@ from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.following.results import SessionResults
+    from skincal.geometry import FloatArray
     from skincal.modules.distances import TriedDistance
     from skincal.rig.tip_frame import TipFrame
     from skincal.taxels.result import Estimate
@@ -119,16 +120,11 @@ def solve(
     known = None if reference is None else read_reference(reference)
     results = Session.load(session, layout=layout, replayed=replay, correct=correct).results
     pipeline, snapshot = results.pipeline, results.snapshot
-    planned = pipeline.scene.skin.layout, snapshot.part_size
     counts = output.poke_counts(snapshot)
-    methods = output.method_summaries(snapshot.estimates, known, *planned)
-    if per_pose:
-        methods |= output.method_summaries(_averages_over_poses(results), known, *planned, "-per-pose")
+    methods = _method_summaries(results, known, per_pose=per_pose)
     rig, rig_lines = _rig_result(results)
     setup = (*frame_sentences(results.session.wrench_frames, snapshot.contacts), *setup_sentences(results.setup))
     tip, tip_lines = _tip_result(snapshot.tip_frame)
-    if (found := _estimates_if_corrected(results)) is not None:
-        methods |= output.method_summaries(found, known, *planned, "-corrected")
     leads = None if results.leading is None else results.leading.value
     verdict = None if results.leading is None else output.verdict_words(results.verdict(results.leading))
     unchecked = results.verdict(results.choose_method(None)).unchecked
@@ -166,6 +162,19 @@ def solve(
     text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in snapshot.dead.items())]
     text += [*output.loss_lines(totals.links), *findings, *(f"wrote {path}" for path in files)]
     output.print_result(result, text, as_json)
+
+
+def _method_summaries(results: SessionResults, known: Mapping[int, FloatArray] | None, *, per_pose: bool) -> dict[str, Any]:
+    """Summarize each method as JSON, also with the available correction, and with `per_pose` for each arm pose alone."""
+    from skincal.cli import output
+
+    planned = results.pipeline.scene.skin.layout, results.snapshot.part_size
+    methods = output.method_summaries(results.snapshot.estimates, known, *planned)
+    if per_pose:
+        methods |= output.method_summaries(_averages_over_poses(results), known, *planned, "-per-pose")
+    if (found := _estimates_if_corrected(results)) is not None:
+        methods |= output.method_summaries(found, known, *planned, "-corrected")
+    return methods
 
 
 def _distance(tried: TriedDistance) -> dict[str, Any]:
