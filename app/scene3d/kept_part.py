@@ -107,13 +107,17 @@ class KeptPart:
 
     def _changed(self, moving: Sequence[MeshActor], viewpoint: Viewpoint) -> tuple[Region, Region]:
         """Return the pixels where actors of `WITHIN` changed since the last picture, and where those of `FRONT` did."""
-        states = {actor: (_key_of(actor.actor), _region_of(actor, viewpoint)) for actor in moving}
         regions = {WITHIN: NOTHING, FRONT: NOTHING}
-        for actor, (actor_key, now) in states.items():
-            before_key, before = self._moving.get(actor, ((False, 0), NOTHING))
-            if actor_key != before_key:
+        if not viewpoint.is_same(self._viewpoint):
+            self._moving.clear()
+            return NOTHING, NOTHING
+        for actor in moving:
+            key = _key_of(actor.actor)
+            before_key, before = self._moving.get(actor, (None, NOTHING))
+            if key != before_key:
+                now = _region_of(actor, viewpoint)
+                self._moving[actor] = key, now
                 regions[actor.renderer] = _union(regions[actor.renderer], _union(now, before))
-        self._moving = states
         return regions[WITHIN], regions[FRONT]
 
     def _make_buffers(self, size: tuple[int, int]) -> bool:
