@@ -450,10 +450,11 @@ def changes_pose_at_most_pokes(snapshot: Snapshot) -> bool:
 
 def _taxel_targets(guidance: Guidance, snapshot: Snapshot, channels: Collection[int]) -> dict[str, Target]:
     """Make a straight poke at each known one of some taxels, by its channel in words."""
+    found = (snapshot.estimate_of(channel, guidance.method) for channel in channels)
     return {
         str(each.channel): _straight(each.channel, each.position, each.normal)
-        for each in snapshot.estimates[guidance.method]
-        if each.channel in channels and each.position is not None and each.normal is not None
+        for each in found
+        if each is not None and each.position is not None and each.normal is not None
     }
 
 

@@ -185,13 +185,8 @@ def first_taxels(snapshot: Snapshot, begun: ClosingRound, earlier: frozenset[int
 
 def positions_of(snapshot: Snapshot, channels: Collection[int]) -> dict[int, FloatArray]:
     """Look up the positions of some channels, (3,) float, metres, by the last method that has one."""
-    wanted = set(channels)
-    return {
-        each.channel: each.position
-        for estimates in snapshot.estimates.values()
-        for each in estimates
-        if each.channel in wanted and each.position is not None
-    }
+    found = ((channel, snapshot.estimate_of(channel, method)) for method in snapshot.estimates for channel in channels)
+    return {channel: each.position for channel, each in found if each is not None and each.position is not None}
 
 
 def _place(snapshot: Snapshot, record: PokeRecord) -> ClosingPlace | None:
