@@ -128,9 +128,10 @@ class Snapshot:
         return PokeColumns.collect((record.outcome, record.excluded) for record in self.pokes)
 
     @cached_property
-    def _place_of_channel(self) -> dict[Method, dict[int, int]]:
-        """Places of the channels in the estimates of each method; filled when they are looked up."""
-        return {}
+    def _place_of_channel(self) -> dict[int, int]:
+        """Places of the channels in the estimates, which are in one order by all methods."""
+        estimates = next(iter(self.estimates.values()), ())
+        return {estimate.channel: place for place, estimate in enumerate(estimates)}
 
     def record_of(self, poke: int) -> PokeRecord | None:
         """Find the record of a poke; `None` if there is none."""
@@ -166,10 +167,10 @@ class Snapshot:
     def estimate_of(self, channel: int | None, method: Method) -> Estimate | None:
         """Find a channel's estimate by a method; `None` if it has none."""
         estimates = self.estimates.get(method, ())
-        if method not in self._place_of_channel:
-            self._place_of_channel[method] = {estimate.channel: place for place, estimate in enumerate(estimates)}
-        place = None if channel is None else self._place_of_channel[method].get(channel)
-        return None if place is None else estimates[place]
+        place = len(estimates) if channel is None else self._place_of_channel.get(channel, len(estimates))
+        if place < len(estimates) and estimates[place].channel == channel:
+            return estimates[place]
+        return next((estimate for estimate in estimates if estimate.channel == channel), None)
 
     def evidence(self, channels: Collection[int]) -> Evidence:
         """Gather the evidence of those of `channels` that answered in a contact that counts, all with full weight.
