@@ -14,7 +14,7 @@ come: the arm moved, a device vanished, or nothing was quiet for `TARE_AGE_MAX_S
 A force that never falls is the dangerous case: the load may have changed for good, by an arm that moved or a sensor that came
 back with another offset.
 
-* A turn of the arm drops the tare at once.
+* A turn of the arm, or of a tool that carries the sensor, drops the tare at once: the weight then acts in another direction.
 * A steady press of `TARE_AGE_MAX_S` is rejected as "no quiet time to tare", and the tare is dropped.
 * While untared, skin that answers against its last rest shows that something still leans on it, for `TARE_AGE_MAX_S` at most.
 * Something that pressed from the first sample on is tared away. When it leaves, skin falls below its baseline. This drops the
@@ -37,7 +37,7 @@ from types import MappingProxyType
 import numpy as np
 
 from skincal.contacts.channel_health import ChannelHealth
-from skincal.contacts.gates import MAX_SAMPLE_GAP_IN_SKIN_PERIODS, answer_limit, finish, judge
+from skincal.contacts.gates import MAX_SAMPLE_GAP_IN_SKIN_PERIODS, answer_limit, finish, judge, turn_tolerance
 from skincal.contacts.outcome import CROWDED_REASONS, BeforePokes, Contact, Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, FinishedPress, Press, arm_turn_between
 from skincal.contacts.skin_condition import SkinCondition, SkinWatch
@@ -88,6 +88,7 @@ class ContactDetector:
         self._period_s, self._group_interval_s = 0.0, 0.0
         self._last: Sample | None = None
         self._untared_since = 0.0
+        self._tolerance = turn_tolerance(scene)
         self._joints = None if scene.arm is None else np.array(scene.arm.arm.joints, np.int64)
         self._arm_pose: ArmPose | None = None
         self._tare_pose: ArmPose | None = None
@@ -446,11 +447,11 @@ class ContactDetector:
 
     def _arm_moved(self, before: ArmPose, now: ArmPose, turn: float | None = None) -> bool:
         """Whether the arm turned beyond its tolerance; `turn`, rad, if it is known already."""
-        if self._scene.arm is None:
+        if self._tolerance is None:
             return False
         became_known = (before.link_from_sensor is None) != (now.link_from_sensor is None)
         turn = arm_turn_between(before, now) if turn is None else turn
-        return became_known or turn > self._scene.arm.tolerance
+        return became_known or turn > self._tolerance
 
     def _drop_tare(self, host_s: float) -> None:
         self._tares.drop()

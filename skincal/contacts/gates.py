@@ -19,6 +19,7 @@ from skincal.contacts.skin_drift import SkinDrift
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, wrench_baseline
 from skincal.geometry import FloatArray, IntArray, pitch
 from skincal.model.scene import ContactSettings, Scene
+from skincal.model.tool_rig import TOOL_ARM_POSE
 
 MAX_SAMPLE_GAP_IN_SKIN_PERIODS = 3.0
 """Periods of the skin. A longer gap between two samples of a poke means lost readings; one missing frame does not."""
@@ -51,7 +52,7 @@ def _failed_gates(
     channels : (k,) channels that answered and are used
     tare_change : N; NaN while unknown
     """
-    mean, contacts, arm, layout = press.still, press.thresholds or scene.contacts, scene.arm, scene.skin.layout
+    mean, contacts, layout = press.still, press.thresholds or scene.contacts, scene.skin.layout
     size = press.peak if wrench is None else float(np.linalg.norm(wrench[:3]))
     # Devices.
     yield _at_most(Reason.SATURATED, press.saturated, 0, "")
@@ -62,7 +63,7 @@ def _failed_gates(
     if press.late is not None:
         yield _GateFailure(Reason.NO_POSE, press.late.age_s, press.late.max_age_s, "s")
     # Hand.
-    yield _at_most(Reason.ARM_MOVED, press.moved, 0.0 if arm is None else arm.tolerance, "rad")
+    yield _at_most(Reason.ARM_MOVED, press.moved, turn_tolerance(scene) or 0.0, "rad")
     yield _at_least(Reason.TOO_SOFT, size, contacts.force_min, "N")
     if mean is None or wrench is None:
         # The press was shorter than a still window: nothing more is known of it.
@@ -81,6 +82,12 @@ def _failed_gates(
         gap = widest_gap(layout.places[channels])
         yield _at_most(Reason.NOT_CONNECTED, gap, contacts.gap_factor * layout.spacing, "m")
     yield _at_most(Reason.TARE_CHANGED, tare_change, contacts.tare_change_max, "N")
+
+
+def turn_tolerance(scene: Scene) -> float | None:
+    """Find the largest turn of the arm, or of the tool with the sensor, during a poke, rad; `None` if neither turns."""
+    moving = scene.arm or scene.tool
+    return None if moving is None else moving.tolerance
 
 
 def widest_gap(places: FloatArray) -> float:
@@ -167,7 +174,7 @@ def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, i
         "force": force,
         "moment": moment,
         "link_from_sensor": pose,
-        "pose": "" if mean is None else mean.pose,
+        "pose": (TOOL_ARM_POSE if scene.tool is not None else "") if mean is None else mean.pose,
     }
     if failure is None:
         tip = None if mean is None else mean.tip

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skincal.contacts.tare import Tare, mean_time, window_length
-from skincal.geometry import FloatArray, IntArray, axis_point, crossed, length_of, mean_rows
+from skincal.geometry import FloatArray, IntArray, axis_point, crossed, inverse_pose, length_of, mean_rows, move_wrench
 from skincal.model.codec import OPTIONAL_FIELD
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings
@@ -55,10 +55,23 @@ def arm_turn_between(before: ArmPose, now: ArmPose) -> float:
 MAX_CONTACT_DISTANCE_ALONG_AXIS_M = 0.1
 """m. Largest distance of the contact, along the force axis, from the axis point nearest to the sensor's origin: more than the
 radius of a robot's limb."""
+TOOL_MAX_LENGTH_M = 0.5
+"""m. Largest distance of the contact from a sensor on the tool, along the force axis."""
 AT_TOP_MIN_SHARE_OF_SAMPLES = 0.5
 """A taxel whose noise reaches the end of the range now and then is below it."""
 _TRAVEL_NOISE_STD_ERRORS = 2.0
 """Standard errors that are subtracted from a travel, so that noise alone exceeds the limit in few still presses."""
+
+
+def _seen_from_middle(wrench: FloatArray, poses: Sequence[ArmPose]) -> tuple[FloatArray, FloatArray]:
+    """Move wrenches (n, 6) of a moving sensor into its frame at the middle sample; forces and moments, (n, 3) each."""
+    known = [pose.link_from_sensor for pose in poses]
+    middle = known[len(known) // 2]
+    if middle is None or any(pose is None for pose in known):
+        return wrench[:, :3], wrench[:, 3:]
+    back = inverse_pose(middle)
+    moved = np.array([back @ pose for pose in known if pose is not None])
+    return move_wrench(moved, wrench[:, :3], wrench[:, 3:])
 
 
 def force_spread(force: FloatArray) -> float:
@@ -84,12 +97,14 @@ def still_share(force: FloatArray, limit: float) -> int:
     return first if moving[first] else len(size)
 
 
-def axis_travel(force: FloatArray, moment: FloatArray, times_s: FloatArray) -> float:
+def axis_travel(
+    force: FloatArray, moment: FloatArray, times_s: FloatArray, max_along_m: float = MAX_CONTACT_DISTANCE_ALONG_AXIS_M
+) -> float:
     """Compute the travel of the force axis at the contact, metres, less two standard errors of noise.
 
     The axis of sample i passes the point c(lambda) of the mean axis at the distance d_i = f_i x (f_i x c + m_i)/|f_i|^2. A
     hand that only tilts turns the axis about the contact. So lambda is the one with the smallest d_i, within
-    `MAX_CONTACT_DISTANCE_ALONG_AXIS_M` of the point nearest to the sensor. The travel is the slope of a straight line through
+    `max_along_m` of the point nearest to the sensor. The travel is the slope of a straight line through
     the d_i times the window's length. Force and moment are (n, 3), N and N m, tared, sensor frame; n >= 3; `times_s` is (n,),
     s.
     """
@@ -102,7 +117,7 @@ def axis_travel(force: FloatArray, moment: FloatArray, times_s: FloatArray) -> f
     weight = float(np.add.reduce(sideways * sideways, axis=None))
     # Below this the axes are parallel to rounding: every lambda is as good.
     shift = float(np.add.reduce(offset * sideways, axis=None)) / weight if weight > 1e-12 * len(force) else 0.0
-    offset = offset - min(max(shift, -MAX_CONTACT_DISTANCE_ALONG_AXIS_M), MAX_CONTACT_DISTANCE_ALONG_AXIS_M) * sideways
+    offset = offset - min(max(shift, -max_along_m), max_along_m) * sideways
     return _straight_travel(offset, times_s)
 
 
@@ -139,10 +154,10 @@ class StillMean:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LateAngles:
-    """Angles of a poke that came long before it: the arm may have moved since then."""
+    """Angles, or pose of the tool, of a poke that came long before it: arm or tool may have moved since then."""
 
     angles: FloatArray
-    """(joints,) float, radians, of the arm's joints."""
+    """(joints,) float, radians, of the arm's joints; empty for a tool."""
     angles_s: float
     """Host's clock at their reading, seconds."""
     age_s: float
@@ -325,7 +340,12 @@ class Press:
         first = (float(outside > 0.0), max(share, 1.0), outside)
         if (*first, share) >= self._best_rank:
             return  # the travel can only make it worse
-        travel = axis_travel(force, wrench[:, 3:], np.array([item.host_s for item, _ in self._window]))
+        times_s = np.array([item.host_s for item, _ in self._window])
+        if self._window[0][0].tool is None:
+            travel = axis_travel(force, wrench[:, 3:], times_s)
+        else:
+            # The contact stays at the tip in a sensor on the tool: it moves with the tool only.
+            travel = axis_travel(*_seen_from_middle(wrench, [pose for _, pose in self._window]), times_s, TOOL_MAX_LENGTH_M)
         rank = (*first, max(share, travel / settings.slide_max))
         if rank >= self._best_rank:
             return
@@ -349,7 +369,12 @@ class Press:
 
 
 def _late_angles(samples: Sequence[Sample], poses: Sequence[ArmPose]) -> LateAngles | None:
-    """Find the oldest angles of some samples that came too long before; `None` if there are none."""
+    """Find the oldest angles or pose of the tool of some samples that came too long before; `None` if there are none."""
+    tool = next((item for item in samples if item.has_late_tool), None)
+    if tool is not None and tool.tool is not None:
+        # A tool rarely rests so exactly that its next pose would show it.
+        age_s, max_age_s = tool.host_s - tool.tool.host_s, tool.tool.max_age_s
+        return LateAngles(np.empty(0), tool.tool.host_s, age_s, max_age_s, moved=True)
     late = [(item.angles_s, item, pose.angles) for item, pose in zip(samples, poses, strict=True) if item.has_late_angles]
     if not late:
         return None

@@ -10,7 +10,7 @@ import struct
 from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import Batch, Loss, SideReading, Stream
 from skincal.model.wrench_frames import WrenchFrames
+
+if TYPE_CHECKING:
+    from skincal.model.tool_pose import PoseForm
 
 SEQ_MODULUS = 1 << 16
 """The counters of SKT/1 and SKB/1 have 16 bits."""
@@ -32,12 +35,16 @@ TIME_STAMP_MAX_S = 5e9
 CRC_CCITT_INITIAL_VALUE = 0xFFFF
 SATURATED_READING_FLAG = 1
 INVALID_READING_FLAG = 2
-WRENCH_VALUES = 6
+WRENCH_VALUES, TOOL_VALUES = 6, 12
+NO_POSE_FORM = (
+    "The form of the tool's poses is not known: set rotation and unit in [tool] of the scene; `skincal tool` finds the form"
+)
 DEFAULT_UNITS = {
     Stream.WRENCH: "Fx Fy Fz in N, Mx My Mz in N m",
     Stream.SKIN: "raw values",
     Stream.JOINTS: "joint angles in degrees",
     Stream.TIP: "x y z of the tip in m",
+    Stream.TOOL: "poses of the tool",
 }
 UNIT_NAME_MAX_CHARS = 20
 """Characters kept of a unit that a device names."""
@@ -52,6 +59,7 @@ _WIDTH_ADVICE = {
     Stream.WRENCH: "a wrench is fx fy fz mx my mz",
     Stream.JOINTS: "the number of joints changed",
     Stream.TIP: "a tip is x y z",
+    Stream.TOOL: "rotation in [tool] of the scene names the form of a pose",
 }
 PACKET_HEAD = struct.Struct("<BI")
 """Kind and length of the payload."""
@@ -346,6 +354,8 @@ class FrameDecoder(ABC):
     """Whether a file of this format carries one stream only."""
     names_frames: ClassVar[bool] = False
     """Whether its records may name the frame of a wrench; then it converts wrenches itself, each from its own frame."""
+    defined_pose: ClassVar[PoseForm | None] = None
+    """Form of a tool's pose, in metres, if the format defines it; else the scene must."""
     needs_recipe: ClassVar[bool] = False
     """Whether a frame does not say which streams it holds: only a decoder of the requested streams can read it."""
 
@@ -358,7 +368,7 @@ class FrameDecoder(ABC):
         self._status = ""
         """What the device reports of itself now, a sentence; empty if nothing."""
         self._carries = carries
-        widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_VALUES, Stream.JOINTS: None, Stream.TIP: None}
+        widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_VALUES, Stream.JOINTS: None, Stream.TIP: None, Stream.TOOL: None}
         self._widths = {stream: widths[stream] for stream in Stream if stream in carries}
         # Readings of each stream since the last batch: number, device's clock, values, status.
         self._readings: dict[Stream, list[tuple[int, float, list[float] | NDArray[Any], int]]] = defaultdict(list)
@@ -369,6 +379,10 @@ class FrameDecoder(ABC):
         """Names of the scene's columns of joint angles; empty if it has none. For formats that name their joints."""
         self.wrench_frames = WrenchFrames()
         """Frames of the wrenches; of the link, so that they stay when it is opened again."""
+        self._pose_form: tuple[PoseForm, float] | None = None
+        """Form of the numbers of a tool's pose, and metres per unit of its lengths; `None` while unknown."""
+        if self.defined_pose is not None:
+            self.set_pose_form(self.defined_pose, 1.0)
         self.units = dict(DEFAULT_UNITS)
         """Names and unit of the values of a reading."""
         self.side_readings: dict[str, SideReading] = {}
@@ -376,6 +390,12 @@ class FrameDecoder(ABC):
 
     def _make_splitter(self) -> FrameSplitter:
         return MarkSplitter(self.mark, self.limit)
+
+    def set_pose_form(self, form: PoseForm, metres_per_unit: float) -> None:
+        """Use the form of a tool's poses that the scene names, unless the format defines one."""
+        if Stream.TOOL in self._widths and self._pose_form is None:
+            self._pose_form = form, metres_per_unit
+            self._widths[Stream.TOOL] = form.rotation.width
 
     @property
     def device_message(self) -> str:
@@ -460,12 +480,31 @@ class FrameDecoder(ABC):
             values = np.where(finite, values, np.nan) if stream is Stream.SKIN else values
         if stream is Stream.JOINTS:
             values = np.radians(values)  # every format has degrees
+        if stream is Stream.TOOL:
+            values = self._read_tool_poses(values)
         bits = np.zeros(len(seq), np.int64) if status is None or stream is not Stream.WRENCH else status
         saturated, invalid = (bits & SATURATED_READING_FLAG) != 0, (bits & INVALID_READING_FLAG) != 0
         for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
             if flags.any():
                 self.counts[loss] += int(np.count_nonzero(flags))
         return Batch(stream, seq, device_s, values, saturated, invalid)
+
+    def _read_tool_poses(self, values: FloatArray) -> FloatArray:
+        """Convert poses (n, width) as sent to the upper rows of 4 x 4 poses, (n, 12), metres; NaN for one that is none."""
+        from skincal.model.tool_pose import PoseFault, convert_poses
+
+        if self._pose_form is None:
+            self._problem = NO_POSE_FORM
+            self.counts[Loss.NO_POSE] += len(values)
+            return np.full((len(values), TOOL_VALUES), np.nan)
+        poses, faults = convert_poses(values, *self._pose_form)
+        found = [fault for fault in faults if fault is not None]
+        # Numbers that are not finite are counted already.
+        lost = [fault for fault in found if fault is not PoseFault.NOT_FINITE]
+        if lost:
+            self.counts[Loss.NO_POSE] += len(lost)
+            self._problem = f"A pose of the tool {lost[-1].value.format(found=values.shape[1], expected='', form='')}"
+        return poses[:, :3].reshape(-1, TOOL_VALUES)
 
     def _wrenches_from(self, frame: str, wrenches: FloatArray) -> FloatArray | None:
         """Convert wrenches (n, 6) of a named frame into the sensor's; if that is not possible, count them and return `None`."""

@@ -28,6 +28,8 @@ class Stream(Enum):
     JOINTS = "joints"
     TIP = "tip"
     """Position of the poking tip in a fixed frame, such as a robot's base; optional."""
+    TOOL = "tool"
+    """Pose of the poking tool in a fixed frame; only if the sensor sits on the tool."""
 
     # An Enum hashes its name in Python, which takes as long as the rest of a lookup.
     __hash__ = object.__hash__
@@ -52,6 +54,7 @@ class Loss(Enum):
     LATE = "arrived too late to be paired"
     UNPAIRED = "no wrench at the time of the skin frame"
     OTHER_FRAME = "in another frame than the first reading"
+    NO_POSE = "no pose: a lost or left-handed one, or of another unit"
     DROPPED = "bytes dropped, as they came faster than they could be read"
 
 
@@ -101,7 +104,8 @@ class Batch:
     """(n,) device's clock, seconds, unwrapped; NaN if the format has none."""
     values: FloatArray
     """(n, width) float. Wrench: fx fy fz (N) mx my mz (N m), sensor frame. Skin: raw value of each channel, in the device's own
-    unit; NaN: the device says that the channel is dead. Joints: radians. Tip: x y z, metres; further values are not used."""
+    unit; NaN: the device says that the channel is dead. Joints: radians. Tip: x y z, metres; further values are not used.
+    Tool: the upper three rows of its 4 x 4 pose, metres; NaN for a reading that is no pose."""
     saturated: NDArray[np.bool_]
     """(n,) the device says that a wrench is beyond its range; such a reading is kept and never used."""
     invalid: NDArray[np.bool_]
@@ -113,6 +117,18 @@ class Batch:
             Batch(self.stream, self.seq[a:b], self.device_s[a:b], self.values[a:b], self.saturated[a:b], self.invalid[a:b])
             for a, b in pairwise([0, *ends])
         ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolReading:
+    """Pose of the tool, as used for a skin frame."""
+
+    host_s: float
+    """Host's clock at its reading, seconds."""
+    base_from_tool: FloatArray
+    """(4, 4) float, metres, in the fixed frame of the stream."""
+    max_age_s: float
+    """s. Several periods of the stream: the tool may have moved since an older pose."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,6 +153,8 @@ class Sample:
     """Host's clock at the reading of `angles`, seconds."""
     angles_max_age_s: float = math.inf
     """s. Several periods of the joint stream: the arm may have moved since older angles."""
+    tool: ToolReading | None = None
+    """Last pose of the tool; `None` without a stream of its poses, or before its first."""
 
     @property
     def angles_age_s(self) -> float:
@@ -147,6 +165,11 @@ class Sample:
     def has_late_angles(self) -> bool:
         """Whether the stream of the joints has paused, so that the arm may have moved since its last angles."""
         return self.host_s - self.angles_s > self.angles_max_age_s
+
+    @property
+    def has_late_tool(self) -> bool:
+        """Whether the stream of the tool's poses has paused, so that the tool may have moved since its last pose."""
+        return self.tool is not None and self.host_s - self.tool.host_s > self.tool.max_age_s
 
 
 TEMPERATURE = "temperature, degC"

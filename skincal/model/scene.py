@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from skincal.model.skin import Anchor, Layout, SkinKind, load_layout, read_ancho
 from skincal.model.tables import MAX_LENGTH_M, UNITS, Table, check_degrees, check_metres, parse_toml, read_text
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import WrenchFrame, WrenchPlace, find_wrench_frame, read_wrench_place
+
+if TYPE_CHECKING:
+    from skincal.model.tool_rig import ToolSpec
 
 _KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
 """Settings that the file gives in degrees, by their key there."""
@@ -190,6 +193,8 @@ class Scene:
     robot: RobotSpec | None = None
     wrench_place: WrenchPlace = field(default_factory=WrenchPlace)
     """Frame of the wrench that the scene names in place of the messages."""
+    tool: ToolSpec | None = None
+    """The tool that carries the sensor; `None` if the sensor is below the part."""
 
     def wrench_frame(self, name: str) -> WrenchFrame:
         """Find the frame that messages name for a wrench; empty: they name none."""
@@ -218,10 +223,14 @@ def load_scene(path: Path) -> Scene:
     if skin is None:
         raise InputError(f"{path}: [skin] is missing; expected a table with at least channels.")
     surface, arm, sensor, robot = root.table("surface"), root.table("arm"), root.table("sensor"), root.table("robot")
+    tool = root.table("tool")
     wrench, contacts, noise = root.table("wrench"), root.table("contacts"), root.table("noise")
     if sum(each is not None for each in (arm, sensor, robot)) > 1:
         raise InputError(f"{path}: [arm], [sensor] and [robot] exclude each other; keep the one that places the sensor.")
+    if tool is not None and (arm is not None or sensor is not None or robot is not None):
+        raise InputError(f"{path}: [tool] excludes [arm], [sensor] and [robot]; keep the one that places the sensor.")
     spec, name, link = _read_skin(skin, path), root.take("name", str), root.take("link", str)
+    made_tool = None if tool is None else _read_tool(tool)
     made = None if robot is None else read_robot(robot, link, path.parent, surface is None)
     scene = Scene(
         name=name,
@@ -229,8 +238,8 @@ def load_scene(path: Path) -> Scene:
         skin=spec,
         surface=_robot_surface(made) if surface is None else _read_surface(surface, path),
         arm=_robot_arm(made) if arm is None else _read_arm(arm),
-        sensor_pose=_fixed_sensor_pose(made) if sensor is None else _read_pose(sensor, "pose"),
-        wrench_sign=_read_sign(wrench, 1 if made is None or made.sign is None else made.sign),
+        sensor_pose=_fixed_sensor_pose(made) if sensor is None else sensor.pose("pose"),
+        wrench_sign=_read_sign(wrench, _usual_sign(made, made_tool)),
         contacts=_read_settings(contacts, ContactSettings),
         noise=_read_settings(noise, NoiseSettings),
         path=path,
@@ -239,7 +248,9 @@ def load_scene(path: Path) -> Scene:
         text=text,
         robot=made,
         wrench_place=read_wrench_place(wrench, made),
+        tool=made_tool,
     )
+    _check_tool(scene)
     _check_force_order("" if contacts is None else contacts.where, scene.contacts)
     for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):
         if part is not None:
@@ -270,25 +281,9 @@ def _read_surface(table: Table, path: Path) -> SurfaceSpec:
     return SurfaceSpec(
         path=path.parent / table.path("mesh"),
         scale=table.choice("unit", UNITS),
-        link_from_mesh=_read_pose(table, "pose", np.eye(4)),
+        link_from_mesh=table.pose("pose", np.eye(4)),
         replaces_unit=True,
     )
-
-
-def _read_pose(table: Table, key: str, default: Any = ...) -> FloatArray:
-    pose: FloatArray = table.array(key, (4, 4), default)
-    # Accepts a rotation written with a few digits, but no mirrored or scaled one.
-    rotation = pose[:3, :3]
-    if (
-        np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3
-        or np.linalg.det(rotation) < 0
-        or pose[3].tolist() != [0, 0, 0, 1]
-    ):
-        raise InputError(
-            f"{table.where}: {key} is not a rigid pose; expected a right-handed rotation, metres, last row 0 0 0 1."
-        )
-    check_metres(pose[:3, 3], f"{table.where}: {key}")
-    return pose
 
 
 def _read_arm(table: Table) -> ArmSpec:
@@ -302,7 +297,7 @@ def _read_arm(table: Table) -> ArmSpec:
     check_metres(rows[:, :2], f"{table.where}: dh")
     check_degrees(rows[:, 2:], f"{table.where}: dh")
     chain = tuple(DhLink(float(a), float(d), float(np.radians(al)), float(np.radians(of))) for a, d, al, of in rows)
-    return ArmSpec(Arm(joints, chain, _read_pose(table, "base_from_sensor")), *read_poses(table, len(joints)))
+    return ArmSpec(Arm(joints, chain, table.pose("base_from_sensor")), *read_poses(table, len(joints)))
 
 
 def _robot_arm(robot: RobotSpec | None) -> ArmSpec | None:
@@ -373,6 +368,43 @@ def check_distance(known: KnownDistance, layout: Layout | None, where: str) -> N
     if -1 in found or len(found) < 2:
         what = "channels of taxels of two modules" if known.of_taxels else "ids of two modules"
         raise InputError(f"{where}: the ends are {list(known.ends)}; expected {what} of the layout.")
+
+
+def _read_tool(table: Table) -> ToolSpec:
+    from skincal.model.tool_rig import read_tool  # only scenes with a tool pay for it
+
+    return read_tool(table)
+
+
+def _usual_sign(robot: RobotSpec | None, tool: ToolSpec | None) -> int:
+    """Sign of the wrench unless the scene names one: a sensor on the tool feels the reaction."""
+    if tool is not None:
+        return -1
+    return 1 if robot is None or robot.sign is None else robot.sign
+
+
+def _check_tool(scene: Scene) -> None:
+    """Refuse a part without a pose in the tool's base if something of it has a place in the part's own frame."""
+    if scene.tool is None or scene.tool.has_part_pose:
+        return
+    layout = scene.skin.layout
+    in_part = {
+        "[surface]": scene.surface is not None,
+        "[[landmarks]]": bool(scene.landmarks),
+        "[skin.anchor]": scene.skin.anchor is not None,
+        "an anchor of the layout": layout is not None and any(module.anchor is not None for module in layout.modules),
+    }
+    named = [name for name, has in in_part.items() if has]
+    if named:
+        raise InputError(
+            f"{scene.path}: base_from_link is missing in [tool], and {named[0]} lies in the part's frame; expected the part's "
+            "pose in the base of the tool's poses, or no such place."
+        )
+    if scene.link != "base":
+        raise InputError(
+            f'{scene.path}: base_from_link is missing in [tool], so every position is in the base; expected link = "base", not '
+            f"{scene.link!r}, or the part's pose."
+        )
 
 
 def _read_sign(table: Table | None, default: int) -> int:

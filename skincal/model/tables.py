@@ -119,6 +119,22 @@ class Table:
             raise InputError(f"{self.where}: {key} is {shown(value)}; expected {wanted} finite numbers.")
         return array
 
+    def pose(self, key: str, default: Any = ...) -> FloatArray:
+        """Take a rigid pose, (4, 4), metres."""
+        pose: FloatArray = self.array(key, (4, 4), default)
+        # Accepts a rotation written with a few digits, but no mirrored or scaled one.
+        rotation = pose[:3, :3]
+        if (
+            np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3
+            or np.linalg.det(rotation) < 0
+            or pose[3].tolist() != [0, 0, 0, 1]
+        ):
+            raise InputError(
+                f"{self.where}: {key} is not a rigid pose; expected a right-handed rotation, metres, last row 0 0 0 1."
+            )
+        check_metres(pose[:3, 3], f"{self.where}: {key}")
+        return pose
+
     def direction(self, key: str) -> FloatArray:
         """Take three numbers as a unit vector."""
         vector: FloatArray = self.array(key, (3,))

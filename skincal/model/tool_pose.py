@@ -12,7 +12,6 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
@@ -88,14 +87,83 @@ def forms_of_width(width: int) -> tuple[PoseForm, ...]:
     return tuple(PoseForm(form, degrees) for form in found for degrees in ((False, True) if form.has_angles else (False,)))
 
 
-def read_poses(values: FloatArray, form: PoseForm, metres_per_unit: float, where: Sequence[str]) -> FloatArray:
-    """Convert poses from their numbers.
+class PoseFault(Enum):
+    """Why numbers are no pose; `{...}` is filled in by `read_poses`. In the order in which they are looked for."""
+
+    NOT_FINITE = "has NaN or an infinite number; leave lost poses out"
+    WIDTH = "has {found} values; expected {expected} of the form {form}"
+    LAST_ROW = "is no 4 x 4 pose of the form {form}; expected 0 0 0 1 as its last row"
+    NO_ROTATION = "has a matrix that is no rotation; leave lost poses out, and check the columns"
+    MIRRORED = "has a matrix that mirrors (determinant -1); its axes are left-handed: turn one around"
+    NOT_UNIT = "has a quaternion that is not of length 1; leave lost poses out, and check the columns"
+    ANGLES = "has angles beyond one turn; check their unit: radians or degrees"
+    TOO_FAR = f"lies more than {MAX_LENGTH_M:g} m from the origin; check the unit of the lengths"
+
+
+def convert_poses(values: FloatArray, form: PoseForm, metres_per_unit: float) -> tuple[FloatArray, list[PoseFault | None]]:
+    """Convert poses from their numbers, and find those that are no poses.
 
     Parameters
     ----------
     values : (n, width) float, as written
     metres_per_unit : of the lengths
-    where : place of each pose, such as "line 3", for the sentence of an error
+
+    Returns
+    -------
+    poses : (n, 4, 4) float, metres, rotation of determinant 1; NaN if it is no pose
+    faults : of each pose; `None` for a good one
+    """
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs] - slow to import: only who reads poses pays
+
+    count = len(values)
+    faults: list[PoseFault | None] = [None] * count
+
+    def require(good: Any, fault: PoseFault) -> None:
+        for row in np.flatnonzero(~np.asarray(good)).tolist():
+            faults[row] = faults[row] or fault
+
+    poses = np.full((count, 4, 4), np.nan)
+    if values.shape[1] != form.rotation.width:
+        require(np.zeros(count, np.bool), PoseFault.WIDTH)
+        return poses, faults
+    require(np.isfinite(values).all(axis=1), PoseFault.NOT_FINITE)
+    values = np.where(np.isfinite(values), values, 0.0)
+    places, numbers = values[:, :3], values[:, 3:]
+    match form.rotation:
+        case RotationForm.MATRIX | RotationForm.MATRIX_COLUMNS:
+            whole = values.reshape(-1, 4, 4)
+            whole = whole if form.rotation is RotationForm.MATRIX else whole.transpose(0, 2, 1)
+            require((whole[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1), PoseFault.LAST_ROW)
+            places, turns = whole[:, :3, 3], whole[:, :3, :3]
+        case RotationForm.ROWS | RotationForm.COLUMNS:
+            turns = numbers.reshape(-1, 3, 3)
+            turns = turns if form.rotation is RotationForm.ROWS else turns.transpose(0, 2, 1)
+        case RotationForm.QUATERNION_XYZW | RotationForm.QUATERNION_WXYZ:
+            is_unit = np.abs(np.linalg.norm(numbers, axis=1) - 1.0) <= NORM_TOLERANCE
+            require(is_unit, PoseFault.NOT_UNIT)
+            first = form.rotation is RotationForm.QUATERNION_WXYZ
+            whole_turn = np.array([1.0, 0.0, 0.0, 0.0] if first else [0.0, 0.0, 0.0, 1.0])
+            turns = Rotation.from_quat(np.where(is_unit[:, None], numbers, whole_turn), scalar_first=first).as_matrix()
+        case _:
+            angles = np.radians(numbers) if form.degrees else numbers
+            require((np.abs(angles) <= MAX_ANGLE_RAD + NORM_TOLERANCE).all(axis=1), PoseFault.ANGLES)
+            axes = _EULER_AXES.get(form.rotation)
+            turned = Rotation.from_rotvec(angles) if axes is None else Rotation.from_euler(axes, angles)
+            turns = turned.as_matrix()
+    off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    require(off <= NORM_TOLERANCE, PoseFault.NO_ROTATION)
+    require(np.linalg.det(turns) > 0, PoseFault.MIRRORED)
+    require(np.abs(places * metres_per_unit).max(axis=1, initial=0.0) <= MAX_LENGTH_M, PoseFault.TOO_FAR)
+    good = np.array([fault is None for fault in faults], np.bool)
+    poses[good] = np.eye(4)
+    poses[good, :3, :3], poses[good, :3, 3] = turns[good], places[good] * metres_per_unit
+    return poses, faults
+
+
+def read_poses(values: FloatArray, form: PoseForm, metres_per_unit: float, where: Sequence[str]) -> FloatArray:
+    """Convert poses from their numbers; parameters as of `convert_poses`.
+
+    `where` is the place of each pose, such as "line 3", for the sentence of an error.
 
     Returns
     -------
@@ -106,56 +174,11 @@ def read_poses(values: FloatArray, form: PoseForm, metres_per_unit: float, where
     InputError
         A pose is not one: NaN, a quaternion that is not of length 1, a matrix that is no rotation, angles beyond two turns.
     """
-    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs] - slow to import: only who reads poses pays
-
-    _require(np.isfinite(values).all(axis=1), where, "has NaN or an infinite number; leave lost poses out")
-    form_words = f"{values.shape[1]} values; expected {form.rotation.width} of the form {form.rotation.value}"
-    _require(np.full(len(values), values.shape[1] == form.rotation.width), where, f"has {form_words}")
-    match form.rotation:
-        case RotationForm.MATRIX | RotationForm.MATRIX_COLUMNS:
-            whole = values.reshape(-1, 4, 4)
-            whole = whole if form.rotation is RotationForm.MATRIX else whole.transpose(0, 2, 1)
-            is_pose = (whole[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
-            _require(is_pose, where, f"is no 4 x 4 pose of the form {form.rotation.value}; expected 0 0 0 1 as its last row")
-            places, turns = whole[:, :3, 3], _checked_matrices(whole[:, :3, :3], where)
-        case RotationForm.ROWS | RotationForm.COLUMNS:
-            matrices = values[:, 3:].reshape(-1, 3, 3)
-            matrices = matrices if form.rotation is RotationForm.ROWS else matrices.transpose(0, 2, 1)
-            places, turns = values[:, :3], _checked_matrices(matrices, where)
-        case RotationForm.QUATERNION_XYZW | RotationForm.QUATERNION_WXYZ:
-            is_unit = np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= NORM_TOLERANCE
-            _require(is_unit, where, "has a quaternion that is not of length 1; leave lost poses out, and check the columns")
-            first = form.rotation is RotationForm.QUATERNION_WXYZ
-            places, turns = values[:, :3], Rotation.from_quat(values[:, 3:], scalar_first=first).as_matrix()
-        case _:
-            angles = np.radians(values[:, 3:]) if form.degrees else values[:, 3:]
-            is_turn = (np.abs(angles) <= MAX_ANGLE_RAD + NORM_TOLERANCE).all(axis=1)
-            _require(is_turn, where, "has angles beyond one turn; check their unit: radians or degrees")
-            axes = _EULER_AXES.get(form.rotation)
-            turned = Rotation.from_rotvec(angles) if axes is None else Rotation.from_euler(axes, angles)
-            places, turns = values[:, :3], turned.as_matrix()
-    _check_lengths(places * metres_per_unit, where)
-    poses = np.tile(np.eye(4), (len(values), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = turns, places * metres_per_unit
-    return poses
-
-
-def _check_lengths(places: FloatArray, where: Sequence[str]) -> None:
-    """Refuse places (n, 3), metres, whose unit cannot be right."""
-    near = np.abs(places).max(axis=1) <= MAX_LENGTH_M
-    _require(near, where, f"lies more than {MAX_LENGTH_M:g} m from the origin; check the unit of the lengths")
-    if len(places) and np.abs(places).max() < MIN_LENGTH_M:
+    poses, faults = convert_poses(values, form, metres_per_unit)
+    for place, fault in zip(where, faults, strict=True):
+        if fault is not None:
+            words = fault.value.format(found=values.shape[1], expected=form.rotation.width, form=form.rotation.value)
+            raise InputError(f"{place}: {words}.")
+    if len(poses) and np.abs(poses[:, :3, 3]).max() < MIN_LENGTH_M:
         raise InputError(f"{where[0]}: lies, as all poses, within {MIN_LENGTH_M * 1e3:g} mm of the origin; check the unit.")
-
-
-def _checked_matrices(matrices: FloatArray, where: Sequence[str]) -> FloatArray:
-    off = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    _require(off <= NORM_TOLERANCE, where, "has a matrix that is no rotation; leave lost poses out, and check the columns")
-    is_right = np.linalg.det(matrices) > 0
-    _require(is_right, where, "has a matrix that mirrors (determinant -1); its axes are left-handed: turn one around")
-    return matrices
-
-
-def _require(good: NDArray[Any] | np.bool, where: Sequence[str], what: str) -> None:
-    if not good.all():
-        raise InputError(f"{where[int(np.argmin(good))]}: {what}.")
+    return poses

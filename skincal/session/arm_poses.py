@@ -13,6 +13,7 @@ import numpy as np
 
 from skincal.geometry import Arm, FloatArray
 from skincal.model.scene import ArmSpec, Scene
+from skincal.model.tool_rig import TOOL_ARM_POSE
 from skincal.model.urdf_chain import UrdfChain
 
 CurrentPose: TypeAlias = tuple[str, FloatArray | None]
@@ -27,7 +28,7 @@ class ArmPoses:
     """Name and link_from_sensor of the current arm pose."""
 
     def __init__(self, scene: Scene) -> None:
-        self._arm, self._fixed = scene.arm, scene.sensor_pose
+        self._arm, self._fixed, self._tool = scene.arm, scene.sensor_pose, scene.tool
         self._joints = np.array([] if scene.arm is None else scene.arm.arm.joints, np.int64)
         self.are_grouped = True
         """Nearly equal streamed poses share a name; in sessions of old formats each is named by its rounded angles."""
@@ -48,6 +49,7 @@ class ArmPoses:
         self._anchor: tuple[str, FloatArray] = "", np.empty(0)
         """The newest name of an unused pose, and the angles that it was made from."""
         self.current: CurrentPose = ("", None)
+        self._tool_pose: FloatArray | None = None
 
     def add_used(self, name: str, link_from_sensor: FloatArray | None) -> None:
         """Remember a pose with a poke or a skip."""
@@ -63,7 +65,16 @@ class ArmPoses:
         ----------
         angles : (joints,) float, streamed, radians; `None` if the last ones still hold
         """
-        self.current = ("", self._fixed) if self._arm is None else self._pose_at(self._arm, chosen, angles)
+        if self._tool is None:
+            self.current = ("", self._fixed) if self._arm is None else self._pose_at(self._arm, chosen, angles)
+        return self.current
+
+    def at_tool(self, base_from_tool: FloatArray) -> CurrentPose:
+        """Update the current pose by one of the tool, (4, 4) float, metres. The scene has a tool."""
+        assert self._tool is not None
+        if base_from_tool is not self._tool_pose:
+            self._tool_pose = base_from_tool
+            self.current = TOOL_ARM_POSE, self._tool.link_from_sensor(base_from_tool)
         return self.current
 
     def _pose_at(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> CurrentPose:

@@ -27,8 +27,9 @@ from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, Ti
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import Scene
+from skincal.model.tool_rig import TOOL_ARM_POSE
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, WrenchPlace
-from skincal.session.arm_poses import ArmPoses
+from skincal.session.arm_poses import ArmPoses, CurrentPose
 from skincal.session.corrections import corrected_progress
 from skincal.session.landmark_pokes import LandmarkFinder
 from skincal.session.session import Session
@@ -96,7 +97,9 @@ class Pipeline:
         used = () if arm is None else tuple(arm.arm.joints)
         names = () if self.scene.robot is None else self.scene.robot.columns
         width = max(used, default=-1) + 1
-        self._intake = Intake(self.scene.skin.channels, links, width, names, used, self._find_frame)
+        tool = self.scene.tool
+        form = None if tool is None else tool.streamed_form
+        self._intake = Intake(self.scene.skin.channels, links, width, names, used, self._find_frame, form)
         self._frozen = frozenset[str]()
         self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
@@ -324,7 +327,7 @@ class Pipeline:
         if sample.has_late_angles and self.session.decisions.pose:
             # A chosen pose holds without the joints.
             sample = replace(sample, angles_max_age_s=np.inf)
-        name, link_from_sensor = self._current_pose(sample.angles)
+        sample, (name, link_from_sensor) = self._place_sample(sample)
         outcomes = self._detector.feed(sample, link_from_sensor, name)
         if self._detector.dead is not self._dead:
             self._dead = self._detector.dead
@@ -332,6 +335,17 @@ class Pipeline:
             self._found_dead = True
             outcomes += self._detector.ignore_channels(self.session.dead.keys())
         return outcomes
+
+    def _place_sample(self, sample: Sample) -> tuple[Sample, CurrentPose]:
+        """Find the pose of the sensor at a sample; on a tool with a known tip, the tip's position too."""
+        tool, reading = self.scene.tool, sample.tool
+        if tool is None:
+            return sample, self._current_pose(sample.angles)
+        if reading is None:
+            return sample, (TOOL_ARM_POSE, None)
+        pose = self.poses.at_tool(reading.base_from_tool)
+        tip = None if sample.has_late_tool else tool.tip_in_link(reading.base_from_tool)
+        return (sample if tip is None else replace(sample, tip=tip)), pose
 
     def _commit(self, item: Item, outcomes: Sequence[Outcome]) -> None:
         """Apply the outcomes of an item, write both to the journal, and find new landmark pokes."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skincal.devices.decoding import WRENCH_VALUES
+from skincal.devices.decoding import TOOL_VALUES, WRENCH_VALUES
 from skincal.devices.family import AUTO
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
@@ -33,6 +33,7 @@ from skincal.model.readings import (
     Stream,
     merge_side_readings,
 )
+from skincal.model.tool_pose import PoseForm
 from skincal.model.wrench_frames import FindFrame, WrenchFrames, unchecked_frame
 from skincal.streams.clocks import Timestamper
 from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class
@@ -56,6 +57,7 @@ class Intake:
     `joint_names` are those of the columns of angles, for formats that name their joints; empty if the scene has none.
     `used_joints` are the columns that must be numbers; all of them if it is empty.
     `find_frame` finds the frames that messages name for the wrench.
+    `pose_form` is the form of the tool's poses, with metres per unit of their lengths; `None` if the scene names none.
     The constructor raises InputError: a format is not known, or two links have one name.
     """
 
@@ -67,8 +69,11 @@ class Intake:
         joint_names: tuple[str, ...] = (),
         used_joints: Sequence[int] = (),
         find_frame: FindFrame = unchecked_frame,
+        pose_form: tuple[PoseForm, float] | None = None,
     ) -> None:
-        self._links = {spec.name: LinkIntake(channels, spec, joints, joint_names, used_joints, find_frame) for spec in links}
+        self._links = {
+            spec.name: LinkIntake(channels, spec, joints, joint_names, used_joints, find_frame, pose_form) for spec in links
+        }
         self._used_joints = np.array(used_joints, np.int64)
         if len(self._links) < len(links):
             raise InputError("Two links have the same name; expected a name of its own for each.")
@@ -131,6 +136,9 @@ class Intake:
             elif batch.stream is Stream.TIP:
                 if len(values) >= TIP_WIDTH and all(map(math.isfinite, values.tolist())):
                     self._pairing.add_tip(stamp, values[:TIP_WIDTH])
+            elif batch.stream is Stream.TOOL:
+                if math.isfinite(values[0]):
+                    self._pairing.add_tool(stamp, values)
             elif len(values) >= self._joints and _has_angles(values, self._used_joints):
                 self._pairing.add_joints(stamp, values)
 
@@ -179,8 +187,9 @@ class LinkIntake:
         joint_names: tuple[str, ...] = (),
         used_joints: Sequence[int] = (),
         find_frame: FindFrame = unchecked_frame,
+        pose_form: tuple[PoseForm, float] | None = None,
     ) -> None:
-        self.spec, self._joint_names, self._joints = spec, joint_names, joints
+        self.spec, self._joint_names, self._joints, self._pose_form = spec, joint_names, joints, pose_form
         self.frames = WrenchFrames(find_frame)
         """Frames of the wrenches."""
         self.frames_noted = 0
@@ -193,7 +202,10 @@ class LinkIntake:
         kind = None if self._format == AUTO else decoder_class(self._format)
         streams = spec.carries if kind is not None and kind.single_stream else SENSOR_STREAMS
         look = None if kind is not None and kind.needs_recipe else lambda: LinkDecoder(self._format, None, streams)
-        widths = {Stream.WRENCH: WRENCH_VALUES, Stream.SKIN: channels, Stream.JOINTS: joints, Stream.TIP: TIP_WIDTH}
+        widths = {
+            Stream.WRENCH: WRENCH_VALUES, Stream.SKIN: channels, Stream.JOINTS: joints, Stream.TIP: TIP_WIDTH,
+            Stream.TOOL: TOOL_VALUES,
+        }  # fmt: skip
         self.monitor = LinkMonitor(spec.carries, widths, look)
         self._channels = channels
         self._decoder = self._new_decoder()
@@ -213,7 +225,7 @@ class LinkIntake:
 
     def _new_decoder(self) -> LinkDecoder:
         decoder = make_link_decoder(self.spec.address, self._format, self._channels, self.spec.carries)
-        decoder.use_scene(self._joint_names, self.frames)
+        decoder.use_scene(self._joint_names, self.frames, self._pose_form)
         return decoder
 
     def read_ahead(self, chunks: Sequence[Chunk]) -> None:

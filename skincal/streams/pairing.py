@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from skincal.devices.decoding import WRENCH_VALUES
 from skincal.geometry import FloatArray, mean_rows
-from skincal.model.readings import Batch, Loss, Sample
+from skincal.model.readings import Batch, Loss, Sample, ToolReading
 from skincal.streams.intervals import usual_interval
 
 FRAME_MAX_WAIT_FOR_WRENCH_S = 0.25
@@ -36,6 +36,8 @@ MAX_FRAMES_WAITING_FOR_WRENCH = 4096
 MAX_STORED_JOINT_READINGS = 512
 LATE_ANGLES_MIN_PERIODS, LATE_ANGLES_MIN_S = 5.0, 0.5
 """Angles that are older than both belong to no skin frame for certain: the arm may have moved since then."""
+LATE_TOOL_MIN_PERIODS, LATE_TOOL_MIN_S = 5.0, 0.1
+"""A pose of the tool that is older than both belongs to no skin frame for certain: a robot moves by centimetres meanwhile."""
 TIP_MAX_AGE_S = 0.2
 """s. An older position of the tip does not belong to a skin frame: it moves by millimetres in that time."""
 MAX_STORED_WRENCHES = 16384
@@ -63,6 +65,8 @@ class Pairing:
         self._joint_intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
         self._last_joints_s: float | None = None
         self._angles_max_age_s = LATE_ANGLES_MIN_S
+        self._tools: deque[ToolReading] = deque(maxlen=MAX_STORED_JOINT_READINGS)
+        self._tool_intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
         self._tips: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_STORED_JOINT_READINGS)
 
     def add_wrench(self, host_s: FloatArray, batch: Batch) -> None:
@@ -81,6 +85,16 @@ class Pairing:
     def add_tip(self, host_s: float, position: FloatArray) -> None:
         """Add a position of the tip, (3,) float, metres."""
         self._tips.append((host_s, position))
+
+    def add_tool(self, host_s: float, rows: FloatArray) -> None:
+        """Add a pose of the tool by its upper three rows, (12,) float, metres."""
+        pose = np.eye(4)
+        pose[:3] = rows.reshape(3, 4)
+        max_age_s = LATE_TOOL_MIN_S
+        if self._tools:
+            self._tool_intervals.append(host_s - self._tools[-1].host_s)
+            max_age_s = max(LATE_TOOL_MIN_S, LATE_TOOL_MIN_PERIODS * median(self._tool_intervals))
+        self._tools.append(ToolReading(host_s, pose, max_age_s))
 
     def add_frame(self, host_s: float, arrival_s: float, values: FloatArray) -> None:
         """Add a skin frame, which `pop_paired` returns once its wrench is known."""
@@ -124,10 +138,18 @@ class Pairing:
         flagged, joints = self.ring.has_flagged(among), _last_at(self._joints, frame.host_s)
         tip = _last_at(self._tips, frame.host_s, TIP_MAX_AGE_S)
         position = None if tip is None else tip[1]
+        tool = self._tool_at(frame.host_s) if self._tools else None
         if joints is None:
-            return Sample(frame.host_s, frame.values, wrench, readings, flagged, None, position)
+            return Sample(frame.host_s, frame.values, wrench, readings, flagged, None, position, tool=tool)
         angles_s, angles = joints
-        return Sample(frame.host_s, frame.values, wrench, readings, flagged, angles, position, angles_s, self._angles_max_age_s)
+        age_s = self._angles_max_age_s
+        return Sample(frame.host_s, frame.values, wrench, readings, flagged, angles, position, angles_s, age_s, tool)
+
+    def _tool_at(self, host_s: float) -> ToolReading | None:
+        """Find the last pose of the tool at or before an instant, and drop those before it."""
+        while len(self._tools) > 1 and self._tools[1].host_s <= host_s:
+            self._tools.popleft()
+        return self._tools[0] if self._tools[0].host_s <= host_s else None
 
 
 def _last_at(

@@ -16,6 +16,7 @@ from skincal.devices.family import AUTO
 from skincal.devices.registry import CHECKSUMMED_FORMATS, FORMATS, find_decoder
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
+from skincal.model.tool_pose import PoseForm
 from skincal.model.wrench_frames import WrenchFrames
 from skincal.streams.decoders.delimited import TextDecoder
 from skincal.streams.decoders.records import RecordsDecoder
@@ -89,10 +90,24 @@ class LinkDecoder:
         else:
             self.current = make_decoder(format_name, channels, carries)
 
-    def use_scene(self, joint_names: tuple[str, ...], wrench_frames: WrenchFrames) -> None:
-        """Give all decoders the scene's names of the columns of joints, and the frames of the link's wrenches."""
+    def use_scene(
+        self,
+        joint_names: tuple[str, ...],
+        wrench_frames: WrenchFrames,
+        pose_form: tuple[PoseForm, float] | None = None,
+    ) -> None:
+        """Give all decoders what the scene says of the readings.
+
+        Parameters
+        ----------
+        joint_names : of the columns of joints
+        wrench_frames : of the link's wrenches
+        pose_form : form of the tool's poses, and metres per unit of their lengths; `None` if the scene names none
+        """
         for each in {id(each): each for each in (self.current, self._text, *self._probes)}.values():
             each.joint_names, each.wrench_frames = joint_names, wrench_frames
+            if pose_form is not None:
+                each.set_pose_form(*pose_form)
         self._wrench_frames = wrench_frames
 
     def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:

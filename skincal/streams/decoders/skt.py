@@ -8,6 +8,7 @@ CRC-16/CCITT-FALSE of every byte before the `*`; lines that start with `#` are c
     F,<seq>,<t_us>,<fx>,<fy>,<fz>,<tx>,<ty>,<tz>,<status>   wrench, N and N m; status bit 0 saturated, bit 1 invalid
     J,<seq>,<t_us>,<a0>,...                             joint angles, degrees
     P,<seq>,<t_us>,<x>,<y>,<z>                          position of the tip, metres, in a fixed frame
+    P,<seq>,<t_us>,<x>,<y>,<z>,<qx>,<qy>,<qz>,<qw>      pose of the tool, metres and quaternion, in a fixed frame
     E,<code>,<text>                                     an error of the device
 
 Other records are skipped. `seq` counts each letter alone.
@@ -28,6 +29,7 @@ from skincal.devices.decoding import (
     SequenceCounter,
 )
 from skincal.model.readings import Loss, Stream
+from skincal.model.tool_pose import PoseForm, RotationForm
 
 LINE_MAX_BYTES = 4096
 """Bytes. The longest line of the protocol."""
@@ -44,6 +46,7 @@ class SktDecoder(FrameDecoder):
     name: ClassVar[str] = "SKT/1"
     mark: ClassVar[bytes] = b"\n"
     limit: ClassVar[int] = LINE_MAX_BYTES
+    defined_pose: ClassVar[PoseForm | None] = PoseForm(RotationForm.QUATERNION_XYZW)
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
@@ -64,6 +67,8 @@ class SktDecoder(FrameDecoder):
     def _record(self, text: bytes) -> Loss | None:
         letter, _, rest = text.partition(b",")
         stream = STREAM_OF_LETTER.get(letter)
+        if stream is Stream.TIP and Stream.TOOL in self._carries:
+            stream = Stream.TOOL
         if stream is not None:
             return self._reading(stream, text.split(b","))
         if letter == b"H":

@@ -1,0 +1,89 @@
+"""A rig whose force/torque sensor sits on the poking tool: `[tool]` of a scene, and the sensor's pose at each pose of the tool.
+
+The part does not move, and the tool's pose is streamed in a frame that does not move either, such as a robot's base. So the
+sensor's pose in the part's link is
+
+    link_from_sensor = link_from_base base_from_tool tool_from_sensor,
+
+another one at each poke. Without the part's pose in the base the link is the base itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.geometry import FloatArray, inverse_pose
+from skincal.model.errors import InputError
+from skincal.model.tables import UNITS, Table
+from skincal.model.tool_pose import PoseForm, RotationForm
+
+BASE_LINK = "base"
+"""Name of the frame of all positions while the part's pose in it is not known."""
+TOOL_ARM_POSE = "tool"
+"""Name of the arm pose of all pokes: the tool has another pose at each, and no two share an error of their own."""
+DEFAULT_TOLERANCE_DEG = 1.0
+"""Degrees. Largest turn of the tool between its tare and the poke: a tool of 0.5 kg then changes the force by 0.09 N."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolSpec:
+    """The tool of a scene, and how its poses are written."""
+
+    form: PoseForm | None
+    """Form of the numbers; `None` if the stream must define it."""
+    metres_per_unit: float | None
+    """Of the lengths; `None` as `form`."""
+    tool_from_sensor: FloatArray
+    """(4, 4) float, metres: pose of the sensor in the frame whose pose is streamed."""
+    link_from_base: FloatArray
+    """(4, 4) float, metres; the identity while the link is the base."""
+    has_part_pose: bool
+    """Whether the scene gives the part's pose in the base."""
+    tip: FloatArray | None
+    """(3,) float, metres, tool frame: the end of the tip; `None` if not given."""
+    tolerance: float
+    """rad, largest turn of the tool between its tare and the end of the poke."""
+
+    @property
+    def streamed_form(self) -> tuple[PoseForm, float] | None:
+        """Form of the numbers of a pose, and metres per unit of its lengths; `None` if the stream must define them."""
+        return None if self.form is None or self.metres_per_unit is None else (self.form, self.metres_per_unit)
+
+    def link_from_sensor(self, base_from_tool: FloatArray) -> FloatArray:
+        """Compute the sensor's pose (4, 4) in the link at a pose of the tool, metres."""
+        return self.link_from_base @ base_from_tool @ self.tool_from_sensor
+
+    def tip_in_link(self, base_from_tool: FloatArray) -> FloatArray | None:
+        """Compute the position (3,) of the end of the tip in the link, metres; `None` if the scene has none."""
+        return None if self.tip is None else (self.link_from_base @ base_from_tool)[:3] @ np.append(self.tip, 1.0)
+
+
+def read_tool(table: Table) -> ToolSpec:
+    """Read `[tool]`. Raises InputError with the key, the value found and what was expected."""
+    table.choice("sensor", {"tool": True})
+    form, unit = _read_form(table)
+    has_part_pose = "base_from_link" in table.keys
+    base_from_link = table.pose("base_from_link", np.eye(4))
+    tool_from_sensor = table.pose("flange", np.eye(4))
+    tip = table.lengths_mm("tip_mm", (3,)) if "tip_mm" in table.keys else None
+    tolerance = table.take("tolerance_deg", float, DEFAULT_TOLERANCE_DEG)
+    if not 0 < tolerance <= 90:
+        raise InputError(f"{table.where}: tolerance_deg is {tolerance:g}; expected a number above 0, up to 90.")
+    table.refuse_unknown_keys()
+    link_from_base = inverse_pose(base_from_link) if has_part_pose else np.eye(4)
+    return ToolSpec(form, unit, tool_from_sensor, link_from_base, has_part_pose, tip, float(np.radians(tolerance)))
+
+
+def _read_form(table: Table) -> tuple[PoseForm | None, float | None]:
+    given = {key for key in ("rotation", "unit", "degrees") if key in table.keys}
+    if not given:
+        return None, None
+    rotation = table.choice("rotation", {form.value: form for form in RotationForm})
+    unit, degrees = table.choice("unit", UNITS), table.take("degrees", bool, None)
+    if rotation.has_angles and degrees is None:
+        raise InputError(f"{table.where}: degrees is missing; expected true or false for the form {rotation.value}.")
+    if degrees and not rotation.has_angles:
+        raise InputError(f"{table.where}: degrees is true, and the form {rotation.value} has no angles; leave degrees out.")
+    return PoseForm(rotation, bool(degrees)), unit
