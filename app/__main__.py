@@ -92,13 +92,13 @@ def _run_demo(words: Sequence[str]) -> int:
 def _run(options: argparse.Namespace) -> int:
     """Open the window; without a display and without devices, run the simulated session without it."""
     _check_session(options)
-    devices = [f"--{name}" for name in ("wrench", "skin", "joints", "tip", "targets") if getattr(options, name)]
+    devices = [f"--{name}" for name in ("wrench", "skin", "joints", "tip", "tool", "targets") if getattr(options, name)]
     if options.headless and devices:
         raise InputError(
             f"--headless was given together with {' and '.join(devices)}; it pokes a simulated rig alone: "
             "`skincal record` records devices without a window."
         )
-    named = options.wrench or options.skin or options.joints or options.tip or options.session
+    named = options.wrench or options.skin or options.joints or options.tip or options.tool or options.session
     no_window = "" if named else no_display()
     if options.headless or no_window:
         if options.scene is not None and options.scene.suffix.lower() in PART_FILES:
@@ -145,6 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--skin", default="", help="device of the skin")
     parser.add_argument("--joints", default="", help="device that streams the arm's joints")
     parser.add_argument("--tip", default="", help="device that streams the position of the tip, in a fixed frame")
+    parser.add_argument("--tool", default="", help="device that streams the poses of a tool that carries the sensor")
     parser.add_argument(
         "--targets",
         default="",

@@ -21,7 +21,16 @@ from PySide6.QtWidgets import QApplication
 
 from app.scene3d.canvas import best_canvas
 from app.session.controller import Controller
-from app.session.opening import PART_FILES, Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
+from app.session.opening import (
+    PART_FILES,
+    Addresses,
+    OpenRequest,
+    check_addresses,
+    check_streams,
+    dated_folder,
+    find_scene,
+    server_command,
+)
 from app.sound.player import Player
 from app.text.message import Message
 from app.theme import Choice
@@ -60,7 +69,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     from skincal.journal.reader import find_segments
     from skincal.model.scene import load_scene
 
-    addresses = Addresses(options.wrench, options.skin, options.joints, options.tip)
+    addresses = Addresses(options.wrench, options.skin, options.joints, options.tip, options.tool)
     check_addresses(addresses)
     if options.targets:
         from skincal.robot.targets import check_targets
@@ -77,7 +86,9 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     scene = None if options.scene is None else find_scene(options.scene)
     if scene is not None:
         # Refused before a window opens.
-        load_scene(scene)
+        loaded = load_scene(scene)
+        if addresses:
+            check_streams(addresses, loaded)
     folder = options.new
     if folder is None and addresses:
         folder = dated_folder(documents_folder(), datetime.now().astimezone())
@@ -88,7 +99,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
 
 def _part_request(options: argparse.Namespace) -> OpenRequest:
     """Make the request for a mesh or a URDF in place of a scene; `InputError` if devices or a folder are named with it."""
-    seen = [f"--{name}" for name in ("wrench", "skin", "joints", "tip", "targets", "new") if getattr(options, name)]
+    seen = [f"--{name}" for name in ("wrench", "skin", "joints", "tip", "tool", "targets", "new") if getattr(options, name)]
     if seen:
         raise InputError(
             f"{options.scene}: is a mesh or a URDF, given together with {' and '.join(seen)}; expected a scene. Open the file "

@@ -441,8 +441,7 @@ class Window(QMainWindow):
     def _use_addresses(self, addresses: Addresses, agreed: Iterable[str]) -> None:
         """Read the devices at these addresses; those of the session's file need the operator's agreement as always."""
         self._remember(agreed)
-        named = tuple(filter(None, (addresses.wrench, addresses.skin, addresses.joints, addresses.tip)))
-        self._confirm_addresses(named, lambda: self.controller.change_addresses(addresses))
+        self._confirm_addresses(addresses.named, lambda: self.controller.change_addresses(addresses))
 
     def _lend_devices(self) -> bool:
         """Release devices that a page will read, since a port has one reader; return whether they were in use."""
@@ -657,7 +656,7 @@ class Window(QMainWindow):
         given = request.addresses
         self._targets = request.targets or self._targets
         if given:
-            self._remember({given.wrench, given.skin, given.joints, given.tip} - {""})
+            self._remember({*given.named})
             request = replace(request, targets=self._targets)
         self._drop_session()
         self.where.setText("")

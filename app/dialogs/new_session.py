@@ -39,7 +39,7 @@ from app.panels.widgets import (
     secondary_label,
     theme_colours,
 )
-from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
+from app.session.opening import Addresses, OpenRequest, check_addresses, check_streams, server_command
 from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
 from app.state.view_state import LinkStatus, link_status
@@ -62,6 +62,7 @@ ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"
 HINT_OF_STREAM = {
     Stream.JOINTS: "only if the arm sends its joints",
     Stream.TIP: "only if a robot or a tracker sends its position",
+    Stream.TOOL: "poses of the tool that carries the sensor",
 }
 NO_DEVICE = (
     "Without an address, Start records a simulated hand into the folder below. Try it with a simulated hand does the same, and "
@@ -80,7 +81,10 @@ TRY_HELP = (
 )
 NEEDS_CONFIRMATION = "named by the session file: press Enter to connect"
 POSE_ASKED_LATER = "choose later, before the first poke"
-STREAM_LABELS = {Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints", Stream.TIP: "T&ip"}
+STREAM_LABELS = {
+    Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints", Stream.TIP: "T&ip",
+    Stream.TOOL: "Too&l",
+}  # fmt: skip
 SWAP_KEY = "F6"
 LINK_PREVIEW_UPDATE_PERIOD_MS = 100
 LINE_FONT_SIZE_PT = 9
@@ -88,6 +92,7 @@ LAST_LINE = "Last line"
 CURVE_SIZE_PX = 120, 26
 CURVE_LEAST_HEIGHTS = {
     Stream.WRENCH: (5.0, "N"), Stream.SKIN: (20.0, "counts"), Stream.JOINTS: (1.0, "\N{DEGREE SIGN}"), Stream.TIP: (2.0, "mm"),
+    Stream.TOOL: (2.0, "mm"),
 }  # fmt: skip
 """Least height of a small curve, with its unit: more than a sensor at rest moves, less than a hand."""
 STATE_TEXT_MIN_HEIGHT_PX = 34  # Two lines, so that nothing moves when text appears
@@ -133,6 +138,7 @@ class StreamRow(QWidget):
         self._least_height, self._unit = CURVE_LEAST_HEIGHTS[stream]
         self.named = ""  # Address that the operator agreed to, which may be connected
         self._is_typed = False
+        self.is_used = True
         self.field.textEdited.connect(self._mark_typed)
         self.field.returnPressed.connect(self.agree)
         self.field.editingFinished.connect(self.agree_if_typed)
@@ -155,7 +161,14 @@ class StreamRow(QWidget):
 
     @property
     def address(self) -> str:
-        return self.field.text().strip()
+        return self.field.text().strip() if self.is_used else ""
+
+    def set_used(self, used: bool) -> None:
+        """Show the row, or hide it because the scene has no use for its stream."""
+        self.is_used = used
+        for part in (self.label, self.box, self.sign, self.verdict, self.rate, self.curve, self.curve_height):
+            part.setVisible(used)
+        self.line.setVisible(used and bool(self._shown_line))
 
     def set_address(self, address: str, *, agreed: bool) -> None:
         self.box.setEditText(address)
@@ -438,6 +451,10 @@ class NewSessionDialog(Dialog):
             self.pose.addItem(POSE_ASKED_LATER, "")
             for name in poses:
                 self.pose.addItem(plain_text(name), name)
+        has_tool = scene is not None and scene.tool is not None
+        self.rows[Stream.TOOL].set_used(has_tool)
+        for stream in (Stream.JOINTS, Stream.TIP):
+            self.rows[stream].set_used(not has_tool)
         self._show_pose()
         self._choose_previews()
 
@@ -449,7 +466,8 @@ class NewSessionDialog(Dialog):
 
     def _choose_previews(self) -> None:
         """Connect to the addresses that the operator confirmed, and show their readings beside the fields."""
-        named = {stream: row.named for stream, row in self.rows.items() if row.named and not _address_problem(row.named)}
+        rows = {stream: row for stream, row in self.rows.items() if row.is_used and row.named}
+        named = {stream: row.named for stream, row in rows.items() if not _address_problem(row.named)}
         self._previews.choose(named, self._scene)
         if named:
             self._timer.start()
@@ -479,8 +497,10 @@ class NewSessionDialog(Dialog):
 
     def addresses(self) -> Addresses:
         """Give the addresses; `InputError` if a needed device is missing or an address has an unknown form."""
-        given = Addresses(**{name: field.text().strip() for name, field in self.fields.items()})
+        given = Addresses(**{stream.value: row.address for stream, row in self.rows.items()})
         check_addresses(given)
+        if given and self._scene is not None:
+            check_streams(given, self._scene)
         if self._present is not None and not given:
             raise InputError("No device is named. Enter the addresses of force/torque sensor and skin.")
         return given

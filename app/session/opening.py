@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
+    from skincal.model.scene import Scene
     from skincal.part.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import LinkSpec
@@ -29,9 +30,15 @@ class Addresses:
     skin: str = ""
     joints: str = ""
     tip: str = ""
+    tool: str = ""
 
     def __bool__(self) -> bool:
-        return bool(self.wrench or self.skin or self.joints or self.tip)
+        return any(self.named)
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Addresses that are not empty."""
+        return tuple(filter(None, (self.wrench, self.skin, self.joints, self.tip, self.tool)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +107,14 @@ def check_addresses(addresses: Addresses) -> None:
         raise InputError(f"No address for the {missing}. A poke needs force/torque sensor and skin: enter both, or none.")
     if addresses:
         link_specs(addresses)
+
+
+def check_streams(addresses: Addresses, scene: Scene) -> None:
+    """Raise `InputError` if the devices do not fit where the scene's sensor sits: on the tool, or below the part."""
+    from skincal.model.readings import Stream
+    from skincal.model.tool_rig import check_tool_streams
+
+    check_tool_streams(scene, {stream: getattr(addresses, stream.value) for stream in Stream})
 
 
 def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:

@@ -15,14 +15,17 @@ from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
 from skincal.model.scene import Scene
+from skincal.model.tool_pose import PoseForm
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, yarp_ports
 from skincal.streams.ros_topics import FoundTopic, list_ros_topics
 from skincal.streams.transports.serial_port import list_serial_ports
 
 PREVIEW_CURVE_POINTS = 80  # Points of a small curve: eight seconds at ten updates per second
-CHANGE_UNIT_OF_STREAM = {Stream.SKIN: 1.0, Stream.JOINTS: float(np.degrees(1.0)), Stream.TIP: 1000.0}
+CHANGE_UNIT_OF_STREAM = {Stream.SKIN: 1.0, Stream.JOINTS: float(np.degrees(1.0)), Stream.TIP: 1000.0, Stream.TOOL: 1000.0}
 """Unit of the shown change over that of the readings."""
+POSITION_COLUMNS = [3, 7, 11]
+"""Columns of the position in the upper rows of a 4 x 4 pose."""
 MAX_WORK_PER_LINK_UPDATE_S = 0.010  # Limit of work per update and link; the rest waits
 
 
@@ -53,7 +56,7 @@ class Preview:
     """Time of the update, host's monotonic clock."""
     curve: tuple[float, ...]
     """Newest value of each update: force in N, largest change of a raw value, largest joint motion in degrees, or largest
-    motion of the tip along an axis in mm."""
+    motion of tip or tool along an axis in mm."""
     frames: tuple[FloatArray, ...] = ()
     """Readings of the last update, (n,) float each; raw values of a skin, radians of joints."""
 
@@ -61,8 +64,10 @@ class Preview:
 class _Preview:
     """Reader and decoder of one previewed link."""
 
-    def __init__(self, spec: LinkSpec, channels: int, joints: int, joint_names: tuple[str, ...]) -> None:
-        self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints, joint_names)
+    def __init__(
+        self, spec: LinkSpec, channels: int, joints: int, joint_names: tuple[str, ...], pose_form: tuple[PoseForm, float] | None
+    ) -> None:
+        self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints, joint_names, pose_form=pose_form)
         self._first: dict[Stream, FloatArray] = {}
         self._now: dict[Stream, float] = {}
         self._frames: dict[Stream, list[FloatArray]] = {stream: [] for stream in spec.carries}
@@ -88,6 +93,10 @@ class _Preview:
         if stream is Stream.WRENCH:
             self._now[stream] = float(np.linalg.norm(newest[:3]))
             return
+        if stream is Stream.TOOL:
+            newest = newest[POSITION_COLUMNS]
+            if not np.isfinite(newest).all():
+                return
         first = self._first.setdefault(stream, newest)
         if len(first) == len(newest):
             change = float(np.nanmax(np.abs(newest - first), initial=0.0))
@@ -98,8 +107,8 @@ class _Preview:
         return Preview(self._intake.health(now_ns), now_ns, tuple(self._curves[stream]), tuple(self._frames[stream]))
 
 
-_Key: TypeAlias = tuple[LinkSpec, int, int, tuple[str, ...]]
-"""A link, the channels of its skin, the joints and their names."""
+_Key: TypeAlias = tuple[LinkSpec, int, int, tuple[str, ...], tuple[PoseForm, float] | None]
+"""A link, the channels of its skin, the joints and their names, and the form of a tool's poses."""
 
 
 class Previews:
@@ -125,10 +134,16 @@ class Previews:
             return
         joints = 0 if scene.arm is None else max(scene.arm.arm.joints, default=-1) + 1
         names = () if scene.robot is None else scene.robot.columns
-        self.choose_widths(addresses, scene.skin.channels, joints, names)
+        form = None if scene.tool is None else scene.tool.streamed_form
+        self.choose_widths(addresses, scene.skin.channels, joints, names, form)
 
     def choose_widths(
-        self, addresses: Mapping[Stream, str], channels: int, joints: int, joint_names: tuple[str, ...] = ()
+        self,
+        addresses: Mapping[Stream, str],
+        channels: int,
+        joints: int,
+        joint_names: tuple[str, ...] = (),
+        pose_form: tuple[PoseForm, float] | None = None,
     ) -> None:
         """Preview the devices at these addresses with the expected numbers of values; see `choose`.
 
@@ -136,10 +151,11 @@ class Previews:
         ----------
         channels, joints : numbers of values of a skin frame, and of joints at least
         joint_names : of the columns of a joint stream
+        pose_form : of a tool's poses, and metres per unit of their lengths, if the scene names it
         """
         if self._closed:
             return
-        wanted: set[_Key] = {(spec, channels, joints, joint_names) for spec in describe_links(addresses)}
+        wanted: set[_Key] = {(spec, channels, joints, joint_names, pose_form) for spec in describe_links(addresses)}
         for gone in self._open.keys() - wanted:
             self._end(gone)
         for new in wanted - self._open.keys():

@@ -23,7 +23,7 @@ from skincal.version import __version__
 app = typer.Typer(
     name="skincal",
     help="Find where every taxel of a robot skin is, from pokes measured by a force/torque sensor. "
-    "Without a command the window opens; it takes --scene, --wrench, --skin, --joints, --tip, --targets PORT "
+    "Without a command the window opens; it takes --scene, --wrench, --skin, --joints, --tip, --tool, --targets PORT "
     "and --new FOLDER, or --session FOLDER, or --headless.",
     epilog="Example: skincal simulate --scene icub-forearm --pokes 252 --out trial, then skincal solve trial --out results",
     no_args_is_help=True,

@@ -84,6 +84,10 @@ def record(
         str | None,
         typer.Option(help="Link of the tip's position: lines x y z in m, in a fixed frame, or targets:/tip (docs/tip.md)."),
     ] = None,
+    tool: Annotated[
+        str | None,
+        typer.Option(help="Link of the tool's poses, if the sensor sits on the tool: [tool] in the scene (docs/tool.md)."),
+    ] = None,
     pose: Annotated[str | None, typer.Option(help="Name of the arm pose, if joints are not streamed.")] = None,
     seconds: Annotated[
         float | None, typer.Option(min=0.0, help="Stop after this time, in seconds; default: at Ctrl-C.")
@@ -112,14 +116,17 @@ def record(
     """
     from skincal.following.guided_session import RobotGuide
     from skincal.model.actions import SetPose
+    from skincal.model.tool_rig import check_tool_streams
     from skincal.session.importing import new_session
     from skincal.streams.links import ChunkQueue, Reader, describe_links
 
     loaded = find_scene(scene)
     check_pose(loaded, pose, streamed=joints is not None)
+    check_tool_streams(loaded, {Stream.JOINTS: joints, Stream.TIP: tip, Stream.TOOL: tool})
     if method is not None and targets is None:
         raise InputError("--method says whose needs a robot is asked to meet; expected --targets PORT with it.")
-    links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TIP: tip})
+    named = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TIP: tip, Stream.TOOL: tool}
+    links = describe_links(named)
     items = ChunkQueue()
     with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links, warn) as pipeline:
         if orders:

@@ -30,7 +30,9 @@ REPORT_NO_READING_AFTER_NS = 1_000_000_000
 """ns of bytes without a reading: text is believed after 0.3 s, and a slow board sends ten readings in this time."""
 SILENT_NS = round(LINK_SILENT_AFTER_S * 1e9)
 FROZEN_IF_UNCHANGED_FOR_NS = 1_000_000_000
-NOISE_MIN_SHARE = {Stream.WRENCH: 0.5, Stream.SKIN: 0.9, Stream.JOINTS: math.inf, Stream.TIP: math.inf}
+NOISE_MIN_SHARE = {
+    Stream.WRENCH: 0.5, Stream.SKIN: 0.9, Stream.JOINTS: math.inf, Stream.TIP: math.inf, Stream.TOOL: math.inf,
+}  # fmt: skip
 """Share of the readings that differ from the one before them, from which a stream has noise. A skin behind a threshold has a
 small one; joints and a tip may rest."""
 ALTERNATION_MIN_RATIO = 10.0

@@ -72,13 +72,16 @@ def _why_unread(link: LinkHealth) -> str:
     return f"{lines}. Check which file is named for it, and the columns and format of that file"
 
 
-STREAM_NAMES = {Stream.WRENCH: "force/torque sensor", Stream.SKIN: "skin", Stream.JOINTS: "joints", Stream.TIP: "tip"}
+STREAM_NAMES = {
+    Stream.WRENCH: "force/torque sensor", Stream.SKIN: "skin", Stream.JOINTS: "joints", Stream.TIP: "tip", Stream.TOOL: "tool",
+}  # fmt: skip
 _LINK_NAMES = {stream.value: name for stream, name in STREAM_NAMES.items()}
 EXPECTED_BY = {
     Stream.WRENCH: "a force/torque sensor has",
     Stream.SKIN: "the scene has",
     Stream.JOINTS: "the arm needs",
     Stream.TIP: "a tip has",
+    Stream.TOOL: "a pose has",
 }
 
 

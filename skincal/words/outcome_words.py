@@ -8,7 +8,7 @@ from __future__ import annotations
 from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.taxels.poke_figures import force_of, peak_channel
 from skincal.taxels.result import Estimate
-from skincal.words.poke_words import REASON_WORDS, rejection_advice, rejection_words
+from skincal.words.poke_words import reason_words, rejection_advice, rejection_words
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words
 from skincal.words.units import ChannelNames, count, newtons
 
@@ -17,7 +17,7 @@ HEADLINE_REASON_MAX_CHARS = 36  # Characters that large type has room for next t
 
 def _headline_reason(rejection: Rejection) -> str:
     words = rejection_words(rejection)
-    return words if len(words) <= HEADLINE_REASON_MAX_CHARS else REASON_WORDS[rejection.reason]
+    return words if len(words) <= HEADLINE_REASON_MAX_CHARS else reason_words(rejection)
 
 
 def landed_words(outcome: Outcome, names: ChannelNames) -> str:
@@ -52,7 +52,7 @@ def outcome_detail(outcome: Outcome, estimate: Estimate | None, part_size: float
     """
     if isinstance(outcome, Rejection):
         words = rejection_words(outcome)
-        left = "" if _headline_reason(outcome) == words else f"{words.removeprefix(REASON_WORDS[outcome.reason]).strip(': ')}. "
+        left = "" if _headline_reason(outcome) == words else f"{words.removeprefix(reason_words(outcome)).strip(': ')}. "
         return left + rejection_advice(outcome)
     peak = peak_channel(outcome)
     parts = [f"{count(len(outcome.channels), 'taxel')} answered"]

@@ -10,6 +10,7 @@ from skincal.contacts.poke_counts import PokeCounts
 from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkHealth, Loss, Stream
 from skincal.model.scene import ContactSettings
+from skincal.model.tool_rig import TOOL_ARM_POSE
 from skincal.words.link_words import link_name
 from skincal.words.units import count, grouped, millimetres, number, quantity
 
@@ -54,6 +55,17 @@ POLARITY_ADVICE = (
 LATE_ANGLES_ADVICE = (
     "The joint angles have paused: start their program again. The poke counts if the next angles show that the arm rested."
 )
+_TOOL_REASON_WORDS: Mapping[Reason, str] = {
+    Reason.NO_POSE: "tool pose unknown",
+    Reason.ARM_MOVED: "tool turned",
+}
+"""Words of a rig whose sensor sits on the tool, where they differ."""
+_TOOL_ADVICE: Mapping[Reason, str] = {
+    Reason.NO_POSE: "The stream of the tool's poses is late or silent: the Devices tab shows it.",
+    Reason.ARM_MOVED: "Turn the tool first, wait half a second, then press without turning it.",
+    Reason.NO_TARE: "Hold the tool still above the skin for half a second before each poke.",
+    Reason.TARE_CHANGED: "Hold the tool still before and after each poke. If you did, the sensor drifts.",
+}
 MISSED_ADVICE = "Press the landmark itself. If you did, its position in the scene may be wrong; N skips it."
 """Advice after a poke too far from the requested landmark."""
 _SHORT_REASONS: Mapping[Reason, str] = {
@@ -81,16 +93,28 @@ def poke_count_words(counts: PokeCounts, why: str = "") -> str:
     return ": ".join(filter(None, (count(counts.pokes, "poke"), listed)))
 
 
+def is_of_tool(rejection: Rejection) -> bool:
+    """Whether the sensor of a poke sits on the tool."""
+    return rejection.pose == TOOL_ARM_POSE
+
+
+def reason_words(rejection: Rejection) -> str:
+    """Say why a poke was rejected, without its number."""
+    words = REASON_WORDS[rejection.reason]
+    return _TOOL_REASON_WORDS.get(rejection.reason, words) if is_of_tool(rejection) else words
+
+
 def rejection_words(rejection: Rejection) -> str:
     """Say why a poke was rejected, with number and limit: `"tip slid 2.1 mm (limit 1.5 mm)"`."""
     reason, value, limit = rejection.reason, rejection.value, rejection.limit
-    words = REASON_WORDS[reason]
+    words = reason_words(rejection)
     if answered_inversely(rejection):
         return f"{words}; taxels changed against the scene's polarity"
     if rejection.unit == RAW_UNIT and math.isfinite(value):
         return f"{words}: strongest response {number(value, 1)}, needs {number(limit, 1)}"
     if has_late_angles(rejection):
-        return f"{words}: its joint angles are {quantity(value, 's')} old (limit {quantity(limit, 's')})"
+        old = "its last pose is" if is_of_tool(rejection) else "its joint angles are"
+        return f"{words}: {old} {quantity(value, 's')} old (limit {quantity(limit, 's')})"
     if reason in (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED) or not (math.isfinite(value) and math.isfinite(limit)):
         return words
     bound = "needs" if value < limit else "limit"
@@ -113,15 +137,21 @@ def answered_inversely(rejection: Rejection) -> bool:
 
 
 def has_late_angles(rejection: Rejection) -> bool:
-    """Whether the joint angles of a poke came too long before it, so that the arm may have moved since then."""
+    """Whether joint angles or tool pose of a poke came too long before it: arm or tool may have moved since then."""
     return rejection.reason is Reason.NO_POSE and rejection.unit == "s"
 
 
 def late_angles_sentence(rejections: Sequence[Rejection]) -> str:
     """Count the pokes without joint angles in a sentence, or return an empty string."""
-    pokes = sum(map(has_late_angles, rejections))
-    if not pokes:
+    late = [each for each in rejections if has_late_angles(each)]
+    if not late:
         return ""
+    pokes = len(late)
+    if is_of_tool(late[0]):
+        return (
+            f"tool: {count(pokes, 'poke')} without a pose of the tool: the last ones before are too old. They do not count; "
+            "check the program that sends the poses."
+        )
     return (
         f"joints: {count(pokes, 'poke')} without joint angles: the last ones before are too old, and the next ones differ or "
         "never came. Their arm pose is unknown, and they do not count."
@@ -130,6 +160,8 @@ def late_angles_sentence(rejections: Sequence[Rejection]) -> str:
 
 def rejection_advice(rejection: Rejection) -> str:
     """Advise the operator after a rejected poke."""
+    if is_of_tool(rejection) and rejection.reason in _TOOL_ADVICE and not answered_inversely(rejection):
+        return _TOOL_ADVICE[rejection.reason]
     if has_late_angles(rejection):
         return LATE_ANGLES_ADVICE
     return POLARITY_ADVICE if answered_inversely(rejection) else REJECTION_ADVICE[rejection.reason]
@@ -139,7 +171,7 @@ def short_rejection(rejection: Rejection) -> str:
     """Say why a poke was rejected in few words, with its number: `"tip slid 2.1 mm"`."""
     words = rejection_words(rejection).partition(" (")[0].replace(":", "").replace(" response", "")
     words = words.replace("held still for only", "held").partition(", needs")[0]
-    full = REASON_WORDS[rejection.reason]
+    full = reason_words(rejection)
     return words.replace(full, _SHORT_REASONS.get(rejection.reason, full))
 
 
