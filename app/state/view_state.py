@@ -150,7 +150,7 @@ class ViewState:
     @property
     def lacks_pose(self) -> bool:
         """Whether the arm's pose is unknown, so that no poke counts."""
-        return self.scene.arm is not None and self.live.link_from_sensor is None
+        return (self.scene.arm is not None or self.scene.tool is not None) and self.live.link_from_sensor is None
 
     def look(self, link: LinkHealth) -> LinkStatus:
         return link_status(link, self.now_ns, connected=self.connected)

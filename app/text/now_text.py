@@ -303,6 +303,8 @@ def _guided(at: ViewState) -> Now:
 
 def _ask_pose(at: ViewState) -> Now:
     """Ask for the arm pose, without which no poke counts."""
+    if at.scene.tool is not None:
+        return Now(Tone.WAIT, "Waiting for the tool", "Its poses say where the sensor is. Pokes count only then")
     if any(Stream.JOINTS in link.carries for link in at.live.links):
         return Now(Tone.WAIT, "Waiting for the joints", "They give the arm pose. Pokes count only then")
     names = list(at.scene.arm.poses) if at.scene.arm is not None else []

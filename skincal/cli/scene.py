@@ -208,12 +208,15 @@ def _scene_findings(part: Part, pose: FloatArray) -> list[str]:
     from skincal.mesh.laid_check import landmark_findings
     from skincal.part.robot_mesh import describe_shapes
     from skincal.words.layout_words import kind_findings
+    from skincal.words.tool_words import tool_findings
 
     scene, robot = part.scene, part.scene.robot
     findings: list[str] = []
     # Without [sensor] its place is not known.
     is_placed = robot is not None or scene.arm is not None or not np.array_equal(pose, np.eye(4))
-    if not is_placed:
+    if scene.tool is not None:
+        findings += tool_findings(scene.tool, scene.wrench_sign)
+    elif not is_placed:
         findings.append("the sensor is taken at the origin of the link, with the link's axes; [sensor] gives another pose")
     if robot is not None:
         findings += robot_findings(robot, scene.link, scene.wrench_sign)

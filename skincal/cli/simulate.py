@@ -138,7 +138,7 @@ def simulate(
     pace FACTOR. With --targets it answers as a robot does (docs/wire.md).
     """
     from skincal.files.reference import RIG_KEY
-    from skincal.part.part import load_scene_surface
+    from skincal.part.part import load_scene_surface, why_not_simulated
     from skincal.simulation.device import DeviceSettings, DeviceTimeline
     from skincal.simulation.operator import Habits
     from skincal.simulation.rig_errors import RigErrors
@@ -147,6 +147,8 @@ def simulate(
     from skincal.simulation.virtual_session import simulate_session
 
     loaded = find_scene(scene)
+    if loaded.tool is not None:
+        raise InputError(f"{loaded.path}: {why_not_simulated(loaded)}")
     if physics is not None:
         if serve == (out is not None) or (out is not None and targets is not None) or operator is not OperatorKind.AUTO:
             raise InputError("--physics needs --out FOLDER, or --serve and --targets PORT, and no --operator: a robot pokes.")

@@ -82,6 +82,11 @@ def _sensor_poses(scene: Scene, poses: ArrayLike | None, count: int) -> FloatArr
                 f"{scene.path.name}: the arm moves between sensor and {scene.link}; expected poses, (n, 4, 4): the sensor in "
                 "the frame of the link at each poke."
             )
+        if scene.tool is not None:
+            raise InputError(
+                f"{scene.path.name}: the sensor sits on the tool, which moves; expected poses, (n, 4, 4): the sensor in the "
+                f"frame of {scene.link} at each poke."
+            )
         return np.broadcast_to(scene.sensor_pose, (count, 4, 4))
     given = _array(poses, "poses", (count, 4, 4), "the sensor in the frame of the link at each poke, metres")
     turns = given[:, :3, :3]

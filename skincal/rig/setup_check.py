@@ -278,7 +278,8 @@ def _prior(choices: int) -> float:
 def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, laid: PlacedLayout) -> _Hypotheses:
     assert scene.skin.layout is not None
     yield from _sensors(asked, scene)
-    yield 0.0, Mistake(MistakeKind.MESH_ORIGIN), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)
+    part_pose = () if scene.tool is None else ("base_from_link of [tool]",)
+    yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, names=part_pose), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)
     if scene.arm is not None and (angles := _angles(used, scene.arm)) is not None:
         yield from _joints(asked, angles, scene.arm.arm)
         if scene.robot is not None:

@@ -168,6 +168,11 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         left.
     """
     scene, read_share = load_scene(request.scene), request.files.importer.reading_share
+    if scene.tool is not None:
+        raise InputError(
+            f"{scene.path.name}: the sensor sits on the tool, and recordings of its poses cannot be imported; record the "
+            "devices with `skincal record --tool`."
+        )
     files = replace(request.files, channels=scene.skin.channels)
     recording = files.open(joint_columns(scene), lambda share: go_on(read_share * share))
     with new_session(request.folder, scene, recording.links, copy=True) as pipeline:

@@ -94,6 +94,8 @@ def mistake_words(mistake: Mistake) -> tuple[str, str]:
         return _layout_words(mistake)
     if mistake.kind is MistakeKind.MESH_ORIGIN:
         shift = ", ".join(f"{value * 1e3:.0f}" for value in mistake.shift)
+        if mistake.names:
+            return f"the part must move by ({shift}) mm along its own axes", f"correct {mistake.names[0]}"
         return (
             f"mesh and layout must move by ({shift}) mm along the link's axes",
             "correct the origin of the mesh, or the position of the sensor or of [skin.anchor]",

@@ -6,6 +6,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.tool_pose import PoseForm, RotationForm
+from skincal.model.tool_rig import ToolSpec
 from skincal.rig.pivot import TOUCH_SD_MAX_M, Mistake, PivotFit, PivotResult, PivotState, PoseReading, TipMismatch, compare_tip
 from skincal.words.units import direction, millimetres, point_mm
 
@@ -93,3 +94,19 @@ def _tip_doubts(fit: PivotFit, known: FloatArray | None) -> list[str]:
     if size > TIP_FAR_M:
         return [f"It is {size:.1f} m long: check the unit, and whether the poses are those of the base in the tool's frame."]
     return []
+
+
+def tool_findings(tool: ToolSpec, wrench_sign: int) -> list[str]:
+    """Say how the scene of a tool that carries the sensor is understood."""
+    acts = "the force on the tool: its opposite acts on the part" if wrench_sign < 0 else "the force of the tool on the part"
+    frame = "the part's frame" if tool.has_part_pose else "the base of the tool's poses: base_from_link of [tool] is not given"
+    found = [
+        "the sensor sits on the tool: --tool names the stream of its poses",
+        f"by [wrench] sign = {wrench_sign} the sensor reports {acts}",
+        f"all positions are in {frame}",
+    ]
+    if tool.form is None:
+        found.append(
+            "rotation of [tool] is not given: the stream must define the form of its poses, as `P` records of SKT/1 do"
+        )
+    return found
