@@ -112,7 +112,7 @@ def check_addresses(addresses: Addresses) -> None:
 def check_streams(addresses: Addresses, scene: Scene) -> None:
     """Raise `InputError` if the devices do not fit where the scene's sensor sits: on the tool, or below the part."""
     from skincal.model.readings import Stream
-    from skincal.model.tool_rig import check_tool_streams
+    from skincal.session.tool_streams import check_tool_streams
 
     check_tool_streams(scene, {stream: getattr(addresses, stream.value) for stream in Stream})
 

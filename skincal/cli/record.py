@@ -116,8 +116,8 @@ def record(
     """
     from skincal.following.guided_session import RobotGuide
     from skincal.model.actions import SetPose
-    from skincal.model.tool_rig import check_tool_streams
     from skincal.session.importing import new_session
+    from skincal.session.tool_streams import check_tool_streams
     from skincal.streams.links import ChunkQueue, Reader, describe_links
 
     loaded = find_scene(scene)

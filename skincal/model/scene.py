@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,11 +19,9 @@ from skincal.model.errors import InputError
 from skincal.model.robot import RobotSpec, read_poses, read_robot
 from skincal.model.skin import Anchor, Layout, SkinKind, load_layout, read_anchor
 from skincal.model.tables import MAX_LENGTH_M, UNITS, Table, check_degrees, check_metres, parse_toml, read_text
+from skincal.model.tool_rig import BASE_LINK, ToolSpec, read_tool
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import WrenchFrame, WrenchPlace, find_wrench_frame, read_wrench_place
-
-if TYPE_CHECKING:
-    from skincal.model.tool_rig import ToolSpec
 
 _KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
 """Settings that the file gives in degrees, by their key there."""
@@ -230,7 +228,7 @@ def load_scene(path: Path) -> Scene:
     if tool is not None and (arm is not None or sensor is not None or robot is not None):
         raise InputError(f"{path}: [tool] excludes [arm], [sensor] and [robot]; keep the one that places the sensor.")
     spec, name, link = _read_skin(skin, path), root.take("name", str), root.take("link", str)
-    made_tool = None if tool is None else _read_tool(tool)
+    made_tool = None if tool is None else read_tool(tool)
     made = None if robot is None else read_robot(robot, link, path.parent, surface is None)
     scene = Scene(
         name=name,
@@ -370,12 +368,6 @@ def check_distance(known: KnownDistance, layout: Layout | None, where: str) -> N
         raise InputError(f"{where}: the ends are {list(known.ends)}; expected {what} of the layout.")
 
 
-def _read_tool(table: Table) -> ToolSpec:
-    from skincal.model.tool_rig import read_tool  # only scenes with a tool pay for it
-
-    return read_tool(table)
-
-
 def _usual_sign(robot: RobotSpec | None, tool: ToolSpec | None) -> int:
     """Sign of the wrench unless the scene names one: a sensor on the tool feels the reaction."""
     if tool is not None:
@@ -400,7 +392,7 @@ def _check_tool(scene: Scene) -> None:
             f"{scene.path}: base_from_link is missing in [tool], and {named[0]} lies in the part's frame; expected the part's "
             "pose in the base of the tool's poses, or no such place."
         )
-    if scene.link != "base":
+    if scene.link != BASE_LINK:
         raise InputError(
             f'{scene.path}: base_from_link is missing in [tool], so every position is in the base; expected link = "base", not '
             f"{scene.link!r}, or the part's pose."

@@ -88,7 +88,7 @@ def forms_of_width(width: int) -> tuple[PoseForm, ...]:
 
 
 class PoseFault(Enum):
-    """Why numbers are no pose; `{...}` is filled in by `read_poses`. In the order in which they are looked for."""
+    """Reason why numbers are no pose, in the order of the checks; `read_poses` fills in `{...}`."""
 
     NOT_FINITE = "has NaN or an infinite number; leave lost poses out"
     WIDTH = "has {found} values; expected {expected} of the form {form}"

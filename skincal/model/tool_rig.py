@@ -10,20 +10,14 @@ another one at each poke. Without the part's pose in the base the link is the ba
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.model.errors import InputError
-from skincal.model.readings import Stream
 from skincal.model.tables import UNITS, Table
 from skincal.model.tool_pose import PoseForm, RotationForm
-
-if TYPE_CHECKING:
-    from skincal.model.scene import Scene
 
 BASE_LINK = "base"
 """Name of the frame of all positions while the part's pose in it is not known."""
@@ -64,29 +58,6 @@ class ToolSpec:
     def tip_in_link(self, base_from_tool: FloatArray) -> FloatArray | None:
         """Compute the position (3,) of the end of the tip in the link, metres; `None` if the scene has none."""
         return None if self.tip is None else (self.link_from_base @ base_from_tool)[:3] @ np.append(self.tip, 1.0)
-
-
-def check_tool_streams(scene: Scene, addresses: Mapping[Stream, str | None]) -> None:
-    """Refuse streams that do not fit where the sensor of a scene sits: on the tool, or below the part.
-
-    Raises InputError: the tool's poses are missing, or a stream is named that the scene has no use for.
-    """
-    named = {stream for stream, address in addresses.items() if address}
-    if scene.tool is None:
-        if Stream.TOOL in named:
-            raise InputError(
-                f"A link of the tool's poses is named, and {scene.name} has no [tool]; a scene has it if the sensor sits on "
-                "the tool (docs/tool.md)."
-            )
-        return
-    if Stream.TOOL not in named:
-        raise InputError(f"In {scene.name} the sensor sits on the tool; expected the link of the tool's poses: add --tool.")
-    for stream, word in ((Stream.JOINTS, "joint angles"), (Stream.TIP, "the tip")):
-        if stream in named:
-            raise InputError(
-                f"A link of {word} is named, and in {scene.name} the sensor sits on the tool, whose poses say where it is; "
-                f"leave out --{stream.value}."
-            )
 
 
 def read_tool(table: Table) -> ToolSpec:

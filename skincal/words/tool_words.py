@@ -97,7 +97,7 @@ def _tip_doubts(fit: PivotFit, known: FloatArray | None) -> list[str]:
 
 
 def tool_findings(tool: ToolSpec, wrench_sign: int) -> list[str]:
-    """Say how the scene of a tool that carries the sensor is understood."""
+    """Describe the rig of a scene whose sensor sits on the tool, in sentences without a full stop."""
     acts = "the force on the tool: its opposite acts on the part" if wrench_sign < 0 else "the force of the tool on the part"
     frame = "the part's frame" if tool.has_part_pose else "the base of the tool's poses: base_from_link of [tool] is not given"
     found = [

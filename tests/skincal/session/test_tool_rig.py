@@ -16,8 +16,8 @@ from skincal.mesh.load import load_surface
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import load_scene
-from skincal.model.tool_rig import check_tool_streams
 from skincal.session.pipeline import Pipeline
+from skincal.session.tool_streams import check_tool_streams
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from skincal.words.poke_words import rejection_advice, rejection_words
