@@ -31,10 +31,12 @@ from skincal.devices.decoding import (
 from skincal.devices.family import DeviceAddress, Family, Form, Route, Vector
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
+from skincal.model.tool_pose import PoseForm, RotationForm
 from skincal.ros.dds import message_types, read_domain
 from skincal.ros.layouts import RunReader
 from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.patches import SkinPatches
+from skincal.ros.tool_poses import ToolPoseReader
 from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
 from skincal.ros.types import MessageError, MessageTypes
 
@@ -59,7 +61,8 @@ def write_head(choice: TopicChoice, types: Sequence[str], definitions: Mapping[s
     definitions : text of each type that is not standard, by its name
     """
     head = {"topics": choice.topics, "types": list(types), "definitions": dict(definitions)}
-    return pack(HEAD_KIND, json.dumps(head | {"field": choice.field, "joints": choice.joints}).encode())
+    frames = {name: value for name, value in (("frame", choice.frame), ("base", choice.base)) if value}
+    return pack(HEAD_KIND, json.dumps(head | {"field": choice.field, "joints": choice.joints} | frames).encode())
 
 
 def write_message(topic: int, source_ns: int, arrival_ns: int, data: bytes) -> bytes:
@@ -117,13 +120,14 @@ class TopicDecoder(FrameDecoder):
 
     starts_whole: ClassVar[bool] = True
     names_frames: ClassVar[bool] = True
+    defined_pose: ClassVar[PoseForm | None] = PoseForm(RotationForm.QUATERNION_XYZW)
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._types = self._make_types()
         self._choice: TopicChoice | None = None
         self._stream = Stream.SKIN
-        self._readers: dict[int, MessageReader] = {}
+        self._readers: dict[int, MessageReader | ToolPoseReader] = {}
         self._clocks: dict[int, TopicClock] = {}
         self._arrival_s = math.nan
         self._patches = SkinPatches(())
@@ -140,6 +144,7 @@ class TopicDecoder(FrameDecoder):
         try:
             head = cast("dict[str, Any]", json.loads(payload))
             options = {"field": head["field"], "joints": ",".join(head["joints"])}
+            options |= {name: head[name] for name in ("frame", "base") if isinstance(head.get(name), str)}
             for name, text in head["definitions"].items():
                 self._types.add_definition(name, text)
             self._choice = TopicChoice.make("+".join(head["topics"]), options)
@@ -157,6 +162,9 @@ class TopicDecoder(FrameDecoder):
     def _use_type(self, topic: int, type_name: str) -> None:
         """Learn the type of a topic. A type that cannot be read becomes the device's message."""
         assert self._choice is not None
+        if self._carries == (Stream.TOOL,):
+            self._use_pose_type(topic, type_name, self._choice)
+            return
         possible = [s for s in streams_of(self._types, type_name, self._choice.field) if s in self._carries]
         wanted = Stream.SKIN if len(self._choice.topics) > 1 else possible[0] if possible else self._carries[0]
         if wanted not in possible:
@@ -174,9 +182,33 @@ class TopicDecoder(FrameDecoder):
             return
         self._stream, self._clocks[topic] = wanted, TopicClock()
 
+    def _use_pose_type(self, topic: int, type_name: str, choice: TopicChoice) -> None:
+        try:
+            self._readers[topic] = ToolPoseReader(type_name, choice.frame, choice.base)
+        except InputError as error:
+            self._type_problem = str(error).rstrip(".")
+            return
+        self._stream, self._clocks[topic] = Stream.TOOL, TopicClock()
+
+    def _take_pose(self, topic: int, reader: ToolPoseReader, message: Any, source_s: float, arrival_s: float) -> Loss | None:
+        """Add the tool's pose of a message; a message about other frames of `/tf` is no loss."""
+        try:
+            found = reader.find_pose(message)
+        except MessageError as error:
+            self._problem = f"A message cannot be read: {error}"
+            return Loss.UNREADABLE
+        self._status = reader.problem
+        if found is None:
+            return Loss.OTHER_FRAME if reader.problem else None
+        stamp = self._date(topic, found.stamp_s, source_s, arrival_s)
+        self.units[Stream.TOOL] = f"pose of {found.child or 'the tool'} in {found.parent or 'a frame without a name'}, m"
+        return self._add(Stream.TOOL, NO_SEQ, stamp, found.values)
+
     def _take_message(self, topic: int, message: Any, source_s: float, arrival_s: float) -> Loss | None:
         """Add the readings of a message; the times are seconds since 1970, NaN if they are not known."""
         reader = self._readers[topic]
+        if isinstance(reader, ToolPoseReader):
+            return self._take_pose(topic, reader, message, source_s, arrival_s)
         try:
             values = reader.values_of(message, arrival_s)
             if values is not None and not len(values):
@@ -231,7 +263,7 @@ class Ros2Decoder(TopicDecoder):
         super()._use_type(topic, type_name)
         reader = self._readers.get(topic)
         # Joints of several nodes are kept one by one, and so are patches, which wait for each other.
-        if reader is not None and not reader.by_name and len(self._patches.topics) == 1:
+        if isinstance(reader, MessageReader) and not reader.by_name and len(self._patches.topics) == 1:
             self._runs = RunReader(self._types, reader)
 
     def _decode_frames(self, frames: Sequence[bytes | None]) -> None:

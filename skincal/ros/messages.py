@@ -243,7 +243,7 @@ class MessageReader:
         # Senders of JSON may leave out the layout.
         if not self.has_layout or (isinstance(message, dict) and "layout" not in message):
             return None
-        return elements_of_array(_member(message, "layout"), count)
+        return elements_of_array(member_of(message, "layout"), count)
 
     def stamp_of(self, message: Any) -> float | None:
         """Return the stamp that the sender wrote, seconds of its clock; `None` if there is none or it is 0."""
@@ -274,7 +274,7 @@ class MessageReader:
         if not self._header:
             return ""
         try:
-            name = _member(_member(message, self._header), "frame_id")
+            name = member_of(member_of(message, self._header), "frame_id")
         except MessageError:
             return ""
         return name.strip().removeprefix("/") if isinstance(name, str) else ""
@@ -317,7 +317,7 @@ class MessageReader:
 
         Raises MessageError: the message has not the fields of its type.
         """
-        return _numbers(_member(message, "position")) if self.by_name else self._get(message)
+        return _numbers(member_of(message, "position")) if self.by_name else self._get(message)
 
     def rows_of(self, numbers: FloatArray, names: Sequence[str], times_s: FloatArray) -> FloatArray:
         """Make the values of n messages, one after the other, from their (n, numbers), see `numbers_of`.
@@ -402,7 +402,7 @@ class MessageReader:
 
     def _angles(self, message: Any, arrival_s: float) -> FloatArray | None:
         """Return the wanted positions, rad. Several nodes may publish parts of a robot: each joint's last position counts."""
-        found, positions = list(_member(message, "name")), _numbers(_member(message, "position"))
+        found, positions = list(member_of(message, "name")), _numbers(member_of(message, "position"))
         names = [name for name in found if isinstance(name, str)]
         if len(names) != len(positions):
             if not len(positions):
@@ -514,15 +514,15 @@ def _reach(value: Any, steps: Sequence[_Step], at: int = 0) -> Iterator[Any]:
 
 def _step_into(value: Any, step: _Step) -> Any:
     if step.index < 0:
-        return _member(value, step.name)
+        return member_of(value, step.name)
     value = _numbers(value) if isinstance(value, str) else value
     if step.index >= len(value):
         raise MessageError(f"an array has {len(value)} elements; the field path wants number {step.index}, counted from 0")
     return value[step.index]
 
 
-def _member(value: Any, name: str) -> Any:
-    """Return a field of a message, which is an object or a JSON object."""
+def member_of(value: Any, name: str) -> Any:
+    """Return a field of a message, which is an object or a JSON object. Raises MessageError: it is missing."""
     try:
         return cast("dict[str, Any]", value)[name] if isinstance(value, dict) else getattr(value, name)
     except (KeyError, AttributeError):

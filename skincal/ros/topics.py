@@ -10,8 +10,9 @@ from urllib.parse import parse_qsl, urlencode
 
 from skincal.model.errors import InputError
 
-TOPIC_OPTIONS = ("field", "msg", "joints")
-"""Options of a topic: path of the values in a message, `.msg` file of the type, names of the joints in their order."""
+TOPIC_OPTIONS = ("field", "msg", "joints", "frame", "base")
+"""Options of a topic: path of the values in a message, `.msg` file of the type, names of the joints in their order; of a tool's
+poses the frame of the tool and that of the base."""
 _TOPIC_RE = re.compile(r"/?[A-Za-z~][\w/]*")
 
 
@@ -26,6 +27,10 @@ class TopicChoice:
     """File with the type's definition; `None` if it is known."""
     joints: tuple[str, ...] = ()
     """Names of the joints in their order, "" for an unused one; empty if the scene names them, or for all of them."""
+    frame: str = ""
+    """Frame of the tool; empty for the only one."""
+    base: str = ""
+    """Frame that the tool's poses are in; empty for that of the first one."""
 
     @classmethod
     def parse(cls, text: str) -> TopicChoice:
@@ -46,10 +51,12 @@ class TopicChoice:
         if wrong:
             raise InputError(f"{topics!r} is no topic; expected a name such as /ft/wrench, or several: /skin/a+/skin/b.")
         joints = tuple(options["joints"].split(",")) if options.get("joints") else ()
-        return cls(names, options.get("field", ""), Path(options["msg"]) if options.get("msg") else None, joints)
+        msg = Path(options["msg"]) if options.get("msg") else None
+        return cls(names, options.get("field", ""), msg, joints, options.get("frame", ""), options.get("base", ""))
 
     def __str__(self) -> str:
         """Return the topics joined by `+`, and after `?` the options."""
         chosen = {"field": self.field, "msg": "" if self.msg is None else str(self.msg), "joints": ",".join(self.joints)}
+        chosen |= {"frame": self.frame, "base": self.base}
         options = urlencode({key: value for key, value in chosen.items() if value}, safe="/[],.:")
         return "+".join(self.topics) + (f"?{options}" if options else "")
