@@ -14,7 +14,7 @@ from app.session.opening import Addresses, OpenRequest, begin_session, find_scen
 from app.session.recording import Recording, SessionFolder, stop_all
 from app.state.memo import Memo
 from app.state.running import Running
-from app.text.demo_text import UNKNOWN_RIG, simulated_words
+from app.text.demo_text import OTHER_RIG, UNKNOWN_RIG, simulated_words
 from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, empty_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService, raise_sentences
@@ -270,12 +270,25 @@ class Controller(QObject):
         self.simulated = True
         if self.pace > 1:
             self.set_pace(self.pace)
-        recording = self._recording
-        if recording is None:
+        if self._recording is None:
             self._start_recording()
         else:
-            recording.links, self._links_confirmed = links, True
-            self._connect(recording)
+            self._go_on_simulated(self._recording, links)
+
+    def _go_on_simulated(self, recording: Recording, links: tuple[LinkSpec, ...]) -> None:
+        """Read the simulated rig in a recorded session, if it is the session's own."""
+        from skincal.files.reference import is_same_rig
+
+        try:
+            is_same = is_same_rig(recording.storage.folder, self._truth)
+        except InputError as error:
+            self._say_failure(str(error))
+            return
+        if not is_same:
+            self._say_failure(OTHER_RIG)
+            return
+        recording.links, self._links_confirmed = links, True
+        self._connect(recording)
 
     def set_pace(self, pace: int) -> None:
         """Set the speed of the simulated operator; real devices get nothing."""

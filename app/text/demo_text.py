@@ -40,6 +40,11 @@ UNKNOWN_RIG = (
     "then Try it with a simulated hand, starts a new session of this scene. A: connect devices of your own."
 )
 
+OTHER_RIG = (
+    "This version of the program simulates another rig than that of the session: no hand can go on here. Ctrl+N, then Try it "
+    "with a simulated hand, starts a new session of this scene."
+)
+
 
 def simulated_words(pace: int, running: Running) -> str:
     """Label of a simulated robot: `"SIMULATED  2x"`, with the pace of its operator; 0 without an operator."""

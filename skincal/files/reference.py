@@ -23,6 +23,8 @@ from skincal.words.units import millimetres
 TRUTH_NAME = "truth.json"
 """A simulated session has one next to its segments."""
 REFERENCE_FORMS = "a truth.json, a calibration's JSON or CSV, a URDF with a tactile sensor, or an iCub position file"
+SAME_RIG_MAX_DIFFERENCE_M = 1e-6
+"""Between true positions of the same rig: other versions of numpy may round differently."""
 RIG_KEY = "rig"
 """In a truth file: `seed` and `errors` of the simulated rig, from which `simulate` makes the same rig."""
 
@@ -198,6 +200,18 @@ def find_truth(folder: Path, link: str, channels: Collection[int]) -> TaxelPosit
 def is_simulated(folder: Path) -> bool:
     """Whether the pokes of a session are simulated."""
     return (folder / TRUTH_NAME).is_file()
+
+
+def is_same_rig(folder: Path, truth: bytes) -> bool:
+    """Whether a simulated rig, by its truth file, has the taxels of a session's rig.
+
+    Raises InputError: the session's truth file cannot be read.
+    """
+    document = parse_json(truth)
+    places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
+    kept = read_places(folder / TRUTH_NAME).places
+    off = [np.abs(places[channel] - kept[channel]).max() for channel in places.keys() & kept.keys()]
+    return places.keys() == kept.keys() and max(off, default=0.0) < SAME_RIG_MAX_DIFFERENCE_M
 
 
 def simulated_rig_options(folder: Path) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -17,7 +18,7 @@ from app.panels.first_minute import FirstMinute
 from app.session.controller import DEMO_SPEED_FACTOR
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
-from app.text.demo_text import FIRST_MINUTE, UNKNOWN_RIG, pace_words, simulated_words
+from app.text.demo_text import FIRST_MINUTE, OTHER_RIG, UNKNOWN_RIG, pace_words, simulated_words
 from app.text.message import Message, closed_words, kept_words
 from skincal.model.scene import resource
 from skincal.session.replay import replay
@@ -177,6 +178,14 @@ def test_a_kept_simulated_session_is_marked_and_asks_before_it_connects(bench):
     assert bench.controller.running is Running.OFFLINE
     before = len(bench.accepted())
     truth = (kept / "truth.json").read_bytes()
+    moved = json.loads(truth)
+    moved["taxels"][3]["position_m"][0] += 0.002
+    (kept / "truth.json").write_text(json.dumps(moved))
+    bench.key(Key.Key_Space)
+    answer(bench, "Go on")
+    bench.until(lambda: told(bench).endswith(OTHER_RIG), OPEN_MS)
+    assert bench.controller.running is Running.OFFLINE
+    (kept / "truth.json").write_bytes(truth)
     bench.key(Key.Key_Space)
     answer(bench, "Go on")
     bench.until(lambda: bench.controller.running is Running.STREAMING, OPEN_MS)
