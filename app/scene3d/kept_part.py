@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from vtkmodules.vtkCommonCore import vtkCommand
+from vtkmodules.vtkCommonCore import vtkCommand, vtkFloatArray
 from vtkmodules.vtkCommonDataModel import vtkRecti
 from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLFramebufferObject, vtkOpenGLRenderWindow
 
@@ -33,6 +33,7 @@ GL_READ_FRAMEBUFFER, GL_DRAW_FRAMEBUFFER = 0x8CA8, 0x8CA9
 VTK_UNSIGNED_CHAR, DEPTH_BITS = 3, 32  # As in VTK's own buffer: depth is only copied between equal formats
 REGION_MARGIN_PX = 2  # Around what changed, for the rounding of lines to pixels
 MAX_REGION_SHARE = 0.7  # Of the picture: a larger region is drawn as a whole picture
+PROBE_DEPTH, PROBE_TOLERANCE = 0.375, 1e-3  # Copied once to see if copies work; nothing else leaves this depth
 
 
 class KeptPart:
@@ -45,6 +46,9 @@ class KeptPart:
         self.drawn_parts = self.drawn_fronts = self.drawn_labels = 0
         """Pictures for which the whole part, all before it, and the labels were drawn."""
         self._size = (0, 0)
+        self._are_buffers_made = False
+        """The buffers have size `_size`, and a copy from them works."""
+        self._is_copy_proven = False
         self._opaque, self._whole, self._picture = (vtkOpenGLFramebufferObject() for _ in range(3))
         self._viewpoint: Viewpoint | None = None
         self._key: object = None
@@ -59,6 +63,7 @@ class KeptPart:
         self._observers = [
             (renderer, renderer.AddObserver(event, react))
             for renderer, event, react in (
+                (part, vtkCommand.StartEvent, self._before_part),
                 (part, vtkCommand.EndEvent, self._after_part),
                 (within, vtkCommand.StartEvent, self._before_within),
                 (within, vtkCommand.EndEvent, self._after_within),
@@ -122,8 +127,8 @@ class KeptPart:
 
     def _make_buffers(self, size: tuple[int, int]) -> bool:
         if size == self._size:
-            return True
-        self._size = size
+            return self._are_buffers_made
+        self._size, self._is_copy_proven = size, False
         made = True
         for buffer in (self._opaque, self._whole, self._picture):
             buffer.SetContext(self.window)
@@ -131,7 +136,31 @@ class KeptPart:
             has_depth = buffer is self._opaque
             made = buffer.PopulateFramebuffer(*size, True, 1, VTK_UNSIGNED_CHAR, has_depth, DEPTH_BITS, 0) and made
             self.window.GetState().PopFramebufferBindings()
+        self._are_buffers_made = made
         return made
+
+    def _before_part(self, *_: object) -> None:
+        # The first picture with these buffers: all of it is drawn.
+        if self._is_kept and not self._is_copy_proven:
+            self._are_buffers_made = self._is_kept = self._is_copy_proven = self._can_copy()
+
+    def _can_copy(self) -> bool:
+        """Return whether a copy of colours and depth arrives in the picture: OpenGL refuses one between other formats."""
+        state, depth = self.window.GetState(), vtkFloatArray()
+        state.PushFramebufferBindings()
+        self._opaque.Bind(GL_DRAW_FRAMEBUFFER)
+        self._opaque.ActivateDrawBuffer(0)
+        state.vtkglViewport(0, 0, *self._size)
+        state.vtkglScissor(0, 0, *self._size)
+        state.vtkglDepthMask(True)
+        state.vtkglClearDepth(PROBE_DEPTH)
+        state.vtkglClear(GL_DEPTH_BUFFER_BIT)
+        state.vtkglClearDepth(1.0)
+        state.PopFramebufferBindings()
+        frame = self.window.GetRenderFramebuffer()
+        self._copy(self._opaque, frame, self._full(), GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT)
+        is_read = self.window.GetZbufferData(0, 0, 0, 0, depth)
+        return bool(is_read) and abs(depth.GetValue(0) - PROBE_DEPTH) < PROBE_TOLERANCE
 
     def _after_part(self, *_: object) -> None:
         if self._is_kept:

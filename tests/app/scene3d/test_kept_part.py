@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLFramebufferObject
 
+from app.scene3d import kept_part
 from app.scene3d.camera import rotate
+from app.scene3d.kept_part import KeptPart
 from app.scene3d.offscreen import draw
 from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import DARK, LIGHT, StaticScene
@@ -112,3 +115,22 @@ def test_camera_colours_layers_and_size_make_the_part_be_drawn_again(cameras):
             np.testing.assert_array_equal(keeping.picture(state), drawing.picture(state), of)
         seen.add(keeping.picture(state).tobytes())
     assert len(seen) == 6
+
+
+@pytest.mark.parametrize("missing", ["buffers", "copies"])
+def test_without_buffers_or_copies_each_picture_draws_everything(monkeypatch, missing):
+    if missing == "buffers":
+
+        class NoBuffer(vtkOpenGLFramebufferObject):
+            def PopulateFramebuffer(self, *_: object) -> bool:  # noqa: N802 - VTK's name
+                return False
+
+        monkeypatch.setattr(kept_part, "vtkOpenGLFramebufferObject", NoBuffer)
+    else:
+        # As after an error of `glBlitFramebuffer`: nothing is copied.
+        monkeypatch.setattr(KeptPart, "_copy", lambda *_: None)
+    states = [*presses()[:1] * 3, *presses()[1:5]]
+    with closing(Camera(keeps=True)) as keeping, closing(Camera(keeps=False)) as drawing:
+        for state in states:
+            np.testing.assert_array_equal(keeping.picture(state), drawing.picture(state))
+        assert keeping.kept.drawn_parts == keeping.kept.drawn_labels == len(states)
