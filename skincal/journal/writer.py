@@ -66,7 +66,7 @@ IMPORT_FLUSH_PERIOD_NS = 2_000_000_000
 FILE_PRESENCE_CHECK_PERIOD_NS = 500_000_000
 """ns. Interval of the check that the file is still in its folder."""
 SEGMENT_MAX_DURATION_NS = 300_000_000_000
-"""ns. Longest segment. While it is open the library holds its index, 2 kB a second; after a crash it is written again, which
+"""ns. Longest segment. While it is open the writer holds its index, 2 kB a second; after a crash it is written again, which
 takes 1 s for each minute at 1 kHz."""
 SEGMENT_NAME = "segment-{:04d}.mcap"
 SCENE_FILE = "scene.toml"
