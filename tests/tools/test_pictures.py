@@ -32,5 +32,6 @@ def test_the_texts_that_the_tool_waits_for_are_those_of_the_program():
     tool = (CHECKOUT_FOLDER / "tools" / "pictures.py").read_text(encoding="utf-8")
     awaited = {words for pair in re.findall(r'until_text\("([^"]+)", "([^"]*)"', tool) for words in pair if words}
     assert len(awaited) >= 3
-    program = "".join(path.read_text(encoding="utf-8") for path in (CHECKOUT_FOLDER / "app" / "text").glob("*.py"))
+    rooms = (CHECKOUT_FOLDER / "app" / "text", CHECKOUT_FOLDER / "skincal" / "words")
+    program = "".join(path.read_text(encoding="utf-8") for room in rooms for path in room.glob("*.py"))
     assert {words for words in awaited if words not in program} == set()

@@ -284,7 +284,7 @@ def test_what_was_checked_and_what_could_not_be_stands_in_the_files(part):
     assert written["predicted_errors"]["surface"]["unchecked_rig_m"] == 0.0071
     found = made.predicted_error(Method.SURFACE)
     mean, worst = f"{found.mean * 1e3:.1f}", f"{found.worst * 1e3:.1f}"
-    error = approved("verdict.predicted_unchecked", mean_mm=mean, worst_mm=worst, unchecked_mm="7.1")
+    error = approved("rig.predicted_without_arm", mean_mm=mean, worst_mm=worst, unchecked_mm="7.1")
     for said in (words, f"predicted error: {error}"):
         assert f"comment {said}" in ply_text(calibration, Method.SURFACE).splitlines()
         assert f"# {said}" in icub_text(calibration, Method.SURFACE).splitlines()

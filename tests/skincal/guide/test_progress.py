@@ -225,7 +225,7 @@ def test_friction_is_bayes_rule_and_an_unknown_tilt_says_nothing():
     mean, sd = FRICTION_PRIOR_RAD
     likely = np.exp(-0.5 * ((FRICTION_ANGLES_RAD - mean) / sd) ** 2)
     for made, slid in ((20.0, False), (33.0, False), (31.0, True)):
-        more = np.where(np.radians(made) > FRICTION_ANGLES_RAD, SLIDE_PROBABILITIES[1], SLIP_PROBABILITIES[0])
+        more = np.where(np.radians(made) > FRICTION_ANGLES_RAD, SLIDE_PROBABILITIES[1], SLIDE_PROBABILITIES[0])
         likely *= more if slid else 1.0 - more
     share = likely.cumsum() / likely.sum()
     assert tilt.friction == pytest.approx(FRICTION_ANGLES_RAD[np.flatnonzero(share >= 0.5)[0]])
