@@ -13,9 +13,9 @@ import numpy as np
 from skincal.devices.link import LinkError
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
+from skincal.model.pose_form import PoseForm
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
 from skincal.model.scene import Scene
-from skincal.model.tool_pose import PoseForm
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, yarp_ports
 from skincal.streams.ros_topics import FoundTopic, list_ros_topics

@@ -11,7 +11,7 @@ import typer
 from skincal.cli.solve import Json
 from skincal.model.errors import InputError, shortened
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
-from skincal.model.tool_pose import RotationForm
+from skincal.model.pose_form import RotationForm
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
@@ -59,8 +59,8 @@ def tool(
     import numpy as np
 
     from skincal.cli import output
+    from skincal.model.pose_form import PoseForm
     from skincal.model.tables import UNITS
-    from skincal.model.tool_pose import PoseForm
     from skincal.rig.pivot import PivotState, judge_touches
     from skincal.words.tool_words import pivot_sentences
 

@@ -20,7 +20,7 @@ from skincal.model.readings import Batch, Loss, SideReading, Stream
 from skincal.model.wrench_frames import WrenchFrames
 
 if TYPE_CHECKING:
-    from skincal.model.tool_pose import PoseForm
+    from skincal.model.pose_form import PoseForm
 
 SEQ_MODULUS = 1 << 16
 """The counters of SKT/1 and SKB/1 have 16 bits."""

@@ -30,8 +30,8 @@ from skincal.devices.decoding import (
 )
 from skincal.devices.family import DeviceAddress, Family, Form, Route, Vector
 from skincal.model.errors import InputError
+from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.readings import Loss, Stream
-from skincal.model.tool_pose import PoseForm, RotationForm
 from skincal.ros.dds import message_types, read_domain
 from skincal.ros.layouts import RunReader
 from skincal.ros.messages import MessageReader, streams_of

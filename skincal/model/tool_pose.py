@@ -1,13 +1,8 @@
-"""Poses of a tool as robots and trackers write them: numbers of one of several forms, which nothing in the numbers names.
-
-A pose has three properties that a reader must be told: the form of its rotation, the unit of its angles, and the unit of its
-lengths. Each wrong one makes a plausible pose. `docs/tool.md` lists the forms of known robots, with the sources.
-"""
+"""Poses of a tool as robots and trackers write them: numbers of one of several forms (`pose_form.py`)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -15,6 +10,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
+from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.tables import MAX_LENGTH_M
 
 NORM_TOLERANCE = 0.001
@@ -25,66 +21,12 @@ MAX_ANGLE_RAD = 2.0 * np.pi
 """Beyond it a rotation vector or an Euler angle is in degrees."""
 
 
-class RotationForm(Enum):
-    """Form of the numbers of a pose; x y z come first, but in a 4 x 4 matrix."""
-
-    QUATERNION_XYZW = "xyzw"
-    QUATERNION_WXYZ = "wxyz"
-    ROTATION_VECTOR = "vector"
-    RPY = "rpy"
-    """Roll, pitch and yaw about fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    ABC = "abc"
-    """The same angles in the other order: R = Rz(A) Ry(B) Rx(C)."""
-    MOVING_XYZ = "xyz"
-    """About moving axes: R = Rx Ry Rz."""
-    MOVING_ZYZ = "zyz"
-    ROWS = "rows"
-    """3 x 3, row by row."""
-    COLUMNS = "columns"
-    MATRIX = "4x4"
-    """4 x 4, row by row; the last row is 0 0 0 1."""
-    MATRIX_COLUMNS = "4x4-columns"
-
-    @property
-    def width(self) -> int:
-        """Number of values of a pose."""
-        return _WIDTH[self]
-
-    @property
-    def has_angles(self) -> bool:
-        """Whether its numbers are angles, in radians or degrees."""
-        return self.width == 6
-
-
-_WIDTH = {
-    **dict.fromkeys((RotationForm.QUATERNION_XYZW, RotationForm.QUATERNION_WXYZ), 7),
-    **dict.fromkeys((RotationForm.ROWS, RotationForm.COLUMNS), 12),
-    **dict.fromkeys((RotationForm.MATRIX, RotationForm.MATRIX_COLUMNS), 16),
-    **dict.fromkeys(
-        (RotationForm.ROTATION_VECTOR, RotationForm.RPY, RotationForm.ABC, RotationForm.MOVING_XYZ, RotationForm.MOVING_ZYZ), 6
-    ),
-}
 _EULER_AXES = {
     RotationForm.RPY: "xyz",  # lower case: fixed axes, for scipy
     RotationForm.ABC: "ZYX",
     RotationForm.MOVING_XYZ: "XYZ",
     RotationForm.MOVING_ZYZ: "ZYZ",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class PoseForm:
-    """What a reader of poses must be told."""
-
-    rotation: RotationForm
-    degrees: bool = False
-    """Whether angles are in degrees; only where the form has angles."""
-
-
-def forms_of_width(width: int) -> tuple[PoseForm, ...]:
-    """List the forms of a pose with `width` values; empty if no form has as many."""
-    found = [form for form in RotationForm if form.width == width]
-    return tuple(PoseForm(form, degrees) for form in found for degrees in ((False, True) if form.has_angles else (False,)))
 
 
 class PoseFault(Enum):

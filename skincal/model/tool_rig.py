@@ -16,8 +16,8 @@ import numpy as np
 
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.model.errors import InputError
+from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.tables import UNITS, Table
-from skincal.model.tool_pose import PoseForm, RotationForm
 
 BASE_LINK = "base"
 """Name of the frame of all positions while the part's pose in it is not known."""

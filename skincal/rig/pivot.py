@@ -23,7 +23,8 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.tool_pose import PoseForm, forms_of_width, read_poses
+from skincal.model.pose_form import PoseForm, forms_of_width
+from skincal.model.tool_pose import read_poses
 
 MIN_TOUCHES = 4
 """Two directions of turn, and as many equations left to judge the fit."""

@@ -19,6 +19,7 @@ from skincal.devices.decoding import TOOL_VALUES, WRENCH_VALUES
 from skincal.devices.family import AUTO
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
+from skincal.model.pose_form import PoseForm
 from skincal.model.readings import (
     SENSOR_STREAMS,
     Batch,
@@ -33,7 +34,6 @@ from skincal.model.readings import (
     Stream,
     merge_side_readings,
 )
-from skincal.model.tool_pose import PoseForm
 from skincal.model.wrench_frames import FindFrame, WrenchFrames, unchecked_frame
 from skincal.streams.clocks import Timestamper
 from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class

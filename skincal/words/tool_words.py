@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.model.tool_pose import PoseForm, RotationForm
+from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.tool_rig import ToolSpec
 from skincal.rig.pivot import TOUCH_SD_MAX_M, Mistake, PivotFit, PivotResult, PivotState, PoseReading, TipMismatch, compare_tip
 from skincal.words.units import direction, millimetres, point_mm

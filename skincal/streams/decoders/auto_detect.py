@@ -15,8 +15,8 @@ from skincal.devices.decoding import FrameDecoder
 from skincal.devices.family import AUTO
 from skincal.devices.registry import CHECKSUMMED_FORMATS, FORMATS, find_decoder
 from skincal.model.errors import InputError
+from skincal.model.pose_form import PoseForm
 from skincal.model.readings import Batch, Loss, Stream
-from skincal.model.tool_pose import PoseForm
 from skincal.model.wrench_frames import WrenchFrames
 from skincal.streams.decoders.delimited import TextDecoder
 from skincal.streams.decoders.records import RecordsDecoder

@@ -28,8 +28,8 @@ from skincal.devices.decoding import (
     FrameDecoder,
     SequenceCounter,
 )
+from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.readings import Loss, Stream
-from skincal.model.tool_pose import PoseForm, RotationForm
 
 LINE_MAX_BYTES = 4096
 """Bytes. The longest line of the protocol."""

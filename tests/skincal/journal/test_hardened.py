@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from skincal.files.export import write_calibration
 from skincal.following.results import SessionResults
 from skincal.journal import mcap_file
+from skincal.journal.documents import MAX_LINKS
 from skincal.journal.line_file import LineWriter
 from skincal.journal.mcap_file import is_closed
 from skincal.journal.reader import SessionLog, recover_session
@@ -295,7 +296,7 @@ BAD = [
     b'{"type": "segment", "format": 3, "segment": 1, "links": 7, "scene": ""}',
     *(
         json.dumps({"type": "segment", "format": 3, "segment": 1, "links": links}).encode()
-        for links in ([LINK] * 5, [LINK | {"address": "x" * 1001}])
+        for links in ([LINK] * (MAX_LINKS + 1), [LINK | {"address": "x" * 1001}])
     ),
     b'{"type": "action"}',
     b'{"type": "action", "do": []}',

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from skincal.model.errors import InputError
-from skincal.model.tool_pose import PoseForm, RotationForm, forms_of_width, read_poses
+from skincal.model.pose_form import PoseForm, RotationForm, forms_of_width
+from skincal.model.tool_pose import read_poses
 
 PLACE = np.array([0.1, -0.2, 0.3])
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skincal.model.tool_pose import PoseForm, RotationForm, read_poses
+from skincal.model.pose_form import PoseForm, RotationForm
+from skincal.model.tool_pose import read_poses
 from skincal.rig.pivot import Mistake, PivotState, TipMismatch, compare_tip, find_readings, fit_pivot, judge_touches
 from skincal.words.tool_words import pivot_sentences
 from tests.approved import approved

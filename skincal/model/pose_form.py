@@ -1,0 +1,66 @@
+"""Forms of the numbers of a pose, without the arrays: the options of the commands name them.
+
+A pose has three properties that a reader must be told: the form of its rotation, the unit of its angles, and the unit of its
+lengths. Each wrong one makes a plausible pose. `docs/tool.md` lists the forms of known robots, with the sources.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class RotationForm(Enum):
+    """Form of the numbers of a pose; x y z come first, but in a 4 x 4 matrix."""
+
+    QUATERNION_XYZW = "xyzw"
+    QUATERNION_WXYZ = "wxyz"
+    ROTATION_VECTOR = "vector"
+    RPY = "rpy"
+    """Roll, pitch and yaw about fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    ABC = "abc"
+    """The same angles in the other order: R = Rz(A) Ry(B) Rx(C)."""
+    MOVING_XYZ = "xyz"
+    """About moving axes: R = Rx Ry Rz."""
+    MOVING_ZYZ = "zyz"
+    ROWS = "rows"
+    """3 x 3, row by row."""
+    COLUMNS = "columns"
+    MATRIX = "4x4"
+    """4 x 4, row by row; the last row is 0 0 0 1."""
+    MATRIX_COLUMNS = "4x4-columns"
+
+    @property
+    def width(self) -> int:
+        """Number of values of a pose."""
+        return _WIDTH[self]
+
+    @property
+    def has_angles(self) -> bool:
+        """Whether its numbers are angles, in radians or degrees."""
+        return self.width == 6
+
+
+_WIDTH = {
+    **dict.fromkeys((RotationForm.QUATERNION_XYZW, RotationForm.QUATERNION_WXYZ), 7),
+    **dict.fromkeys((RotationForm.ROWS, RotationForm.COLUMNS), 12),
+    **dict.fromkeys((RotationForm.MATRIX, RotationForm.MATRIX_COLUMNS), 16),
+    **dict.fromkeys(
+        (RotationForm.ROTATION_VECTOR, RotationForm.RPY, RotationForm.ABC, RotationForm.MOVING_XYZ, RotationForm.MOVING_ZYZ), 6
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PoseForm:
+    """What a reader of poses must be told."""
+
+    rotation: RotationForm
+    degrees: bool = False
+    """Whether angles are in degrees; only where the form has angles."""
+
+
+def forms_of_width(width: int) -> tuple[PoseForm, ...]:
+    """List the forms of a pose with `width` values; empty if no form has as many."""
+    found = [form for form in RotationForm if form.width == width]
+    return tuple(PoseForm(form, degrees) for form in found for degrees in ((False, True) if form.has_angles else (False,)))
