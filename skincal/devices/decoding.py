@@ -381,6 +381,8 @@ class FrameDecoder(ABC):
         """Frames of the wrenches; of the link, so that they stay when it is opened again."""
         self._pose_form: tuple[PoseForm, float] | None = None
         """Form of the numbers of a tool's pose, and metres per unit of its lengths; `None` while unknown."""
+        self._has_far_pose = False
+        """A pose of the tool lay away from the origin, as it does unless the unit of the lengths is wrong."""
         if self.defined_pose is not None:
             self.set_pose_form(self.defined_pose, 1.0)
         self.units = dict(DEFAULT_UNITS)
@@ -491,13 +493,19 @@ class FrameDecoder(ABC):
 
     def _read_tool_poses(self, values: FloatArray) -> FloatArray:
         """Convert poses (n, width) as sent to the upper rows of 4 x 4 poses, (n, 12), metres; NaN for one that is none."""
-        from skincal.model.tool_pose import PoseFault, convert_poses
+        from skincal.model.tool_pose import MIN_LENGTH_M, PoseFault, convert_poses
 
         if self._pose_form is None:
             self._problem = NO_POSE_FORM
             self.counts[Loss.NO_POSE] += len(values)
             return np.full((len(values), TOOL_VALUES), np.nan)
         poses, faults = convert_poses(values, *self._pose_form)
+        for row in range(len(poses)):
+            # Metres that are read as millimetres make every pose one near the origin.
+            if faults[row] is None and not self._has_far_pose:
+                self._has_far_pose = bool(np.abs(poses[row, :3, 3]).max() >= MIN_LENGTH_M)
+                if not self._has_far_pose:
+                    poses[row], faults[row] = np.nan, PoseFault.TOO_NEAR
         found = [fault for fault in faults if fault is not None]
         # Numbers that are not finite are counted already.
         lost = [fault for fault in found if fault is not PoseFault.NOT_FINITE]

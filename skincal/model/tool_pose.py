@@ -39,6 +39,8 @@ class PoseFault(Enum):
     MIRRORED = "has a matrix that mirrors (determinant -1); its axes are left-handed: turn one around"
     NOT_UNIT = "has a quaternion that is not of length 1; leave lost poses out, and check the columns"
     ANGLES = "has angles beyond one turn; check their unit: radians or degrees"
+    TOO_NEAR = f"lies, as all before it, within {MIN_LENGTH_M * 1e3:g} mm of the origin; check the unit of the lengths"
+    """Only of a stream: see `FrameDecoder`."""
     TOO_FAR = f"lies more than {MAX_LENGTH_M:g} m from the origin; check the unit of the lengths"
 
 
@@ -100,6 +102,28 @@ def convert_poses(values: FloatArray, form: PoseForm, metres_per_unit: float) ->
     poses[good] = np.eye(4)
     poses[good, :3, :3], poses[good, :3, 3] = turns[good], places[good] * metres_per_unit
     return poses, faults
+
+
+def write_poses(poses: FloatArray, form: PoseForm) -> FloatArray:
+    """Write poses (n, 4, 4) as numbers of a form, (n, width): the inverse of `convert_poses`, lengths in metres."""
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs] - slow to import: only who reads poses pays
+
+    turns = poses[:, :3, :3]
+    match form.rotation:
+        case RotationForm.MATRIX | RotationForm.MATRIX_COLUMNS:
+            whole = poses if form.rotation is RotationForm.MATRIX else poses.transpose(0, 2, 1)
+            return whole.reshape(-1, form.rotation.width)
+        case RotationForm.ROWS | RotationForm.COLUMNS:
+            turns = turns if form.rotation is RotationForm.ROWS else turns.transpose(0, 2, 1)
+            numbers = turns.reshape(-1, 9)
+        case RotationForm.QUATERNION_XYZW | RotationForm.QUATERNION_WXYZ:
+            first = form.rotation is RotationForm.QUATERNION_WXYZ
+            numbers = Rotation.from_matrix(turns).as_quat(scalar_first=first)
+        case _:
+            turned, axes = Rotation.from_matrix(turns), _EULER_AXES.get(form.rotation)
+            numbers = turned.as_rotvec() if axes is None else turned.as_euler(axes)
+            numbers = np.degrees(numbers) if form.degrees else numbers
+    return np.concatenate([poses[:, :3, 3], numbers], axis=1)
 
 
 def read_poses(values: FloatArray, form: PoseForm, metres_per_unit: float, where: Sequence[str]) -> FloatArray:

@@ -15,6 +15,7 @@ from itertools import permutations, product
 import numpy as np
 
 from skincal.geometry import FloatArray
+from skincal.model.tool_pose import PoseForm
 from skincal.rig.correction import Correction
 
 STANDARD_GRAVITY = 9.80665
@@ -54,6 +55,16 @@ class MistakeKind(Enum):
     """The moments are about another point than the origin of the frame that the messages name."""
     WRENCH_LABEL = "wrench label"
     """The wrench is in the sensor's frame, and its messages name another one."""
+    TOOL_INVERSE = "tool inverse"
+    """The poses of a tool with the sensor are those of the base in the tool's frame."""
+    TOOL_BASE = "tool base"
+    """They are in a base that is turned by half a turn."""
+    TOOL_FORM = "tool form"
+    """Their rotation has another form."""
+    TOOL_WRENCH = "tool wrench"
+    """The wrench has the axes of the base."""
+    TOOL_UNEXPLAINED = "tool unexplained"
+    """The pokes of a tool miss, and no known mistake explains it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +85,8 @@ class Mistake:
     names: tuple[str, ...] = ()
     """Joints, sensor and link of the other arm, ids of modules, channels and remedy, the wrench's frame and its right
     point, or the force that the scene names and its opposite."""
+    form: PoseForm | None = None
+    """Right form of the poses of a tool; `None` if the mistake is another one."""
     degrees: float = 0.0
     mirrored: bool = False
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))

@@ -33,6 +33,7 @@ from skincal.model.wrench_frames import FrameKind, WrenchFrame, rigid_points
 from skincal.pokes import Pokes
 from skincal.rig.channel_order import channel_orders
 from skincal.rig.scene_mistakes import Mistake, MistakeKind, sensor_mistakes
+from skincal.rig.tool_mistakes import tool_mistakes
 
 SETUP_CHECK_MIN_POKES = 6
 SETUP_CHECK_MAX_POKES = 40
@@ -70,6 +71,8 @@ MIN_PAIRS_FOR_OWN_ERROR = 3
 """Pairs of pokes on one taxel that tell the rig's own errors."""
 LAYOUT_FIT_MAX_SPACINGS, LAYOUT_FIT_MAX_OWN_ERRORS = 0.75, 3.0
 """Spacings of the layout, or own errors of the rig, that a change of the layout may leave (median)."""
+TOOL_FIT_MAX_M = 0.020
+"""m, median, that a change may leave if the sensor sits on the tool: wrong poses scatter the force axes by more."""
 PARALLEL_MAX_SINE = 0.05
 """Sine of the angle of two force axes below which they count as parallel."""
 
@@ -164,6 +167,8 @@ def check_setup(
     unsettled = next((each for each in frames if not each.is_settled), None)
     if unsettled is not None and (likely or described.cost > LAYOUT_FITS_BELOW_COST_PER_POKE * count):
         return SetupDiagnosis(count, miss, (Mistake(MistakeKind.WRENCH_FRAME, miss, names=(unsettled.name,)),))
+    if scene.tool is not None and not likely and described.cost > LAYOUT_FITS_BELOW_COST_PER_POKE * count:
+        return SetupDiagnosis(count, miss, (Mistake(MistakeKind.TOOL_UNEXPLAINED, miss),))
     by_kind = {mistake.kind: mistake for _, mistake in reversed(likely)}
     kinds = dict.fromkeys(mistake.kind for _, mistake in likely)
     return SetupDiagnosis(count, miss, tuple(by_kind[kind] for kind in kinds))
@@ -197,6 +202,7 @@ def _explains(mistake: Mistake, judged: _Judged, used: Sequence[Contact], scene:
         return True
     own = float(np.median(apart)) if apart else 0.0
     most = max(LAYOUT_FIT_MAX_SPACINGS * layout.spacing, LAYOUT_FIT_MAX_OWN_ERRORS * own)
+    most = most if scene.tool is None else min(most, TOOL_FIT_MAX_M)
     return float(np.median(judged.misses)) <= most
 
 
@@ -279,6 +285,9 @@ def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, la
     assert scene.skin.layout is not None
     yield from _sensors(asked, scene)
     part_pose = () if scene.tool is None else ("base_from_link of [tool]",)
+    if scene.tool is not None:
+        wrong = list(tool_mistakes(asked.pokes, scene.tool))
+        yield from ((_prior(len(wrong)), mistake, asked.with_pokes(**changes)) for mistake, changes in wrong)
     yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, names=part_pose), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)
     if scene.arm is not None and (angles := _angles(used, scene.arm)) is not None:
         yield from _joints(asked, angles, scene.arm.arm)

@@ -42,9 +42,9 @@ class ToolPoseReader:
     Parameters
     ----------
     frame : child frame whose pose is wanted; empty for the only one
-    base : parent frame that the poses must have; empty for that of the first one
+    base : parent frame that the poses must have; empty for that of the first one, but not for a `TFMessage`
 
-    Raises InputError: the type has no poses, or the frame is not chosen among those of many.
+    Raises InputError: the type has no poses, or the frames are not chosen among many.
     """
 
     def __init__(self, type_name: str, frame: str = "", base: str = "") -> None:
@@ -57,8 +57,12 @@ class ToolPoseReader:
                 f"Messages of {self.type_name} hold no pose of a tool; expected {POSE_STAMPED}, {TRANSFORM_STAMPED} or "
                 f"{TF_MESSAGE}."
             )
-        if self.type_name == TF_MESSAGE and not frame:
-            raise InputError("A TFMessage has poses of many frames; choose one, as in ros2:/tf?frame=tool0&base=base.")
+        if self.type_name == TF_MESSAGE and not (frame and base):
+            # The nearest parent is often the link before, whose transform never changes.
+            raise InputError(
+                "A TFMessage has poses of many frames in many others; choose frame and base, as in "
+                "ros2:/tf?frame=tool0&base=base."
+            )
 
     def find_pose(self, message: Any) -> StampedPose | None:
         """Return the wanted pose of a message, or `None` if it has none.

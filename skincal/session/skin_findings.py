@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from skincal.contacts.outcome import Contact
 from skincal.words.skin_words import skin_sentences
 
 if TYPE_CHECKING:
@@ -13,7 +14,13 @@ if TYPE_CHECKING:
 
 
 def session_skin_sentences(snapshot: Snapshot, condition: SkinCondition, scene: Scene) -> tuple[str, ...]:
-    """Name the faults of the skin that a session shows; empty without one."""
+    """Name the faults of the skin that a session shows, and of the poses of a tool with the sensor; empty without one."""
     at_landmarks = snapshot.at_landmarks
     outcomes = [each.outcome for each in snapshot.pokes if not each.excluded and each.outcome.poke not in at_landmarks]
-    return tuple(skin_sentences(condition, outcomes, scene, snapshot.decisions.thresholds))
+    of_skin = tuple(skin_sentences(condition, outcomes, scene, snapshot.decisions.thresholds))
+    if scene.tool is None:
+        return of_skin
+    from skincal.words.tool_words import repeated_pose_sentence
+
+    repeated = repeated_pose_sentence([each for each in outcomes if isinstance(each, Contact)])
+    return (*of_skin, repeated) if repeated else of_skin

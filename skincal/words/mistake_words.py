@@ -11,6 +11,7 @@ from skincal.rig.frame_check import FrameDiagnosis
 from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
 from skincal.rig.setup_check import SetupDiagnosis
 from skincal.words.taxel_words import rig_name
+from skincal.words.tool_words import form_words
 from skincal.words.units import millimetres
 
 MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
@@ -36,6 +37,12 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
             f"{found.pokes} pokes miss the taxels that answer by {millimetres(first.miss, 0)} (median), and it is not known in "
             f"which frame the wrench is: its messages name {first.names[0]}. Settle that first, then other mistakes are looked "
             "for.",
+        )
+    if first.kind is MistakeKind.TOOL_UNEXPLAINED:
+        return (
+            f"{found.pokes} pokes miss the taxels that answer by {millimetres(first.miss, 0)} (median), and no known mistake "
+            "explains it. Make the fixed-point test with `skincal tool`, then check base_from_link and flange of [tool], and "
+            "axes and sign of the wrench.",
         )
     what, remedy = mistake_words(first)
     misses = (
@@ -76,6 +83,18 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
         "the wrench is in the frame of the sensor {names[1]}, though its messages name {names[0]}",
         'write frame = "{names[1]}" in [wrench] of the scene',
     ),
+    MistakeKind.TOOL_INVERSE: (
+        "the poses of the tool are inverse, those of the base in the tool's frame",
+        "send the poses of the tool in the base",
+    ),
+    MistakeKind.TOOL_BASE: (
+        "the base of the tool's poses is turned by half a turn about its z axis against that of base_from_link",
+        "give base_from_link in the base of the poses: base and base_link of Universal Robots differ so",
+    ),
+    MistakeKind.TOOL_WRENCH: (
+        "the wrench has the axes of the base, not those of the sensor",
+        "send it in the axes of the sensor",
+    ),
 }
 """Mistake and remedy."""
 
@@ -90,6 +109,8 @@ def mistake_words(mistake: Mistake) -> tuple[str, str]:
         words = filter(None, (_turn_words(mistake.axes), _moment_unit_words(mistake.moment_scale / mistake.force_scale)))
         remedy = CORRECT_SENSOR if mistake.kind is MistakeKind.AXES else "set the sensor's unit in its address or its program"
         return "; ".join(words), remedy
+    if mistake.form is not None:
+        return f"the rotation of the tool's poses is a {form_words(mistake.form)}", "correct rotation of [tool], or the sender"
     if mistake.kind is MistakeKind.LAYOUT:
         return _layout_words(mistake)
     if mistake.kind is MistakeKind.MESH_ORIGIN:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.tool_rig import ToolSpec
 from skincal.rig.pivot import TOUCH_SD_MAX_M, Mistake, PivotFit, PivotResult, PivotState, PoseReading, TipMismatch, compare_tip
 from skincal.words.units import direction, millimetres, point_mm
 
+REPEATED_POSE_MIN_TAXELS = 3
+"""Taxels that answered most at one pose of the tool. A poke between two pads may be either's."""
 TIP_FAR_M = 1.0
 """m. No poking tool is as long."""
 FORM_WORDS = {
@@ -94,6 +99,22 @@ def _tip_doubts(fit: PivotFit, known: FloatArray | None) -> list[str]:
     if size > TIP_FAR_M:
         return [f"It is {size:.1f} m long: check the unit, and whether the poses are those of the base in the tool's frame."]
     return []
+
+
+def repeated_pose_sentence(contacts: Sequence[Contact]) -> str:
+    """Say that pokes on several taxels have one pose of the tool, to the last bit; empty if none have."""
+    of_pose: dict[bytes, list[Contact]] = {}
+    for contact in contacts:
+        of_pose.setdefault(contact.link_from_sensor.tobytes(), []).append(contact)
+    taxels, repeated = max(
+        ((len({poke.strongest_channel for poke in each}), len(each)) for each in of_pose.values()), default=(0, 0)
+    )
+    if taxels < REPEATED_POSE_MIN_TAXELS:
+        return ""
+    return (
+        f"tool: {repeated} pokes on {taxels} taxels have the same pose of the tool to the last digit: its stream repeats "
+        "one pose. Their positions are wrong: exclude these pokes, and check the program that sends the poses."
+    )
 
 
 def tool_findings(tool: ToolSpec, wrench_sign: int) -> list[str]:

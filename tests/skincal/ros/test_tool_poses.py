@@ -62,8 +62,9 @@ def test_a_frame_that_changes_is_refused():
 
 
 def test_a_tree_of_frames_needs_a_choice_and_other_types_are_no_poses():
-    with pytest.raises(InputError, match=r"ros2:/tf\?frame=tool0&base=base"):
-        ToolPoseReader(TF_MESSAGE)
+    for chosen in ({}, {"frame": "tool0"}, {"base": "base"}):
+        with pytest.raises(InputError, match=r"ros2:/tf\?frame=tool0&base=base"):
+            ToolPoseReader(TF_MESSAGE, **chosen)
     with pytest.raises(InputError, match="hold no pose of a tool"):
         ToolPoseReader("geometry_msgs/msg/PointStamped")
 

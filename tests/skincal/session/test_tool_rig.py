@@ -5,21 +5,26 @@ tool; the tool has a weight, which the sensor feels, and its poses come late and
 """
 
 import binascii
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.geometry import inverse_pose
+from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import load_scene
+from skincal.rig.setup_check import check_setup
 from skincal.session.pipeline import Pipeline
+from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.tool_streams import check_tool_streams
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
+from skincal.words.mistake_words import setup_sentences
 from skincal.words.poke_words import rejection_advice, rejection_words
 
 TAXELS = np.array([[x, y, 0.0] for y in (-0.01, 0.0, 0.01) for x in (-0.01, 0.0, 0.01)])
@@ -54,6 +59,24 @@ vertex -40 40 0
 endloop
 endfacet
 endsolid plate
+"""
+
+LAYOUT = f"""[kinds.board]
+pads_mm = {(TAXELS[:, :2] * 1e3).tolist()}
+outline_mm = [[-15.0, -15.0], [15.0, -15.0], [15.0, 15.0], [-15.0, 15.0]]
+centre_pad = 4
+[[modules]]
+id = 1
+kind = "board"
+first_channel = 0
+place_mm = [0.0, 0.0]
+"""
+ANCHOR = """modules = "m.toml"
+[skin.anchor]
+at_mm = [0.0, 0.0]
+point_mm = [0.0, 0.0, 0.0]
+x = [1.0, 0.0, 0.0]
+normal = [0.0, 0.0, 1.0]
 """
 
 
@@ -348,3 +371,89 @@ def test_a_known_tip_places_a_taxel_along_the_push(tmp_path):
     )
     outcome = outcomes_of(calibrate(scene, chunks(1, 5, EXACT, until_s=1.0 + POKE_S)))[0]
     np.testing.assert_allclose(outcome.tip, TAXELS[0], atol=2e-6)
+
+
+def test_metres_that_are_read_as_millimetres_are_no_poses(tmp_path):
+    form = 'rotation = "xyzw"\nunit = "mm"\n'
+    outcomes, health = first_pokes(tmp_path, 1, as_line_of, lambda text: text.replace("flange", form + "flange"))
+    assert not any(isinstance(each, Contact) for each in outcomes)
+    assert health.losses[Loss.NO_POSE] > 50
+    assert "within 5 mm of the origin; check the unit" in health.text
+
+
+def as_line_of(name, _, values):
+    return as_line(name, values, name)
+
+
+def test_a_pose_near_the_origin_counts_once_the_tool_was_away_from_it(tmp_path):
+    def move(name, since_s, values):
+        return values if name != "tool" or since_s < -0.5 else np.append(np.zeros(3), values[3:])
+
+    outcomes, health = first_pokes(tmp_path, 1, move)
+    assert isinstance(outcomes[0], Contact)
+    assert health.losses[Loss.NO_POSE] == 0
+
+
+def test_a_stream_that_repeats_one_pose_is_named(recorded):
+    snapshot, first = recorded.snapshot(), outcomes_of(recorded)[0]
+    condition = recorded.totals().skin
+    assert not any("repeats one pose" in each for each in session_skin_sentences(snapshot, condition, recorded.scene))
+    pokes = [
+        replace(each, outcome=replace(each.outcome, link_from_sensor=first.link_from_sensor)) for each in snapshot.pokes[:5]
+    ]
+    said = session_skin_sentences(replace(snapshot, pokes=tuple(pokes)), condition, recorded.scene)
+    assert said[-1].startswith("tool: 5 pokes on 5 taxels have the same pose of the tool")
+
+
+def exchanged(pose):
+    """Write a pose's quaternion scalar first, and read it scalar last."""
+    read = pose.copy()
+    read[:3, :3] = Rotation.from_quat(Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)).as_matrix()
+    return read
+
+
+def shaken(pose):
+    read = pose.copy()
+    read[:3, 3] = 0.3 * np.sin(1e4 * pose[:3, 3])
+    return read
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (lambda pose: pose, None),
+        (inverse_pose, "the poses of the tool are inverse"),
+        (lambda pose: np.diag([-1.0, -1.0, 1.0, 1.0]) @ pose, "turned by half a turn about its z axis"),
+        (exchanged, "the rotation of the tool's poses is a quaternion w x y z"),
+        (shaken, "no known mistake explains it. Make the fixed-point test"),
+    ],
+)
+def test_wrong_poses_of_the_tool_are_named(recorded, tmp_path, wrong, says):
+    (tmp_path / "m.toml").write_text(LAYOUT)
+    scene = scene_of(tmp_path, change=lambda text: text.replace("channels = 9\n", "channels = 9\n" + ANCHOR))
+    into_base, into_tool = BASE_FROM_PART, inverse_pose(TOOL_FROM_SENSOR)
+    contacts = [
+        replace(
+            each,
+            link_from_sensor=inverse_pose(into_base) @ wrong(into_base @ each.link_from_sensor @ into_tool) @ TOOL_FROM_SENSOR,
+        )
+        for each in outcomes_of(recorded)
+    ]
+    assert_named(contacts, scene, says)
+
+
+def assert_named(contacts, scene, says):
+    surface = load_surface(scene.surface)[0]
+    laid = place_layout(scene.skin.layout, scene.skin.anchor, surface)
+    said = setup_sentences(check_setup(contacts, scene, laid, surface))
+    assert (said == ()) if says is None else (says in said[0])
+
+
+def test_a_wrench_with_the_axes_of_the_base_is_named(recorded, tmp_path):
+    (tmp_path / "m.toml").write_text(LAYOUT)
+    scene = scene_of(tmp_path, change=lambda text: text.replace("channels = 9\n", "channels = 9\n" + ANCHOR))
+    contacts = []
+    for each in outcomes_of(recorded):
+        turn = BASE_FROM_PART[:3, :3] @ each.link_from_sensor[:3, :3]
+        contacts.append(replace(each, force=turn @ each.force, moment=turn @ each.moment))
+    assert_named(contacts, scene, "the wrench has the axes of the base")
