@@ -26,6 +26,7 @@ from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer, RigRequest, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
+from skincal.rig.scene_mistakes import Mistake, MistakeKind
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.session import Session
 from skincal.session.solving import methods_of
@@ -36,6 +37,9 @@ if TYPE_CHECKING:
 
 FINISH_REVIEW_IF_RUNNING_FOR_S = 5.0
 """s. A review that has taken this long is finished, although a newer one waits. Else no review of a large part would end."""
+PART_MOTION_PREFERRED_WITHIN = 0.7
+"""Share of the miss with another pose of the part. A correction of the sensor that leaves more is not better: the part's pose
+is typed, and the sensor's is known from its mount."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +114,23 @@ def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: N
     if frame is not None:
         frame = replace(frame, wrench_frame=request.frame_in_question)
     between()
-    return frame, correct_rig(request, between)
+    rig = correct_rig(request, between)
+    return (frame, rig) if request.scene.tool is None or frame is None else _with_part_motion(frame, rig, pokes)
+
+
+def _with_part_motion(frame: FrameDiagnosis, rig: RigAnswer, pokes: LandmarkPokes) -> tuple[FrameDiagnosis, RigAnswer]:
+    """Name a wrong pose of the part, and offer no correction of the sensor then, unless that explains the pokes better."""
+    from skincal.rig.tool_mistakes import find_part_motion
+
+    found = find_part_motion(pokes)
+    others = [rig.after] if rig.used else []
+    others += [frame.corrected_miss] if frame.explained and not frame.right else []
+    if found is None or min(others, default=np.inf) < PART_MOTION_PREFERRED_WITHIN * found.miss:
+        return frame, rig
+    mistake = Mistake(MistakeKind.TOOL_PART, motion=found.motion, shift=found.motion[:3, 3])
+    # Not explained by the sensor's frame: nothing is offered.
+    named = replace(frame, right=False, sure=True, explained=False, corrected_miss=found.miss, mistake=mistake)
+    return named, replace(rig, used=False)
 
 
 def review_rig(request: ReviewRequest, between: Callable[[], None] = lambda: None, model: ModuleModel | None = None) -> Review:

@@ -63,6 +63,8 @@ class MistakeKind(Enum):
     """Their rotation has another form."""
     TOOL_WRENCH = "tool wrench"
     """The wrench has the axes of the base."""
+    TOOL_PART = "tool part"
+    """The part lies elsewhere in the base of the tool's poses."""
     TOOL_UNEXPLAINED = "tool unexplained"
     """The pokes of a tool miss, and no known mistake explains it."""
 

@@ -152,6 +152,13 @@ def frame_sentence(found: FrameDiagnosis, *, has_arm: bool = True) -> str:
             f"The landmark pokes miss their landmarks by {reported}. First settle the wrench's frame, {found.wrench_frame}: "
             "[wrench] of the scene may name its frame, and the point of its moments (about)."
         )
+    if found.mistake.kind is MistakeKind.TOOL_PART:
+        shift = ", ".join(f"{value * 1e3:.0f}" for value in found.mistake.shift)
+        return (
+            f"The part is not where the scene says: it must move by ({shift}) mm and turn by "
+            f"{_degrees(found.mistake.motion):.1f} degrees, in its own frame. Then the landmark pokes miss by "
+            f"{millimetres(found.corrected_miss, 0)}, now by {reported}. Correct base_from_link of [tool]."
+        )
     if not found.explained:
         return (
             f"The landmark pokes miss their landmarks by {reported}, and no known mistake of the sensor frame explains that. "
@@ -179,15 +186,20 @@ def frame_sentence(found: FrameDiagnosis, *, has_arm: bool = True) -> str:
 def _frame_words(found: Mistake) -> str:
     """Name a mistake of the sensor's frame."""
     if found.kind is MistakeKind.MOUNT:
-        turn, shift = found.motion[:3, :3], 1e3 * float(np.linalg.norm(found.motion[:3, 3]))
-        # arctan2 of both: the cosine is inaccurate for small angles, the sine near half a turn.
-        sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        angle = np.degrees(np.arctan2(sine, np.trace(turn) - 1.0))
+        angle, shift = _degrees(found.motion), 1e3 * float(np.linalg.norm(found.motion[:3, 3]))
         return (
             f"the sensor is mounted about {angle:.0f} degrees and {shift:.0f} mm from where the scene says, or its calibration "
             "matrix is wrong"
         )
     return "; ".join(filter(None, (_axes_words(found.axes), _moment_unit_words(found.moment_scale / found.force_scale))))
+
+
+def _degrees(motion: FloatArray) -> float:
+    """Compute the angle of a motion (4, 4), degrees."""
+    turn = motion[:3, :3]
+    # arctan2 of both: the cosine is inaccurate for small angles, the sine near half a turn.
+    sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    return float(np.degrees(np.arctan2(sine, np.trace(turn) - 1.0)))
 
 
 def _moment_unit_words(moment_scale: float) -> str:

@@ -102,7 +102,7 @@ def _tip_doubts(fit: PivotFit, known: FloatArray | None) -> list[str]:
 
 
 def repeated_pose_sentence(contacts: Sequence[Contact]) -> str:
-    """Say that pokes on several taxels have one pose of the tool, to the last bit; empty if none have."""
+    """Describe pokes on several taxels with one pose of the tool, the same to the last bit; empty without any."""
     of_pose: dict[bytes, list[Contact]] = {}
     for contact in contacts:
         of_pose.setdefault(contact.link_from_sensor.tobytes(), []).append(contact)

@@ -12,19 +12,24 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.following.review import ReviewRequest, diagnose_rig
 from skincal.geometry import inverse_pose
 from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
+from skincal.model.actions import AtLandmark
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import load_scene
+from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.setup_check import check_setup
+from skincal.rig.tool_mistakes import find_part_motion
+from skincal.session.corrections import offered
 from skincal.session.pipeline import Pipeline
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.tool_streams import check_tool_streams
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
-from skincal.words.mistake_words import setup_sentences
+from skincal.words.mistake_words import frame_sentence, setup_sentences
 from skincal.words.poke_words import rejection_advice, rejection_words
 
 TAXELS = np.array([[x, y, 0.0] for y in (-0.01, 0.0, 0.01) for x in (-0.01, 0.0, 0.01)])
@@ -457,3 +462,43 @@ def test_a_wrench_with_the_axes_of_the_base_is_named(recorded, tmp_path):
         turn = BASE_FROM_PART[:3, :3] @ each.link_from_sensor[:3, :3]
         contacts.append(replace(each, force=turn @ each.force, moment=turn @ each.moment))
     assert_named(contacts, scene, "the wrench has the axes of the base")
+
+
+def moved(shift):
+    motion = np.eye(4)
+    motion[:3, 3] = shift
+    return motion
+
+
+def test_landmarks_tell_a_wrong_pose_of_the_part_from_a_wrong_sensor(recorded):
+    def found(change):
+        contacts = [replace(each, link_from_sensor=change(each.link_from_sensor)) for each in outcomes_of(recorded)]
+        places = [TAXELS[each.strongest_channel] for each in contacts]
+        return find_part_motion(LandmarkPokes.at(Pokes.collect(contacts), [""] * len(places), places))
+
+    assert found(lambda pose: pose) is None
+    by_part = found(lambda pose: moved([0.02, 0.0, 0.0]) @ pose)
+    np.testing.assert_allclose(by_part.motion[:3, 3], [0.02, 0.0, 0.0], atol=0.002)
+    assert by_part.miss < 0.0015
+    by_sensor = found(lambda pose: pose @ moved([0.02, 0.0, 0.0]))
+    assert by_sensor is None or by_sensor.miss > 0.01
+
+
+def test_a_wrong_pose_of_the_part_is_named_and_no_correction_of_the_sensor_offered(tmp_path):
+    wrong = BASE_FROM_PART @ moved([0.02, 0.0, 0.0])
+    right = f"base_from_link = {np.round(BASE_FROM_PART, 12).tolist()}"
+    corners = (0, 2, 6, 8)
+    known = "".join(f'[[landmarks]]\nname = "{at}"\nplace = {TAXELS[at].tolist()}\n' for at in corners)
+    scene = scene_of(
+        tmp_path, change=lambda text: text.replace(right, f"base_from_link = {np.round(wrong, 12).tolist()}") + known
+    )
+    pipeline = calibrate(scene, chunks(2, 3))
+    for row, outcome in enumerate(outcomes_of(pipeline)):
+        if row % len(TAXELS) in corners:
+            pipeline.act(AtLandmark(outcome.poke, str(row % len(TAXELS))), 0)
+    frame, rig = diagnose_rig(ReviewRequest.from_session(pipeline.session))
+    said = frame_sentence(frame)
+    assert said.startswith("The part is not where the scene says: it must move by (-")
+    np.testing.assert_allclose(frame.mistake.shift, [-0.02, 0.0, 0.0], atol=0.002)
+    assert said.endswith("Correct base_from_link of [tool].")
+    assert offered(frame, rig, 8, {}) is None
