@@ -15,7 +15,7 @@ from itertools import permutations, product
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.model.tool_pose import PoseForm
+from skincal.model.pose_form import PoseForm
 from skincal.rig.correction import Correction
 
 STANDARD_GRAVITY = 9.80665

@@ -33,7 +33,6 @@ from skincal.model.wrench_frames import FrameKind, WrenchFrame, rigid_points
 from skincal.pokes import Pokes
 from skincal.rig.channel_order import channel_orders
 from skincal.rig.scene_mistakes import Mistake, MistakeKind, sensor_mistakes
-from skincal.rig.tool_mistakes import tool_mistakes
 
 SETUP_CHECK_MIN_POKES = 6
 SETUP_CHECK_MAX_POKES = 40
@@ -286,6 +285,8 @@ def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, la
     yield from _sensors(asked, scene)
     part_pose = () if scene.tool is None else ("base_from_link of [tool]",)
     if scene.tool is not None:
+        from skincal.rig.tool_mistakes import tool_mistakes  # slow to import
+
         wrong = list(tool_mistakes(asked.pokes, scene.tool))
         yield from ((_prior(len(wrong)), mistake, asked.with_pokes(**changes)) for mistake, changes in wrong)
     yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, names=part_pose), replace(asked, shift_sd=WRONG_MESH_ORIGIN_SHIFT_SD_M)

@@ -3,7 +3,7 @@
 The same numbers are read in the other forms of as many values, as inverse poses, and in a base that is turned by half a turn:
 `base` and `base_link` of Universal Robots differ by that. A wrench may have the axes of the base in place of the sensor's.
 
-A wrong pose of the part moves every force axis by one motion in the link, whatever the tool's pose. A correction of the sensor
+A wrong pose of the part moves every force axis by one motion in the link. A correction of the sensor
 moves it in the sensor's frame, and would take that error for one of the sensor if the tool hardly turns (`find_part_motion`).
 """
 
@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from skincal.geometry import FloatArray, cross_matrix, inverse_pose, rotations
-from skincal.model.tool_pose import PoseForm, RotationForm, convert_poses, forms_of_width, write_poses
+from skincal.model.pose_form import PoseForm, RotationForm, forms_of_width
+from skincal.model.tool_pose import convert_poses, write_poses
 from skincal.model.tool_rig import ToolSpec
 from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.correction import rigid_motion
@@ -26,7 +27,7 @@ PART_MOTION_MIN_POKES = 5
 PART_MOTION_MAX_P = 1e-4
 """Significance level of the F test of the sums of squares with and without the motion."""
 PART_MOTION_MIN_GAIN_M = 0.001
-"""m, by which the motion must lower the rms miss to be worth a sentence."""
+"""m. The motion must lower the rms miss by as much."""
 PART_TURN_SD, PART_SHIFT_SD_M = 0.5, 0.5
 """rad and m, each axis: weak priors, so that landmarks on a line leave a turn at zero."""
 PUSH_SD_M = 0.003

@@ -11,7 +11,6 @@ from skincal.rig.frame_check import FrameDiagnosis
 from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
 from skincal.rig.setup_check import SetupDiagnosis
 from skincal.words.taxel_words import rig_name
-from skincal.words.tool_words import form_words
 from skincal.words.units import millimetres
 
 MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
@@ -110,6 +109,8 @@ def mistake_words(mistake: Mistake) -> tuple[str, str]:
         remedy = CORRECT_SENSOR if mistake.kind is MistakeKind.AXES else "set the sensor's unit in its address or its program"
         return "; ".join(words), remedy
     if mistake.form is not None:
+        from skincal.words.tool_words import form_words  # slow to import
+
         return f"the rotation of the tool's poses is a {form_words(mistake.form)}", "correct rotation of [tool], or the sender"
     if mistake.kind is MistakeKind.LAYOUT:
         return _layout_words(mistake)

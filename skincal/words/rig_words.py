@@ -78,9 +78,11 @@ def rig_sentences(answer: RigAnswer, *, has_arm: bool = True) -> tuple[str, ...]
     errors = f"the error at landmarks left out of the fit is {after}, without a correction {before}"
     first = f"A correction of {rig_name(has_arm)} is ready: {errors}."
     if not answer.used:
-        wanted = millimetres(answer.before * sqrt(MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT))
+        wanted = answer.before * sqrt(MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT)
+        # A correction that would be good enough is not offered if the pose of the part is wrong.
+        needs = f"; below {millimetres(wanted)} a correction would be offered" if not answer.after < wanted else ""
         errors = f"with a correction the error at landmarks left out of the fit would be {after}, without one it is {before}"
-        first = f"Errors of the rig are not corrected: {errors}; below {wanted} a correction would be offered."
+        first = f"Errors of the rig are not corrected: {errors}{needs}."
     doubted = [
         f"Landmark poke {poke} is {millimetres(answer.distances[poke], 0)} from its landmark and "
         + ("does not count: was it another point?" if trust <= 0 else f"counts {trust:.0%}.")

@@ -204,8 +204,8 @@ def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_do
         approved("rig.poke_half_counted", poke=3, miss_mm=6, percent=50),
     )
     assert rig_sentences(good) == (approved("rig.correctable", misses=misses), *doubted)
-    left = approved("rig.left_as_is", with_mm=1.2, without_mm=7.4, below_mm=5.2)
-    assert rig_sentences(replace(good, used=False)) == (left, *doubted)
+    left = approved("rig.left_as_is", with_mm="6.0", without_mm=7.4, below_mm=5.2)
+    assert rig_sentences(replace(good, used=False, after=0.006)) == (left, *doubted)
 
 
 def test_a_part_without_joints_hears_of_its_sensor_alone():

@@ -7,7 +7,7 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.model.pose_form import PoseForm, RotationForm, forms_of_width
-from skincal.model.tool_pose import read_poses
+from skincal.model.tool_pose import read_poses, write_poses
 
 PLACE = np.array([0.1, -0.2, 0.3])
 
@@ -106,3 +106,8 @@ def test_the_forms_of_a_width_are_all_that_have_it():
     assert {form.rotation for width in (6, 7, 12, 16) for form in forms_of_width(width)} == set(RotationForm)
     assert len(forms_of_width(6)) == 10
     assert forms_of_width(5) == ()
+
+
+@pytest.mark.parametrize("form", [form for width in (6, 7, 12, 16) for form in forms_of_width(width)])
+def test_a_written_pose_is_read_as_the_same_one(form):
+    np.testing.assert_allclose(read_poses(write_poses(POSE[None], form), form, 1.0, ["line 1"])[0], POSE, atol=1e-12)

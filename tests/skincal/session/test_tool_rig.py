@@ -31,6 +31,7 @@ from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from skincal.words.mistake_words import frame_sentence, setup_sentences
 from skincal.words.poke_words import rejection_advice, rejection_words
+from skincal.words.rig_words import rig_sentences
 
 TAXELS = np.array([[x, y, 0.0] for y in (-0.01, 0.0, 0.01) for x in (-0.01, 0.0, 0.01)])
 BASE_FROM_PART = np.eye(4)
@@ -502,3 +503,4 @@ def test_a_wrong_pose_of_the_part_is_named_and_no_correction_of_the_sensor_offer
     np.testing.assert_allclose(frame.mistake.shift, [-0.02, 0.0, 0.0], atol=0.002)
     assert said.endswith("Correct base_from_link of [tool].")
     assert offered(frame, rig, 8, {}) is None
+    assert not (rig.after < 0.5 * rig.before and "would be offered" in rig_sentences(rig)[0])
