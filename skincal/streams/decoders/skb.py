@@ -163,15 +163,15 @@ def _split_records(data: bytes) -> tuple[NDArray[np.uint8], IntArray, list[bytes
     # Arrays undo COBS in the usual, short records; the length of a long one depends on its values.
     is_short = (lengths == length) & (HEAD_STRUCT.size + CRC_BYTES < length < COBS_FULL_BLOCK_CODE)
     short = unstuffed_rows(frames[begins[is_short][:, None] + np.arange(length)])
-    if short is None:
+    if short is None or lengths.max() > SkbDecoder.limit:
         return None
-    together, size = short.tobytes(), length - 1
+    together, size = short.tobytes(), max(length - 1, 1)
     records = [together[at : at + size] for at in range(0, len(together), size)]
     places = begins[is_short].tolist()
     headers: list[bytes] = []
     for begin, end in zip(begins[~is_short].tolist(), marks[~is_short].tolist(), strict=True):
         other = unstuffed(data[begin:end])
-        if other is None:
+        if not other:
             return None
         if other[0] == HEADER_MESSAGE_TYPE and len(other) >= HEAD_STRUCT.size + CRC_BYTES and _has_good_checksum(other):
             headers.append(other[:-CRC_BYTES])

@@ -12,6 +12,7 @@ from skincal.devices.registry import FAMILIES, load_family
 from skincal.model.readings import Stream
 from skincal.simulation.board_formats import make_encoder
 from skincal.streams.decoders.auto_detect import make_decoder
+from skincal.streams.decoders.skb import SkbDecoder
 
 VECTORS = {vector.format: vector for file in FAMILIES for vector in load_family(file).vectors if vector.repeat}
 BOARD_STREAMS = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
@@ -126,6 +127,23 @@ def test_records_of_a_wide_skin_are_decoded_at_once(spoilt):
     many = decoded(new[0], chunks, [30])
     assert_same(many, decoded(new[1], chunks, [1] * 30))
     assert many[3] == (not spoilt)
+
+
+@pytest.mark.parametrize(
+    "noise", [b"\0", b"\1\0", b"\1\0" * 40, b"\2\7\0", b"\5\0\0", b"\xff" * 1100 + b"\0"], ids=lambda noise: noise[:3].hex()
+)
+def test_frames_without_a_record_are_as_one_after_the_other(noise):
+    records = [*board_records("skb", Stream.WRENCH)[:6], noise, *board_records("skb", Stream.WRENCH)[7:9]]
+    new = [make_decoder("skb", None, (Stream.WRENCH,)) for _ in range(2)]
+    assert_same(decoded(new[0], records, [3, 6]), decoded(new[1], records, [1] * 9))
+
+
+def test_a_record_that_is_longer_than_the_protocol_allows_is_lost_also_among_many():
+    encoder = make_encoder("skb", 255, 1200)
+    chunks = encoder.encode(Stream.SKIN, np.arange(4) * 20_000, np.full((4, 1200), 3.0))
+    assert len(chunks[0]) > SkbDecoder.limit
+    new = [make_decoder("skb", 1200, (Stream.SKIN,)) for _ in range(2)]
+    assert_same(decoded(new[0], chunks, [4]), decoded(new[1], chunks, [1] * 4))
 
 
 @pytest.mark.parametrize("stream", BOARD_STREAMS)
