@@ -158,17 +158,28 @@ def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
 
 @posix_only
 @pytest.mark.parametrize(
-    ("uv_works", "runs"), [(True, ["pip uv", "uv"]), (False, ["pip uv", "uv", "pip"]), (None, ["pip uv", "pip"])]
+    ("uv_works", "loader", "links", "runs"),
+    [
+        (True, "/bin/sh", "", ["pip uv", "uv"]),
+        (False, "/bin/sh", "", ["pip uv", "uv", "pip"]),
+        (None, "/bin/sh", "", ["pip uv", "pip"]),
+        (True, "/no/such/loader", "", ["pip uv", "pip"]),
+        (True, "/bin/sh", "/packages", ["pip"]),
+    ],
 )
 def test_uv_installs_the_packages_and_pip_where_uv_cannot_be_had(
-    checkout: Path, uv_works: bool | None, runs: list[str]
+    checkout: Path, monkeypatch: pytest.MonkeyPatch, uv_works: bool | None, loader: str, links: str, runs: list[str]
 ) -> None:
+    """As where uv fails, cannot be fetched or cannot run, or where pip alone knows from where the packages come."""
+    for name in install.PIP_ONLY_VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PIP_FIND_LINKS", links)
     noted = checkout.with_name("runs")
     (checkout.parent / "requirements-uv.lock").write_text("uv==1\n", encoding="utf-8")
     fetch = "exit 1" if uv_works is None else "exit 0"
     pretend(f'case "$*" in *requirements-uv.lock) echo pip uv >> {noted}; {fetch} ;; esac\necho pip >> {noted}')
     uv = places.interpreter().with_name("uv")
-    uv.write_text(f"#!/bin/sh\necho uv >> {noted}\nexit {0 if uv_works else 2}\n", encoding="utf-8")
+    uv.write_text(f"#!{loader}\necho uv >> {noted}\nexit {0 if uv_works else 2}\n", encoding="utf-8")
     uv.chmod(0o755)
     assert install.ensure(checkout)
     assert noted.read_text(encoding="utf-8").splitlines() == runs

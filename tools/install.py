@@ -32,6 +32,8 @@ STAMP_FILE = checkout.VENV / "skincal-installed.txt"
 UNFINISHED_FILE = checkout.VENV / "skincal-unfinished.txt"
 LOG = checkout.VENV / "install.log"
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
+PIP_ONLY_VARIABLES = ("PIP_FIND_LINKS", "PIP_NO_INDEX", "PIP_EXTRA_INDEX_URL", "PIP_PROXY", "PIP_CERT", "PIP_TRUSTED_HOST")
+"""Variables that say where packages come from and that uv does not read: pip installs alone."""
 EXTRA_PACKAGES = {
     "--ros2": ("cyclonedds", "rosbags"),
     "--rosbag": ("rosbags", "ruamel-yaml"),
@@ -156,9 +158,11 @@ def _install_lock(lock: Path) -> None:
     """Install a lock with uv, which pip fetches, or else with pip; their progress is on the terminal."""
     safely = ("--require-hashes", "--only-binary", ":all:")
     pip = [checkout.interpreter(), "-P", "-m", "pip", "install", *safely, "--no-input", "--retries", "2"]
-    uv = [checkout.interpreter().with_name("uv"), "pip", "install", *safely, "--python", checkout.interpreter()]
+    program = checkout.interpreter().with_name("uv.exe" if os.name == "nt" else "uv")
+    uv = [program, "pip", "install", *safely, "--python", checkout.interpreter()]
     uv_lock = checkout.CHECKOUT / "requirements-uv.lock"
-    has_uv = uv_lock.exists() and _call(*pip, "--quiet", "-r", uv_lock)
+    may_use_uv = uv_lock.exists() and not any(os.environ.get(name) for name in PIP_ONLY_VARIABLES)
+    has_uv = may_use_uv and _call(*pip, "--quiet", "-r", uv_lock)
     before, done = _installed(), False
     UNFINISHED_FILE.touch()
     try:
@@ -171,9 +175,13 @@ def _install_lock(lock: Path) -> None:
 
 
 def _call(*command: str | Path) -> bool:
-    """Run an installer with its output on the terminal; return whether it succeeded."""
-    # It inherits the lock of the checkout and keeps it if it outlives this process.
-    return not subprocess.call(command, env=_pip_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False)
+    """Run an installer with its output on the terminal; return whether it could be run and succeeded."""
+    try:
+        # It inherits the lock of the checkout and keeps it if it outlives this process.
+        code = subprocess.call(command, env=_pip_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False)
+    except OSError:  # as where the system has not the loader that uv's program needs
+        return False
+    return not code
 
 
 def _installed() -> list[str]:
