@@ -341,7 +341,7 @@ class LandmarkGuide:
             planned = straight_pushes(places, normals, {name: here})
             return expected_error(made, planned, taxel_pushes(self._taxels, self._outward, poses), self._scene.noise)
 
-        arrays = places, normals, made.number, made.force, made.moment, made.link_from_sensor, here, *poses.values()
+        arrays = places, normals, made.number, made.force, made.moment, made.link_from_sensor, made.place, here, *poses.values()
         return self._remember(("gain", name, *poses, *(array.tobytes() for array in arrays)), predict)
 
     def skip(self, *, all_of_pose: bool = False) -> SkipLandmark | None:

@@ -13,7 +13,7 @@ from skincal.guide.guidance import GuidePhase
 from skincal.guide.predictable_pokes import PredictablePokes
 from skincal.guide.progress import ContactFacts, find_needs
 from skincal.guide.verdict import check
-from skincal.model.actions import BeginClosing, Exclude, MarkDead, Redo, Restore, Uncorrect, Undo
+from skincal.model.actions import AtLandmark, BeginClosing, Exclude, MarkDead, Redo, Restore, Uncorrect, Undo
 from skincal.model.errors import InputError
 from skincal.part.part import lay_part
 from skincal.rig.correction import RIG, Correction, UsedCorrection
@@ -139,6 +139,27 @@ def test_held_out_pokes_are_counted_as_the_verdict_counts_them(method):
         assert min(counted.count_held_out(snapshot, of.get, 10), 10) == min(checked, 10)
         found.add(checked)
     assert len(found) > 2
+
+
+def test_the_gain_of_landmark_pokes_follows_a_poke_that_gets_another_landmark():
+    session, part = Session(PART.scene, PART.surface), lay_part(PART.scene, PART.surface, ())
+    every = PART.contacts(1, 3)
+    contacts = [each for each in every if each.pose == every[0].pose][:9]
+    for number, contact in enumerate(contacts, start=1):
+        session.add(replace(contact, poke=number))
+    first, second, *_ = names = [landmark.name for landmark in PART.scene.landmarks]
+    for number in range(1, 6):
+        session.act(AtLandmark(number, names[(number - 1) % len(names)]))
+    guide, pose = SessionGuide(part), (contacts[0].pose, contacts[0].link_from_sensor)
+    gains = []
+    for renamed in ((), ((1, second), (2, first))):
+        for number, name in renamed:
+            session.act(AtLandmark(number, name))
+        snapshot = session.snapshot()
+        gain = guide.next_target(snapshot, pose, Method.MODULES, 0.0).gain
+        assert gain == SessionGuide(part).next_target(snapshot, pose, Method.MODULES, 0.0).gain
+        gains.append(gain)
+    assert gains[0] != gains[1]
 
 
 def calls_of_a_poke(pokes):
