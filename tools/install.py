@@ -33,7 +33,7 @@ UNFINISHED_FILE = checkout.VENV / "skincal-unfinished.txt"
 LOG = checkout.VENV / "install.log"
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
 PIP_ONLY_VARIABLES = ("PIP_FIND_LINKS", "PIP_NO_INDEX", "PIP_EXTRA_INDEX_URL", "PIP_PROXY", "PIP_CERT", "PIP_TRUSTED_HOST")
-"""Variables that say where packages come from and that uv does not read: pip installs alone."""
+"""Variables for the source of packages, which uv does not read: with them pip installs alone."""
 EXTRA_PACKAGES = {
     "--ros2": ("cyclonedds", "rosbags"),
     "--rosbag": ("rosbags", "ruamel-yaml"),
