@@ -1,7 +1,6 @@
 """The guide, the verdict and the methods on a soft sheet, on a simulator that shares no code with the program."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -28,8 +27,8 @@ SETTINGS = GuideSettings()
 METHODS = {Method.SURFACE, Method.MODULES}
 
 
-@cache
 def sheet(seed=3):
+    """Each test has its own: a poke changes the generators of the hand and the sensor."""
     return SimulatedSheet(seed)
 
 
