@@ -71,6 +71,8 @@ class Solving:
         """The same without shared errors: start of the search for the modules, which shared errors may not change."""
         self._claimed: dict[int, Estimate] = {}
         """Estimates of the modules method before `withdraw_claimed`, of the taxels that it changed."""
+        self._contradicted = set[int]()
+        """Taxels that pokes contradict by the modules method, before `withdraw_claimed`: usually none."""
         self._pokes, self._channels, self._fresh = set[int](), set[int](), set[int]()
         """Pokes to update in the table; taxels to solve; taxels for the next `take_fresh`."""
 
@@ -119,7 +121,7 @@ class Solving:
             self._table.add(self._with_tips(kept(self._pokes)))
         self._pokes.clear()
         if self._claimed:
-            self._estimates[Method.MODULES].update(self._claimed)
+            self._update_placed(self._claimed)
         for part in parts:
             self._solve(part, dead)
             self._channels.difference_update(part)
@@ -142,9 +144,19 @@ class Solving:
         assert self.module_model is not None
         assert self._fitted is not None
         moved, self.tried_distances = apply_distances(self.module_model, self._fitted, self._apart, self._noise)
-        self._estimates[Method.MODULES].update({**self._apart, **moved})
+        self._update_placed({**self._apart, **moved})
+
+    def _update_placed(self, found: Mapping[int, Estimate]) -> None:
+        """Enter estimates of the modules method, by channel."""
+        self._estimates[Method.MODULES].update(found)
+        self._contradicted.difference_update(found)
+        self._contradicted.update(channel for channel, estimate in found.items() if estimate.is_contradicted)
 
     def _withdraw_claimed(self) -> None:
+        if not self._contradicted:
+            # Without it each poke would cost a pass over the taxels of the whole body.
+            self._claimed = {}
+            return
         placed = self._estimates[Method.MODULES]
         found = withdraw_claimed(placed, self._alike[self._alone[-1]] if self._alone else {})
         self._claimed = {channel: placed[channel] for channel in found}
@@ -197,6 +209,6 @@ class Solving:
             found = estimate_modules(
                 table, self.module_model, modules, self._noise, others, dead, shared=self.shared, fitted_modules=kept
             )
-            self._estimates[Method.MODULES].update(found)
+            self._update_placed(found)
             if kept is not None:
                 self._apart.update(found)

@@ -25,10 +25,11 @@ def find_claims(placed: Iterable[Estimate], alone: Mapping[int, Estimate]) -> di
     placed : estimates by modules
     alone : estimates of the same taxels from their own contacts, such as those of the surface method, by channel
     """
-    candidates = [each for each in placed if each.is_contradicted or each.state is State.INFERRED]
-    suspects = [each for each in candidates if each.is_contradicted]
+    estimates = list(placed)
+    suspects = [each for each in estimates if each.is_contradicted]
     if not suspects:
         return {}
+    candidates = [each for each in estimates if each.is_contradicted or each.state is State.INFERRED]
     found, places = dict[int, int](), np.array([_place_by_module(each) for each in candidates])
     for each in suspects:
         known = alone.get(each.channel)
