@@ -158,32 +158,70 @@ def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
 
 @posix_only
 @pytest.mark.parametrize(
-    ("uv_works", "loader", "links", "runs"),
+    ("uv_works", "loader", "runs"),
     [
-        (True, "/bin/sh", "", ["pip uv", "uv"]),
-        (False, "/bin/sh", "", ["pip uv", "uv", "pip"]),
-        (None, "/bin/sh", "", ["pip uv", "pip"]),
-        (True, "/no/such/loader", "", ["pip uv", "pip"]),
-        (True, "/bin/sh", "/packages", ["pip"]),
+        (True, "/bin/sh", ["pip uv", "uv"]),
+        (False, "/bin/sh", ["pip uv", "uv", "pip"]),
+        (None, "/bin/sh", ["pip uv", "pip"]),
+        (True, "/no/such/loader", ["pip uv", "pip"]),
     ],
 )
 def test_uv_installs_the_packages_and_pip_where_uv_cannot_be_had(
-    checkout: Path, monkeypatch: pytest.MonkeyPatch, uv_works: bool | None, loader: str, links: str, runs: list[str]
+    checkout: Path, uv_works: bool | None, loader: str, runs: list[str]
 ) -> None:
-    """As where uv fails, cannot be fetched or cannot run, or where pip alone knows from where the packages come."""
-    for name in install.PIP_ONLY_VARIABLES:
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("PIP_FIND_LINKS", links)
+    """As where uv fails, cannot be fetched or cannot run."""
     noted = checkout.with_name("runs")
-    (checkout.parent / "requirements-uv.lock").write_text("uv==1\n", encoding="utf-8")
     fetch = "exit 1" if uv_works is None else "exit 0"
+    pretend_uv(checkout, loader, f"echo uv >> {noted}\nexit {0 if uv_works else 2}")
     pretend(f'case "$*" in *requirements-uv.lock) echo pip uv >> {noted}; {fetch} ;; esac\necho pip >> {noted}')
-    uv = places.interpreter().with_name("uv")
-    uv.write_text(f"#!{loader}\necho uv >> {noted}\nexit {0 if uv_works else 2}\n", encoding="utf-8")
-    uv.chmod(0o755)
     assert install.ensure(checkout)
     assert noted.read_text(encoding="utf-8").splitlines() == runs
     assert install.is_ready(checkout)
+
+
+def pretend_uv(lock: Path, loader: str, does: str) -> None:
+    """Make a program that stands for uv, and the lock that pip fetches it by."""
+    lock.with_name("requirements-uv.lock").write_text("uv==1\n", encoding="utf-8")
+    uv = places.interpreter().with_name("uv")
+    uv.parent.mkdir(parents=True)
+    uv.write_text(f"#!{loader}\n{does}\n", encoding="utf-8")
+    uv.chmod(0o755)
+
+
+@posix_only
+@pytest.mark.parametrize(
+    ("of_pip", "value", "of_uv", "expected"),
+    [
+        ("PIP_INDEX_URL", "https://lab/simple", "UV_DEFAULT_INDEX", "https://lab/simple"),
+        ("PIP_EXTRA_INDEX_URL", "https://a/simple https://b/simple", "UV_INDEX", "https://a/simple https://b/simple"),
+        ("PIP_FIND_LINKS", " /wheels  https://lab/wheels/", "UV_FIND_LINKS", "/wheels,https://lab/wheels/"),
+        ("PIP_TRUSTED_HOST", "lab:8080 mirror", "UV_INSECURE_HOST", "lab:8080 mirror"),
+        ("PIP_CERT", "/etc/lab certificates.pem", "SSL_CERT_FILE", "/etc/lab certificates.pem"),
+        ("PIP_PROXY", "http://lab:3128", "ALL_PROXY", "http://lab:3128"),
+        ("PIP_PROXY", "", "ALL_PROXY", "http://other"),
+    ],
+)
+def test_uv_takes_packages_from_where_pip_does(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch, of_pip: str, value: str, of_uv: str, expected: str
+) -> None:
+    noted = checkout.with_name("runs")
+    pretend_uv(checkout, "/bin/sh", f'printf "%s\\n%s" "${of_uv}" "${of_pip}" > {noted}')
+    pretend("exit 0")
+    monkeypatch.setenv(of_uv, "http://other")
+    monkeypatch.setenv(of_pip, value)
+    assert install.ensure(checkout)
+    assert noted.read_text(encoding="utf-8").splitlines() == ([expected, value] if value else [expected])
+
+
+@posix_only
+@pytest.mark.parametrize(("value", "offline"), [("1", True), ("Yes", True), ("0", False), ("", False)])
+def test_uv_asks_no_index_where_pip_may_not(checkout: Path, monkeypatch: pytest.MonkeyPatch, value: str, offline: bool) -> None:
+    noted = checkout.with_name("runs")
+    pretend_uv(checkout, "/bin/sh", f'echo "$@" > {noted}')
+    pretend("exit 0")
+    monkeypatch.setenv("PIP_NO_INDEX", value)
+    assert install.ensure(checkout)
+    assert ("--no-index" in noted.read_text(encoding="utf-8").split()) is offline
 
 
 @posix_only

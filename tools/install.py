@@ -32,8 +32,15 @@ STAMP_FILE = checkout.VENV / "skincal-installed.txt"
 UNFINISHED_FILE = checkout.VENV / "skincal-unfinished.txt"
 LOG = checkout.VENV / "install.log"
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
-PIP_ONLY_VARIABLES = ("PIP_FIND_LINKS", "PIP_NO_INDEX", "PIP_EXTRA_INDEX_URL", "PIP_PROXY", "PIP_CERT", "PIP_TRUSTED_HOST")
-"""Variables for the source of packages, which uv does not read: with them pip installs alone."""
+UV_VARIABLES = {
+    "PIP_INDEX_URL": "UV_DEFAULT_INDEX",
+    "PIP_EXTRA_INDEX_URL": "UV_INDEX",
+    "PIP_FIND_LINKS": "UV_FIND_LINKS",
+    "PIP_TRUSTED_HOST": "UV_INSECURE_HOST",
+    "PIP_CERT": "SSL_CERT_FILE",
+    "PIP_PROXY": "ALL_PROXY",
+}
+"""uv's name for each variable of pip that says from where packages come. Lists have spaces, uv's list of links commas."""
 EXTRA_PACKAGES = {
     "--ros2": ("cyclonedds", "rosbags"),
     "--rosbag": ("rosbags", "ruamel-yaml"),
@@ -138,7 +145,7 @@ def _provide_pip() -> None:
 def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [checkout.interpreter(), "-P", *arguments],
-        env=_pip_environment() | variables,
+        env=_installer_environment() | variables,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -146,12 +153,14 @@ def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[st
     )
 
 
-def _pip_environment() -> dict[str, str]:
+def _installer_environment() -> dict[str, str]:
     # Keeps the user's index, certificates and proxies, but not `--user`, which would miss .venv. Child processes of ensurepip
     # need the variable of -P, otherwise they run a `pickle.py` of the working folder.
     safe = {"PYTHONPATH": "", "PYTHONSAFEPATH": "1", "PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
-    index = os.environ.get("PIP_INDEX_URL")
-    return os.environ | safe | ({"UV_DEFAULT_INDEX": index} if index else {})
+    same = {theirs: os.environ[ours].strip() for ours, theirs in UV_VARIABLES.items() if os.environ.get(ours)}
+    if "UV_FIND_LINKS" in same:
+        same["UV_FIND_LINKS"] = ",".join(same["UV_FIND_LINKS"].split())
+    return os.environ | safe | same | {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # any index may have the locked version
 
 
 def _install_lock(lock: Path) -> None:
@@ -159,10 +168,10 @@ def _install_lock(lock: Path) -> None:
     safely = ("--require-hashes", "--only-binary", ":all:")
     pip = [checkout.interpreter(), "-P", "-m", "pip", "install", *safely, "--no-input", "--retries", "2"]
     program = checkout.interpreter().with_name("uv.exe" if os.name == "nt" else "uv")
-    uv = [program, "pip", "install", *safely, "--python", checkout.interpreter()]
+    no_index = os.environ.get("PIP_NO_INDEX", "").lower() in {"1", "y", "yes", "t", "true", "on"}  # uv has no variable for it
+    uv = [program, "pip", "install", *safely, "--python", checkout.interpreter(), *(["--no-index"] if no_index else [])]
     uv_lock = checkout.CHECKOUT / "requirements-uv.lock"
-    may_use_uv = uv_lock.exists() and not any(os.environ.get(name) for name in PIP_ONLY_VARIABLES)
-    has_uv = may_use_uv and _call(*pip, "--quiet", "-r", uv_lock)
+    has_uv = uv_lock.exists() and _call(*pip, "--quiet", "-r", uv_lock)
     before, done = _installed(), False
     UNFINISHED_FILE.touch()
     try:
@@ -178,7 +187,9 @@ def _call(*command: str | Path) -> bool:
     """Run an installer with its output on the terminal; return whether it could be run and succeeded."""
     try:
         # It inherits the lock of the checkout and keeps it if it outlives this process.
-        code = subprocess.call(command, env=_pip_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False)
+        code = subprocess.call(
+            command, env=_installer_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False
+        )
     except OSError:  # as where the system has not the loader that uv's program needs
         return False
     return not code
