@@ -12,6 +12,7 @@ from skincal.files.layout_sources import parse_grid
 from skincal.following.session_guide import ModulesEnough, SessionGuide, asked_poke
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.progress import MIN_CHECKED_POKES, Need, Why
+from skincal.guide.verdict import Check
 from skincal.model.actions import AtLandmark, Exclude, FoundAtLandmark, Redo, SkipPoke, Undo
 from skincal.model.scene import Landmark
 from skincal.model.skin import read_layout
@@ -126,6 +127,9 @@ def test_exchanged_channels_are_not_finished_and_are_named(kind):
     assert set(guidance.given_up) == {left.channel for left in verdict.left} == {8, 10, 26, 30}
     assert verdict.exchanged == ((8, 26), (10, 30))
     assert verdict.doubted
+    agreeing = replace(verdict, check=Check(14, 14))
+    assert not agreeing.believed
+    assert replace(agreeing, contradicted=()).believed, "nothing else denies it"
     assert approved("verdict.exchanged") in verdict_sentence(verdict)
     estimates = {each.channel: each for each in hand.session.snapshot().estimates[Method.MODULES]}
     for channel in verdict.contradicted:
