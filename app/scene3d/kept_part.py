@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Region: TypeAlias = tuple[int, int, int, int]
 """Device pixels from the lower left: left, bottom, right, top; the last two are outside."""
-NOTHING: Region = (0, 0, 0, 0)
+EMPTY_REGION: Region = (0, 0, 0, 0)
 GL_COLOR_BUFFER_BIT, GL_DEPTH_BUFFER_BIT, GL_NEAREST = 0x4000, 0x100, 0x2600
 GL_READ_FRAMEBUFFER, GL_DRAW_FRAMEBUFFER = 0x8CA8, 0x8CA9
 VTK_UNSIGNED_CHAR, DEPTH_BITS = 3, 32  # As in VTK's own buffer: depth is only copied between equal formats
@@ -56,7 +56,7 @@ class KeptPart:
         self._is_kept = False
         """The kept pixels are those of `_viewpoint` and `_key`."""
         self._moving: dict[MeshActor, tuple[tuple[bool, int], Region]] = {}
-        self._region, self._front_region = NOTHING, NOTHING
+        self._region, self._front_region = EMPTY_REGION, EMPTY_REGION
         """Where `WITHIN` is drawn again, and where `FRONT` is."""
         self._is_new = self._is_front_new = True
         """The whole part, or all before it, is drawn in this picture."""
@@ -90,7 +90,7 @@ class KeptPart:
         self._is_kept = is_same and self._make_buffers(viewpoint.size)
         self._viewpoint, self._key, self._labels_key = viewpoint, key, labels_key
         self.part.SetDraw(self._is_new)
-        self.within.SetDraw(self._is_new or self._region != NOTHING)
+        self.within.SetDraw(self._is_new or self._region != EMPTY_REGION)
         self.drawn_parts += self._is_new
         self.drawn_fronts += self._is_front_new
 
@@ -98,7 +98,7 @@ class KeptPart:
         """Return whether the next picture draws labels in boxes, (n, 4) float: left, bottom, right, top in device pixels."""
         left, bottom, right, top = self._front_region
         is_hit = (boxes[:, 0] < right) & (boxes[:, 2] > left) & (boxes[:, 1] < top) & (boxes[:, 3] > bottom)
-        is_drawn = self._is_front_new or (self._front_region != NOTHING and bool(is_hit.any()))
+        is_drawn = self._is_front_new or (self._front_region != EMPTY_REGION and bool(is_hit.any()))
         self.drawn_labels += is_drawn
         return is_drawn
 
@@ -112,13 +112,13 @@ class KeptPart:
 
     def _changed(self, moving: Sequence[MeshActor], viewpoint: Viewpoint) -> tuple[Region, Region]:
         """Return the pixels where actors of `WITHIN` changed since the last picture, and where those of `FRONT` did."""
-        regions = {WITHIN: NOTHING, FRONT: NOTHING}
+        regions = {WITHIN: EMPTY_REGION, FRONT: EMPTY_REGION}
         if not viewpoint.is_same(self._viewpoint):
             self._moving.clear()
-            return NOTHING, NOTHING
+            return EMPTY_REGION, EMPTY_REGION
         for actor in moving:
             key = _key_of(actor.actor)
-            before_key, before = self._moving.get(actor, (None, NOTHING))
+            before_key, before = self._moving.get(actor, (None, EMPTY_REGION))
             if key != before_key:
                 now = _region_of(actor, viewpoint)
                 self._moving[actor] = key, now
@@ -206,7 +206,7 @@ class KeptPart:
         return 0, 0, self._size[0], self._size[1]
 
     def _copy(self, source: vtkOpenGLFramebufferObject, to: vtkOpenGLFramebufferObject, region: Region, planes: int) -> None:
-        if region == NOTHING:
+        if region == EMPTY_REGION:
             return
         state = self.window.GetState()
         state.PushFramebufferBindings()
@@ -229,7 +229,7 @@ def _key_of(prop: vtkProp) -> tuple[bool, int]:
 def _region_of(actor: MeshActor, viewpoint: Viewpoint) -> Region:
     """Return the pixels that an actor can cover."""
     if not actor.actor.visibility:
-        return NOTHING
+        return EMPTY_REGION
     points: FloatArray = np.asarray(actor.mesh.points, float)
     width, height = viewpoint.size
     if not (viewpoint.pixel_at(points) > 0.0).all():
@@ -238,7 +238,7 @@ def _region_of(actor: MeshActor, viewpoint: Viewpoint) -> Region:
     reach = actor.pixels * viewpoint.ratio / 2.0 + REGION_MARGIN_PX
     low, high = np.clip(np.floor(places.min(axis=0) - reach), 0, None), np.ceil(places.max(axis=0) + reach)
     region = int(low[0]), int(low[1]), int(min(high[0], width)), int(min(high[1], height))
-    return region if _area(region) else NOTHING
+    return region if _area(region) else EMPTY_REGION
 
 
 def _area(region: Region) -> int:
@@ -246,6 +246,6 @@ def _area(region: Region) -> int:
 
 
 def _union(first: Region, second: Region) -> Region:
-    if NOTHING in (first, second):
-        return second if first == NOTHING else first
+    if EMPTY_REGION in (first, second):
+        return second if first == EMPTY_REGION else first
     return min(first[0], second[0]), min(first[1], second[1]), max(first[2], second[2]), max(first[3], second[3])
