@@ -3,8 +3,8 @@
 The same numbers are read in the other forms of as many values, as inverse poses, and in a base that is turned by half a turn:
 `base` and `base_link` of Universal Robots differ by that. A wrench may have the axes of the base in place of the sensor's.
 
-A wrong pose of the part moves every force axis by one motion in the link. A correction of the sensor
-moves it in the sensor's frame, and would take that error for one of the sensor if the tool hardly turns (`find_part_motion`).
+A wrong pose of the part moves every force axis by one motion in the link. A correction of the sensor moves it in the sensor's
+frame, and would take that error for one of the sensor if the tool hardly turns (`find_part_motion`).
 """
 
 from __future__ import annotations
