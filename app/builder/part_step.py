@@ -16,7 +16,7 @@ from app.panels.widgets import compact_combo, secondary_label
 from app.scene3d.draft_view import Mode
 from app.session.opening import PART_FILES
 from skincal.mesh.findings import box_words
-from skincal.model.scene import UNITS
+from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.urdf import Robot
 from skincal.part.draft_preview import PartPreview
 from skincal.part.mesh_units import choose_unit, has_no_unit
@@ -150,7 +150,8 @@ class PartStep(Step):
         for index, (unit, name) in enumerate(UNIT_NAMES.items()):
             size = ""
             if preview.size_mm is not None and preview.draft.unit:
-                size = f": {box_words(side * UNITS[unit] / UNITS[preview.draft.unit] for side in preview.size_mm)}"
+                now, other = METRES_PER_UNIT[preview.draft.unit], METRES_PER_UNIT[unit]
+                size = f": {box_words(side * other / now for side in preview.size_mm)}"
             self.unit.setItemText(index, f"{name}{size}")
 
     def _show_rows(self, *, has_robot: bool, has_mesh: bool, has_unit: bool) -> None:
@@ -210,4 +211,4 @@ class PartStep(Step):
             self.change(replace(self.draft, name=name))
 
 
-assert set(UNIT_NAMES) == set(UNITS)
+assert set(UNIT_NAMES) == set(METRES_PER_UNIT)

@@ -9,6 +9,7 @@ import typer
 
 from skincal.cli.solve import Json
 from skincal.model.errors import InputError, plural
+from skincal.model.length_units import LengthUnit
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
@@ -52,7 +53,7 @@ def new_scene(
     mesh: Annotated[Path | None, typer.Option(help="Mesh of the part; with a URDF it replaces the URDF's own mesh.")] = None,
     sign: Annotated[Literal["1", "-1"] | None, typer.Option(help="-1 if the sensor reports the reaction force.")] = None,
     unit: Annotated[
-        Literal["m", "cm", "mm", "in"] | None,
+        LengthUnit | None,
         typer.Option(
             help="Unit of MESH, or of the URDF's own mesh. Default: mm, or the unit that a COLLADA or glTF file names; "
             "of a file that the URDF names, as the URDF scales it."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +10,7 @@ import typer
 from skincal.cli.solve import Json
 from skincal.model.errors import InputError, shortened
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
+from skincal.model.length_units import METRES_PER_UNIT, LengthUnit
 from skincal.model.pose_form import RotationForm
 
 if TYPE_CHECKING:
@@ -18,15 +18,6 @@ if TYPE_CHECKING:
     from skincal.rig.pivot import PivotResult, PoseReading
 
 SEPARATORS = str.maketrans(",;\t[]()", " " * 7)
-
-
-class LengthUnit(Enum):
-    """Unit of the lengths of poses."""
-
-    METRE = "m"
-    CENTIMETRE = "cm"
-    MILLIMETRE = "mm"
-    INCH = "in"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -60,7 +51,6 @@ def tool(
 
     from skincal.cli import output
     from skincal.model.pose_form import PoseForm
-    from skincal.model.tables import UNITS
     from skincal.rig.pivot import PivotState, judge_touches
     from skincal.words.tool_words import pivot_sentences
 
@@ -68,7 +58,7 @@ def tool(
         raise InputError("--degrees needs a --rotation with angles: vector, rpy, abc, xyz or zyz.")
     values, where = _read_touches(touches)
     given = None if rotation is None else PoseForm(rotation, degrees)
-    result = judge_touches(values, UNITS[unit.value], where, given)
+    result = judge_touches(values, METRES_PER_UNIT[unit], where, given)
     lines = pivot_sentences(result, None if tip is None else np.array(tip) * 1e-3)
     output.print_result({"touches": touches, **_json(result), "said": lines}, lines, as_json)
     return 0 if result.state is PivotState.AGREES else 2

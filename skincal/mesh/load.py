@@ -37,7 +37,8 @@ from skincal.mesh.search import surface_in_solver
 from skincal.mesh.surface import Surface, find_edges, make_surface, pairs_within, triangle_heights
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
-from skincal.model.scene import UNITS, SurfaceSpec
+from skincal.model.length_units import METRES_PER_UNIT
+from skincal.model.scene import SurfaceSpec
 
 MIN_DIAGONAL_M, MAX_DIAGONAL_M = 0.005, 3.0
 """Of the box of a robot part: a fingertip to a whole torso. Millimetres taken for metres miss it by a thousand."""
@@ -125,12 +126,14 @@ def _check_size(spec: SurfaceSpec, scale: float, corners: FloatArray) -> MeshFin
     with np.errstate(over="ignore"):
         box = (corners.max(axis=0) - corners.min(axis=0)) * stretches
         raw = float(np.linalg.norm(box))
-    unit = min(UNITS, key=lambda name: abs(UNITS[name] - scale))
+    unit = min(METRES_PER_UNIT, key=lambda name: abs(METRES_PER_UNIT[name] - scale))
     diagonal = raw * scale
     if MIN_DIAGONAL_M <= diagonal <= MAX_DIAGONAL_M:
         words = f"{box_words((box * scale * 1e3).tolist())} (diagonal {_length(diagonal)}, unit {unit}); check that it is so"
         return words_finding(FindingKind.SIZE, words)
-    fitting = {name: raw * unit_m for name, unit_m in UNITS.items() if MIN_DIAGONAL_M <= raw * unit_m <= MAX_DIAGONAL_M}
+    fitting = {
+        name: raw * unit_m for name, unit_m in METRES_PER_UNIT.items() if MIN_DIAGONAL_M <= raw * unit_m <= MAX_DIAGONAL_M
+    }
     likely = "; ".join(f"unit {name} would give {_length(size)}" for name, size in fitting.items())
     raise MeshSizeError(
         f"{spec.path}: the part's box has a diagonal of {_length(diagonal)} with unit {unit}; "

@@ -10,8 +10,9 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
+from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.mesh_lookup import find_mesh
-from skincal.model.tables import UNITS, Table, check_degrees
+from skincal.model.tables import Table, check_degrees
 from skincal.model.urdf import Robot, read_urdf
 from skincal.model.urdf_chain import UrdfChain
 
@@ -64,7 +65,8 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
         assert packages_table is not None
         packages[name] = folder / packages_table.path(name)
     own = table.path("mesh", "")
-    unit = table.choice("unit", UNITS) if "unit" in table.keys else None  # older scenes: the scale of the URDF's own mesh
+    # Older scenes name no unit: the scale of the URDF's own mesh.
+    unit = table.choice("unit", METRES_PER_UNIT) if "unit" in table.keys else None
     mesh = None
     found = urdf.mesh_for(link, urdf.sensor_named(sensor, where).joint)
     if own and (found is None or not needs_mesh):

@@ -16,9 +16,10 @@ import numpy as np
 
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
+from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.robot import RobotSpec, read_poses, read_robot
 from skincal.model.skin import Anchor, Layout, SkinKind, load_layout, read_anchor
-from skincal.model.tables import MAX_LENGTH_M, UNITS, Table, check_degrees, check_metres, parse_toml, read_text
+from skincal.model.tables import MAX_LENGTH_M, Table, check_degrees, check_metres, parse_toml, read_text
 from skincal.model.tool_rig import BASE_LINK, ToolSpec, read_tool
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import WrenchFrame, WrenchPlace, find_wrench_frame, read_wrench_place
@@ -278,7 +279,7 @@ def _read_skin(table: Table, path: Path) -> SkinSpec:
 def _read_surface(table: Table, path: Path) -> SurfaceSpec:
     return SurfaceSpec(
         path=path.parent / table.path("mesh"),
-        scale=table.choice("unit", UNITS),
+        scale=table.choice("unit", METRES_PER_UNIT),
         link_from_mesh=table.pose("pose", np.eye(4)),
         replaces_unit=True,
     )

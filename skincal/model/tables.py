@@ -20,8 +20,6 @@ Value = TypeVar("Value")
 
 MAX_LENGTH_M = 10.0
 """m. No length of a robot is larger; millimetres taken for metres are."""
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
-"""Metres per unit of a mesh."""
 MAX_ANGLE_DEG = 3600.0
 """Ten turns: more than any joint of an arm makes."""
 MAX_INTEGER = 10**18

@@ -16,8 +16,9 @@ import numpy as np
 
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.model.errors import InputError
+from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.pose_form import PoseForm, RotationForm
-from skincal.model.tables import UNITS, Table
+from skincal.model.tables import Table
 
 BASE_LINK = "base"
 """Name of the frame of all positions while the part's pose in it is not known."""
@@ -81,7 +82,7 @@ def _read_form(table: Table) -> tuple[PoseForm | None, float | None]:
     if not given:
         return None, None
     rotation = table.choice("rotation", {form.value: form for form in RotationForm})
-    unit, degrees = table.choice("unit", UNITS), table.take("degrees", bool, None)
+    unit, degrees = table.choice("unit", METRES_PER_UNIT), table.take("degrees", bool, None)
     if rotation.has_angles and degrees is None:
         raise InputError(f"{table.where}: degrees is missing; expected true or false for the form {rotation.value}.")
     if degrees and not rotation.has_angles:

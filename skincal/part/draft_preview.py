@@ -20,7 +20,8 @@ from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
 from skincal.mesh.load import MeshSizeError, load_surface
 from skincal.mesh.surface import Surface, entry_points
 from skincal.model.errors import InputError
-from skincal.model.scene import UNITS, SurfaceSpec, load_scene
+from skincal.model.length_units import METRES_PER_UNIT
+from skincal.model.scene import SurfaceSpec, load_scene
 from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import Robot, read_urdf
 from skincal.model.urdf_chain import MOVING, UrdfChain
@@ -161,7 +162,7 @@ class _Work:
                 self._read_robot(draft.urdf)
             elif draft.mesh is not None:
                 pose = np.eye(4) if draft.mesh_pose is None else np.array(draft.mesh_pose)
-                self._load_mesh(SurfaceSpec(draft.mesh, UNITS[draft.unit or "mm"], pose, replaces_unit=True))
+                self._load_mesh(SurfaceSpec(draft.mesh, METRES_PER_UNIT[draft.unit or "mm"], pose, replaces_unit=True))
         except InputError as error:
             self.problems["part"] = str(error)
 

@@ -10,7 +10,7 @@ from skincal.geometry import FloatArray
 from skincal.mesh.readers import SUFFIXES_WITH_UNIT, read_mesh
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
-from skincal.model.scene import UNITS
+from skincal.model.length_units import METRES_PER_UNIT
 
 PREFERRED_DIAGONAL_M = (0.04, 2.0)
 """m. Most parts with skin are between a finger and a torso; the unit of a mesh is guessed by it."""
@@ -23,12 +23,12 @@ def guess_unit(sides: FloatArray) -> str:
     """Guess the unit of a mesh from the sides of its box, (3,), in its own unit."""
     diagonal = float(np.linalg.norm(sides))
     low, high = PREFERRED_DIAGONAL_M
-    return next((unit for unit in UNIT_ORDER if low <= diagonal * UNITS[unit] <= high), "mm")
+    return next((unit for unit in UNIT_ORDER if low <= diagonal * METRES_PER_UNIT[unit] <= high), "mm")
 
 
 def name_unit(metres: float) -> str:
     """Name the unit of a length; empty if it is none."""
-    return next((name for name, unit in UNITS.items() if abs(metres / unit - 1.0) < UNIT_MAX_RELATIVE_DIFFERENCE), "")
+    return next((name for name, unit in METRES_PER_UNIT.items() if abs(metres / unit - 1.0) < UNIT_MAX_RELATIVE_DIFFERENCE), "")
 
 
 def choose_unit(path: Path) -> str:

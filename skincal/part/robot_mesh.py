@@ -12,8 +12,9 @@ from skincal.geometry import FloatArray
 from skincal.mesh.readers import read_mesh
 from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, InputError, shortened
 from skincal.model.given import MAX_MESH_BYTES, read_regular
+from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.mesh_lookup import find_mesh
-from skincal.model.scene import UNITS, SurfaceSpec
+from skincal.model.scene import SurfaceSpec
 from skincal.model.urdf import LinkMesh, Robot
 from skincal.part.mesh_units import metres_of_file_unit, name_unit, unit_without_option
 from skincal.part.part_draft import IDENTITY_POSE, PartDraft, pose_rows
@@ -33,14 +34,14 @@ def find_part_mesh(robot: Robot, draft: PartDraft) -> tuple[SurfaceSpec, str] | 
     `None` without a mesh. Raises InputError: the file that the URDF names is not found.
     """
     if draft.mesh is not None and draft.mesh_pose is not None:
-        return SurfaceSpec(draft.mesh, UNITS[draft.unit or "mm"], np.array(draft.mesh_pose), replaces_unit=True), ""
+        return SurfaceSpec(draft.mesh, METRES_PER_UNIT[draft.unit or "mm"], np.array(draft.mesh_pose), replaces_unit=True), ""
     found = robot.mesh_for(draft.link, _sensor_joint(robot, draft))
     if found is None:
         return None
     mesh, pose = found
     path = draft.mesh or find_mesh(robot, mesh, dict(draft.packages))
     is_own_unit = draft.mesh is not None and draft.unit
-    scale, pose = (UNITS[draft.unit], pose) if is_own_unit else mesh.scale_and_pose(pose, str(robot.path))
+    scale, pose = (METRES_PER_UNIT[draft.unit], pose) if is_own_unit else mesh.scale_and_pose(pose, str(robot.path))
     return SurfaceSpec(path, scale, pose, replaces_unit=bool(is_own_unit)), mesh.link
 
 
