@@ -17,6 +17,7 @@ from skincal.model.actions import AtLandmark, Exclude, FoundAtLandmark, Redo, Sk
 from skincal.model.scene import Landmark
 from skincal.model.skin import read_layout
 from skincal.part.part import lay_part
+from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.session.session import Session
 from skincal.simulation.contacts import simulate_contacts
 from skincal.simulation.example_parts import forearm
@@ -127,7 +128,7 @@ def test_exchanged_channels_are_not_finished_and_are_named(kind):
     assert set(guidance.given_up) == {left.channel for left in verdict.left} == {8, 10, 26, 30}
     assert verdict.exchanged == ((8, 26), (10, 30))
     assert verdict.doubted
-    agreeing = replace(verdict, check=Check(14, 14))
+    agreeing = replace(verdict, check=Check(14, 14), landmarks=LandmarkAgreement(21, 0.94, corrected=True))
     assert not agreeing.believed
     assert replace(agreeing, contradicted=()).believed, "nothing else denies it"
     assert approved("verdict.exchanged") in verdict_sentence(verdict)
