@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from skincal.devices.netft import FORCE_UNITS, TORQUE_UNITS
+from skincal.devices.netft_page import FORCE_UNITS, TORQUE_UNITS
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")

@@ -1,8 +1,9 @@
 """ATI RDT: force/torque records over UDP, as Net F/T, Ethernet Axia, Schunk FTN-Axia and OnRobot HEX (Ethernet) send them.
 
 A request is `!HHI`: 1234 (hex), command, count. A record is `!III6i`: number of the record, number of the sensor's sample,
-status, and six counts Fx Fy Fz Tx Ty Tz. Counts per unit and the units stand on the sensor's page `netftapi2.xml`. Sources:
-ATI manuals 9620-05 (Net F/T) and 9610-05 (Axia); public clients of the OptoForce (counts of 1/10000 N and 1/100000 N m).
+status, and six counts Fx Fy Fz Tx Ty Tz. Counts per unit, units, ranges and tool transform are on the sensor's page
+(`netft_page.py`). Wrenches are handed on in the sensor's own frame. Sources: ATI manuals 9620-05 (Net F/T) and 9610-05
+(Axia); public clients of the OptoForce (counts of 1/10000 N and 1/100000 N m).
 
 The link hands on packets (`decoding.pack`): the page first, `PAGE`, then each datagram, `RECORDS`. The host asks again for
 the stream after a second of silence: the sensor was switched off, or another program stole the stream, since a sensor has
@@ -12,12 +13,12 @@ one listener. Records carry no time in a known unit: they are dated by their num
 from __future__ import annotations
 
 import math
-import re
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar
 
 from skincal.devices.decoding import (
+    DEFAULT_UNITS,
     INVALID_READING_FLAG,
     SATURATED_READING_FLAG,
     FrameDecoder,
@@ -27,6 +28,7 @@ from skincal.devices.decoding import (
 )
 from skincal.devices.family import DeviceAddress, Family, Form, Handshake, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
+from skincal.devices.netft_page import ALL_BITS, ANY_ERROR_BIT, SensorPage, StatusTable, given_page, keep_transform, read_page
 from skincal.model.readings import Loss, Stream
 
 REQUEST_STRUCT = struct.Struct("!HHI")
@@ -39,116 +41,8 @@ WEB_PAGE_MAX_BYTES = 65536
 RECORD_NUMBER_MODULUS = 1 << 32
 REORDERED_RECORD_MAX_STEPS_BACK = 32
 """A record at most this many numbers behind was overtaken on its way. Further behind, the sensor restarted."""
-FORCE_UNITS = {"n": 1.0, "kn": 1e3, "lb": 4.4482216152605, "klb": 4448.2216152605, "kg": 9.80665, "g": 9.80665e-3}
-"""N, by the unit's name in small letters without marks and the f of force."""
-TORQUE_UNITS = {
-    "nm": 1.0,
-    "nmm": 1e-3,
-    "knm": 1e3,
-    "lbin": 0.1129848290276167,
-    "lbft": 1.3558179483314004,
-    "kgcm": 0.0980665,
-    "kgm": 9.80665,
-}
-"""N m, by the unit's name in the same form."""
-ANY_ERROR_BIT = 1 << 31
-MONITOR_BIT = 1 << 16
-
-
-@dataclass(frozen=True, slots=True)
-class StatusTable:
-    """Meaning of the bits of a status word."""
-
-    saturated: int
-    """Bits of a force or torque beyond the range."""
-    harmless: int
-    """Bits that are no error."""
-    words: dict[int, str]
-    """Sentences by the number of the bit."""
-
-
-NET_FT_STATUS = StatusTable(
-    1 << 17,
-    MONITOR_BIT | ANY_ERROR_BIT,
-    {16: "a monitored condition was met", 17: "saturated: the force or torque is beyond the sensor's range"},
-)
-AXIA_STATUS = StatusTable(
-    1 << 27 | 1 << 30,
-    MONITOR_BIT | ANY_ERROR_BIT | 1 << 3,
-    {
-        0: "its temperature is out of range",
-        1: "its supply voltage is out of range",
-        2: "a strain gage is broken",
-        3: "busy",
-        5: "an error of its hardware",
-        7: "its calibration cannot be read",
-        16: "a monitored condition was met",
-        27: "a strain gage is beyond its range",
-        28: "it sends simulated readings",
-        29: "its calibration has a wrong checksum",
-        30: "the force or torque is beyond its range",
-    },
-)
-ALL_BITS = (1 << 32) - 1
-HEX_STATUS = StatusTable(0, ALL_BITS, {})
-"""No public text of OnRobot explains its bits: they are shown, and no reading is rejected for them."""
-
-
-@dataclass(frozen=True, slots=True)
-class SensorPage:
-    """A sensor's counts per unit and table of status bits."""
-
-    per_newton: float
-    per_newton_metre: float
-    product: str
-    table: StatusTable
-
-
-def read_page(page: bytes) -> SensorPage:
-    """Read `netftapi2.xml`.
-
-    Raises
-    ------
-    ValueError
-        It lacks the counts, or has a unit that is not known; the message is a sentence without an end.
-    """
-    text = page.decode("utf-8", "replace")
-    product = _field(text, "prodname") or "Net F/T"
-    table = HEX_STATUS if "HEX" in product else AXIA_STATUS if "Axia" in product else NET_FT_STATUS
-    scales: list[float] = []
-    for counts, unit, units in (("cfgcpf", "scfgfu", FORCE_UNITS), ("cfgcpt", "scfgtu", TORQUE_UNITS)):
-        name = re.sub("[^a-z]", "", (_field(text, unit) or "N").lower()).replace("lbf", "lb").replace("kgf", "kg")
-        if unit == "scfgtu" and not _field(text, unit):
-            name = "nm"
-        size = units.get(name)
-        number = _number(_field(text, counts))
-        if size is None:
-            raise ValueError(f"its page names the unit {_field(text, unit)[:20]!r}; expected one of {', '.join(units)}")
-        if not 0 < number < 1 << 32:
-            raise ValueError(f"its page gives no {counts}, the counts for each unit")
-        scales.append(number / size)
-    return SensorPage(scales[0], scales[1], product[:60], table)
-
-
-def given_page(per_newton: float, per_newton_metre: float, product: str) -> bytes:
-    """Build the page of a sensor that serves none, from the counts of its data sheet."""
-    return (
-        f"<netft><prodname>{product}</prodname><cfgcpf>{per_newton:.17g}</cfgcpf><scfgfu>N</scfgfu>"
-        f"<cfgcpt>{per_newton_metre:.17g}</cfgcpt><scfgtu>Nm</scfgtu></netft>"
-    ).encode()
-
-
-def _field(text: str, name: str) -> str:
-    # Not an XML parser: a stranger's page may hold entities without end.
-    found = re.search(f"<{name}>([^<]{{1,80}})</{name}>", text)
-    return found[1].strip() if found else ""
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
+SAMPLES_REPEATED_MAX = 20
+"""Records in a row with one number of the sensor's sample: then the sensor has stopped, though its box goes on."""
 
 
 class RdtHandshake(Handshake):
@@ -175,6 +69,12 @@ class RdtDecoder(FrameDecoder):
         self._page: SensorPage | None = None
         self._last: int | None = None
         self._total = 0
+        self._sample: int | None = None
+        """Number of the sensor's last sample."""
+        self._samples_count = False
+        """Whether the sensor numbers its samples: the number has changed."""
+        self._repeats = 0
+        """Records in a row that repeat a sample."""
 
     def _make_splitter(self) -> FrameSplitter:
         return packet_splitter(WEB_PAGE_MAX_BYTES)
@@ -182,10 +82,7 @@ class RdtDecoder(FrameDecoder):
     def _decode(self, frame: bytes) -> Loss | None:
         kind, payload = frame[0], frame[1:]
         if kind == PAGE:
-            try:
-                self._page = read_page(payload)
-            except ValueError as error:
-                self._problem = f"The sensor's counts are not known: {error}"
+            self._use_page(payload)
             return None
         if kind != RECORDS:
             return Loss.UNREADABLE
@@ -195,18 +92,50 @@ class RdtDecoder(FrameDecoder):
         problems = [self._record(record) for record in RECORD_STRUCT.iter_unpack(payload)]
         return next((problem for problem in problems if problem), None)
 
+    def _use_page(self, payload: bytes) -> None:
+        try:
+            self._page = page = read_page(payload)
+        except ValueError as error:
+            self._problem = f"The sensor's counts are not known: {error}"
+            return
+        self._problem = page.notice
+        words = [DEFAULT_UNITS[Stream.WRENCH], page.frame_words, page.settings]
+        self.units[Stream.WRENCH] = ", ".join(filter(None, words))
+
     def _record(self, record: tuple[int, ...]) -> Loss | None:
-        number, _, status, *counts = record
-        if self._page is None:
+        number, sample, status, *counts = record
+        page = self._page
+        if page is None:
             return Loss.UNREADABLE
         if not self._is_new(number):
             return Loss.LATE
         self.valid_records += 1
-        page, flags = self._page, 0
+        flags = 0
         if status != 0 or self._status:
             flags = self._read_status(status, page.table)
+        if self._repeats_sample(sample):
+            return Loss.REPEATED
         values = [count / page.per_newton for count in counts[:3]] + [count / page.per_newton_metre for count in counts[3:]]
+        if page.own_from_reported is not None:
+            values = (page.own_from_reported @ values).tolist()
+        if page.limits and any(abs(value) > limit for value, limit in zip(values, page.limits, strict=True)):
+            flags |= SATURATED_READING_FLAG
+            self._status = self._status or "The force or torque is beyond the range on the sensor's page"
         return self._add(Stream.WRENCH, self._total, math.nan, values, flags)
+
+    def _repeats_sample(self, sample: int) -> bool:
+        """Check whether a record repeats the sensor's last sample; a sensor that never numbers its samples repeats none."""
+        last, self._sample = self._sample, sample
+        if sample != last:
+            self._samples_count = self._samples_count or last is not None
+            self._repeats = 0
+            return False
+        if not self._samples_count:
+            return False
+        self._repeats += 1
+        if self._repeats >= SAMPLES_REPEATED_MAX:
+            self._status = "The sensor has stopped, and its box repeats the last reading: switch the sensor off and on"
+        return True
 
     def _is_new(self, number: int) -> bool:
         """Count the numbers missing before a record; return False for one that was overtaken or came twice."""
@@ -224,9 +153,11 @@ class RdtDecoder(FrameDecoder):
 
     def _read_status(self, status: int, table: StatusTable) -> int:
         """Keep a status word as a sentence; return the flags of the reading."""
-        bits = [bit for bit in range(31) if status >> bit & 1 and bit != 3]
+        said = status & ~table.unnamed
+        bits = [bit for bit in range(32) if said >> bit & 1]
         words = [table.words.get(bit, f"bit {bit}, see its manual") for bit in bits]
-        self._status = f"The sensor says (status {status:08X}): {', '.join(words) or 'an error'}" if status & ~8 else ""
+        is_silent = not said and not status & ANY_ERROR_BIT
+        self._status = "" if is_silent else f"The sensor says (status {status:08X}): {', '.join(words) or 'an error'}"
         if status & table.saturated:
             return SATURATED_READING_FLAG
         return (
@@ -234,7 +165,7 @@ class RdtDecoder(FrameDecoder):
         )
 
 
-COUNTS_ADVICE = "give the counts for each N and N m of its data sheet, such as ?cpf=1000000&cpt=1000000"
+COUNTS_ADVICE = "give the counts for each N and each N m (not N mm) of its data sheet, such as ?cpf=1000000&cpt=1000000"
 HEX_COUNTS = 10_000.0, 100_000.0
 """Counts for each N and N m of every OnRobot HEX."""
 PRODUCT_OF_OPTION = {"hex": "OnRobot HEX", "axia": "Axia", "netft": "Net F/T"}
@@ -255,6 +186,9 @@ def _with_page(address: DeviceAddress, questions: Questions) -> DeviceAddress:
             raise ValueError(f"page is {port}, not a port in 1 ... 65535")
     except ValueError as error:
         raise LinkError(FailureKind.ADDRESS, f"{address.text}: {error}; {COUNTS_ADVICE}.") from error
+    if options.get("transform", "undo") not in ("undo", "keep"):
+        sentence = f"{address.text}: transform is {options['transform']}; expected undo or keep."
+        raise LinkError(FailureKind.ADDRESS, sentence)
     if force and torque:
         page = given_page(force, torque, product)
     else:
@@ -267,6 +201,8 @@ def _with_page(address: DeviceAddress, questions: Questions) -> DeviceAddress:
         read_page(page)
     except ValueError as error:
         raise LinkError(FailureKind.OTHER, f"{address.text}: {error}; {COUNTS_ADVICE}.") from error
+    if options.get("transform") == "keep":
+        page = keep_transform(page)[:WEB_PAGE_MAX_BYTES]
     return replace(address, first_bytes=pack(PAGE, page))
 
 
@@ -281,7 +217,7 @@ FAMILY = Family(
             transport="udp",
             format="rdt",
             port=49152,
-            options=("cpf", "cpt", "device", "page"),
+            options=("cpf", "cpt", "device", "page", "transform"),
             handshake=lambda _: RdtHandshake(),
             needs_every_byte=True,
             message_kind=RECORDS,

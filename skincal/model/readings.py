@@ -51,6 +51,7 @@ class Loss(Enum):
     NOT_A_NUMBER = "NaN or infinite"
     SATURATED = "sensor says saturated"
     INVALID = "sensor says invalid"
+    REPEATED = "the sensor repeats its last reading"
     LATE = "arrived too late to be paired"
     UNPAIRED = "no wrench at the time of the skin frame"
     OTHER_FRAME = "in another frame than the first reading"

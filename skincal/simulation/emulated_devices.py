@@ -336,7 +336,8 @@ class PageTalk(PlainTalk):
         self.closing = True
         page = (
             f"<?xml version='1.0'?><netft><prodname>Ethernet Axia80</prodname><cfgcpf>{NETFT_COUNTS_PER_UNIT}</cfgcpf>"
-            f"<cfgcpt>{NETFT_COUNTS_PER_UNIT}</cfgcpt><scfgfu>N</scfgfu><scfgtu>Nm</scfgtu></netft>"
+            f"<cfgcpt>{NETFT_COUNTS_PER_UNIT}</cfgcpt><scfgfu>N</scfgfu><scfgtu>Nm</scfgtu>"
+            "<cfgtfx>0;0;0;0;0;0</cfgtfx><scfgtdu>mm</scfgtdu><scfgtau>degrees</scfgtau></netft>"
         ).encode()
         return b"HTTP/1.0 200 OK\r\nContent-Type: text/xml\r\n\r\n" + page
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from skincal.devices.column_names import MOMENT_UNITS, TIME_UNITS, WRENCH_AXES, axis_of, plain_unit
 from skincal.devices.decoding import TIME_STAMP_MAX_S, WRENCH_VALUES
-from skincal.devices.netft import FORCE_UNITS
+from skincal.devices.netft_page import FORCE_UNITS
 from skincal.files.importers.array_file import AnyArray, ArrayFile, NamedArray
 from skincal.files.importers.table_columns import UNIX_NS, TableColumns, is_known_name, time_unit_of
 from skincal.files.importers.table_form import TableForm

@@ -37,7 +37,7 @@ import numpy as np
 
 from skincal.devices.column_names import MOMENT_UNITS, TIME_UNITS
 from skincal.devices.decoding import TIME_STAMP_MAX_S, WRENCH_VALUES
-from skincal.devices.netft import FORCE_UNITS
+from skincal.devices.netft_page import FORCE_UNITS
 from skincal.files.importers.labview import ABSOLUTE_MIN_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
 from skincal.files.importers.table_columns import UNIX_NS, TableColumns, TimeColumns, ValueColumns, comment_units, names_time

@@ -23,7 +23,7 @@ from skincal.devices.column_names import (
     plain_unit,
     short_unit,
 )
-from skincal.devices.netft import FORCE_UNITS
+from skincal.devices.netft_page import FORCE_UNITS
 from skincal.files.importers.table_form import TableForm
 from skincal.files.importers.table_values import is_date, is_time_of_day, to_float
 from skincal.model.errors import InputError, plural

@@ -22,7 +22,7 @@ from skincal.devices.column_names import (
     axis_of,
     plain_unit,
 )
-from skincal.devices.netft import FORCE_UNITS
+from skincal.devices.netft_page import FORCE_UNITS
 
 HEXADECIMAL_FORM = "hexadecimal without 0x"
 LINE_SHOWN_MAX_CHARS = 60

@@ -50,7 +50,8 @@ def recorded(folder, maker, wiring):
         pipeline.feed(LinkEvent(link.name, START_NS, LinkState.OPEN))
     if maker == "netft":
         from skincal.devices.decoding import pack
-        from skincal.devices.netft import PAGE, RECORDS, given_page
+        from skincal.devices.netft import PAGE, RECORDS
+        from skincal.devices.netft_page import given_page
 
         pipeline.feed(Chunk("wrench", START_NS, pack(PAGE, given_page(1e6, 1e6, "Net F/T"))))
         size = 36

@@ -8,7 +8,8 @@ from cobs import cobs as reference_cobs
 from hypothesis import strategies as st
 
 from skincal.devices.decoding import pack
-from skincal.devices.netft import PAGE, RECORDS, given_page
+from skincal.devices.netft import PAGE, RECORDS
+from skincal.devices.netft_page import given_page
 from skincal.devices.registry import FAMILIES, load_family
 from tests.skincal.poke_script import skt_line
 

@@ -8,7 +8,7 @@ import pytest
 
 from skincal.devices.bota import crc_x25
 from skincal.devices.decoding import pack
-from skincal.devices.netft import read_page
+from skincal.devices.netft_page import read_page
 from skincal.devices.robotiq import FRAME_HEAD, SATURATED_RAW_COUNT, START_ANSWER, START_BYTES, crc_modbus
 from skincal.model.readings import TEMPERATURE, Loss, SideReading, Stream
 from skincal.simulation.board_formats import SkbEncoder, SktEncoder
