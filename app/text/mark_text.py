@@ -1,6 +1,6 @@
 """Meanings of the marks of taxels, as the window's maps draw them.
 
-The colour of a taxel is its module (`app/scene3d/scene_state.py`, `module_hues`); its state is the shape of its mark
+The colour of a taxel is its module (`MODULE_HUES` of `app/theme.py`); its state is the shape of its mark
 (`app/panels/taxel_map.py`, `mark_path`), chosen by `app/state/policies.py`, `marks`.
 """
 

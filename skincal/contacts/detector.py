@@ -37,7 +37,7 @@ from types import MappingProxyType
 import numpy as np
 
 from skincal.contacts.channel_health import ChannelHealth
-from skincal.contacts.gates import MAX_SAMPLE_GAP_IN_SKIN_PERIODS, answer_limit, finish, judge, turn_tolerance
+from skincal.contacts.gates import MAX_SAMPLE_GAP_IN_SKIN_PERIODS, answer_limit, finish, judge, largest_turn_during_poke
 from skincal.contacts.outcome import CROWDED_REASONS, BeforePokes, Contact, Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, FinishedPress, Press, arm_turn_between
 from skincal.contacts.skin_condition import SkinCondition, SkinWatch
@@ -88,7 +88,7 @@ class ContactDetector:
         self._period_s, self._group_interval_s = 0.0, 0.0
         self._last: Sample | None = None
         self._untared_since = 0.0
-        self._tolerance = turn_tolerance(scene)
+        self._turn_max = largest_turn_during_poke(scene)
         self._joints = None if scene.arm is None else np.array(scene.arm.arm.joints, np.int64)
         self._arm_pose: ArmPose | None = None
         self._tare_pose: ArmPose | None = None
@@ -427,7 +427,7 @@ class ContactDetector:
         late, arm = press.late, self._scene.arm
         if late is None or late.moved or arm is None or angles_s <= late.angles_s:
             return press
-        has_moved = bool(np.abs(angles - late.angles).max(initial=0.0) > arm.tolerance)
+        has_moved = bool(np.abs(angles - late.angles).max(initial=0.0) > arm.turn_max)
         return replace(press, late=replace(late, moved=True) if has_moved else None)
 
     def _rejudge(self) -> list[Outcome]:
@@ -447,11 +447,11 @@ class ContactDetector:
 
     def _arm_moved(self, before: ArmPose, now: ArmPose, turn: float | None = None) -> bool:
         """Whether the arm turned beyond its tolerance; `turn`, rad, if it is known already."""
-        if self._tolerance is None:
+        if self._turn_max is None:
             return False
         became_known = (before.link_from_sensor is None) != (now.link_from_sensor is None)
         turn = arm_turn_between(before, now) if turn is None else turn
-        return became_known or turn > self._tolerance
+        return became_known or turn > self._turn_max
 
     def _drop_tare(self, host_s: float) -> None:
         self._tares.drop()

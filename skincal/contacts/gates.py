@@ -63,7 +63,7 @@ def _failed_gates(
     if press.late is not None:
         yield _GateFailure(Reason.NO_POSE, press.late.age_s, press.late.max_age_s, "s")
     # Hand.
-    yield _at_most(Reason.ARM_MOVED, press.moved, turn_tolerance(scene) or 0.0, "rad")
+    yield _at_most(Reason.ARM_MOVED, press.moved, largest_turn_during_poke(scene) or 0.0, "rad")
     yield _at_least(Reason.TOO_SOFT, size, contacts.force_min, "N")
     if mean is None or wrench is None:
         # The press was shorter than a still window: nothing more is known of it.
@@ -72,7 +72,7 @@ def _failed_gates(
     yield _at_most(Reason.TOO_HARD, size, contacts.force_max, "N")
     yield _at_most(Reason.NOT_STILL, mean.spread, contacts.still_change, "1")
     # A tip that slips along the skin.
-    yield _at_most(Reason.SLID, mean.travel, contacts.slide_max, "m")
+    yield _at_most(Reason.SLID, mean.slide, contacts.slide_max, "m")
     # One contact without a torque has a small |f . m|/|f|^2 (eq. 3).
     yield _at_most(Reason.TWO_CONTACTS, abs(float(pitch(wrench[:3], wrench[3:]))), contacts.pitch_max, "m")
     # Skin.
@@ -84,10 +84,10 @@ def _failed_gates(
     yield _at_most(Reason.TARE_CHANGED, tare_change, contacts.tare_change_max, "N")
 
 
-def turn_tolerance(scene: Scene) -> float | None:
+def largest_turn_during_poke(scene: Scene) -> float | None:
     """Find the largest turn of the arm, or of the tool with the sensor, during a poke, rad; `None` if neither turns."""
     moving = scene.arm or scene.tool
-    return None if moving is None else moving.tolerance
+    return None if moving is None else moving.turn_max
 
 
 def widest_gap(places: FloatArray) -> float:

@@ -1,6 +1,6 @@
 """The poke in progress: its samples, its stillest window, and the rotation of the arm during it.
 
-Each window of `still_s` is ranked by the relative spread of its force and by the travel of its force axis at the contact.
+Each window of `still_s` is ranked by the relative spread of its force and by the slide of its force axis at the contact.
 Only the stillest window is kept, so memory does not grow with the length of a press.
 """
 
@@ -60,7 +60,7 @@ TOOL_MAX_LENGTH_M = 0.5
 AT_TOP_MIN_SHARE_OF_SAMPLES = 0.5
 """A taxel whose noise reaches the end of the range now and then is below it."""
 _TRAVEL_NOISE_STD_ERRORS = 2.0
-"""Standard errors that are subtracted from a travel, so that noise alone exceeds the limit in few still presses."""
+"""Standard errors that are subtracted from a slide, so that noise alone exceeds the limit in few still presses."""
 
 
 def _seen_from_middle(wrench: FloatArray, poses: Sequence[ArmPose]) -> tuple[FloatArray, FloatArray]:
@@ -97,14 +97,14 @@ def still_share(force: FloatArray, limit: float) -> int:
     return first if moving[first] else len(size)
 
 
-def axis_travel(
+def axis_slide(
     force: FloatArray, moment: FloatArray, times_s: FloatArray, max_along_m: float = MAX_CONTACT_DISTANCE_ALONG_AXIS_M
 ) -> float:
-    """Compute the travel of the force axis at the contact, metres, less two standard errors of noise.
+    """Compute the slide of the force axis at the contact, metres, less two standard errors of noise.
 
     The axis of sample i passes the point c(lambda) of the mean axis at the distance d_i = f_i x (f_i x c + m_i)/|f_i|^2. A
     hand that only tilts turns the axis about the contact. So lambda is the one with the smallest d_i, within
-    `max_along_m` of the point nearest to the sensor. The travel is the slope of a straight line through
+    `max_along_m` of the point nearest to the sensor. The slide is the slope of a straight line through
     the d_i times the window's length. Force and moment are (n, 3), N and N m, tared, sensor frame; n >= 3; `times_s` is (n,),
     s.
     """
@@ -146,8 +146,8 @@ class StillMean:
     pose: str
     spread: float
     """1, relative spread of the force."""
-    travel: float
-    """m, travel of the force axis."""
+    slide: float
+    """m, slide of the force axis at the contact."""
     tip: FloatArray | None = field(default=None, metadata=OPTIONAL_FIELD)
     """(3,) float, metres, fixed frame: mean position of the tip; `None` unless all its samples have one."""
 
@@ -279,7 +279,7 @@ class Press:
         self.late: LateAngles | None = None
         """Angles of the stillest window, if they came long before it."""
         # Sort key, smaller is better: 1 if the force is outside its range; spread/limit if above 1; distance to the force range
-        # in N; the larger of spread and travel as fractions of their limits. So a slide or a hard hold is not hidden in a ramp.
+        # in N; the larger of spread and slide as fractions of their limits. So a slide or a hard hold is not hidden in a ramp.
         self._best_rank: tuple[float, float, float, float] = (math.inf, 0.0, 0.0, math.inf)
         self.still = 0.0
         """Share of the still window that is filled, 0 to 1."""
@@ -339,14 +339,14 @@ class Press:
         share = spread / settings.still_change
         first = (float(outside > 0.0), max(share, 1.0), outside)
         if (*first, share) >= self._best_rank:
-            return  # the travel can only make it worse
+            return  # the slide can only make it worse
         times_s = np.array([item.host_s for item, _ in self._window])
         if self._window[0][0].tool is None:
-            travel = axis_travel(force, wrench[:, 3:], times_s)
+            slide = axis_slide(force, wrench[:, 3:], times_s)
         else:
             # The contact stays at the tip in a sensor on the tool: it moves with the tool only.
-            travel = axis_travel(*_seen_from_middle(wrench, [pose for _, pose in self._window]), times_s, TOOL_MAX_LENGTH_M)
-        rank = (*first, max(share, travel / settings.slide_max))
+            slide = axis_slide(*_seen_from_middle(wrench, [pose for _, pose in self._window]), times_s, TOOL_MAX_LENGTH_M)
+        rank = (*first, max(share, slide / settings.slide_max))
         if rank >= self._best_rank:
             return
         self._best_rank = rank
@@ -363,7 +363,7 @@ class Press:
             link_from_sensor=middle.link_from_sensor,
             pose=middle.name,
             spread=spread,
-            travel=travel,
+            slide=slide,
             tip=_mean_tip(samples),
         )
 

@@ -26,9 +26,11 @@ from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
 
-LANDMARK_POKES_PER_POSE = 3
-"""Landmark pokes in each arm pose but the first: with three in each of seven the modules' error on the paper's rig falls to a
+LANDMARK_POKES_IN_LATER_POSE = 3
+"""Landmark pokes in each arm pose after the first: with three in each of seven the modules' error on the paper's rig falls to a
 tenth (`skincal study paper`)."""
+MIN_LANDMARK_POKES_FOR_FRAME = 3
+"""Landmark pokes that show whether the sensor's frame is right, and how far the rig is off."""
 LANDMARK_POKE_MAX_OFFSET_M = 0.015
 """A poke whose answers have their centre farther from the landmark was on the skin: a taxel is felt from 8 mm away, and its
 position is known to 6 mm (sd) by the plan."""
@@ -67,9 +69,9 @@ def landmark_targets(
     here = Counter(name for there, name in every if there == pose)
     total = Counter(name for _, name in every)
     elsewhere = len(every) - here.total()
-    wanted = LANDMARK_POKES_PER_POSE - elsewhere
+    wanted = MIN_LANDMARK_POKES_FOR_FRAME - elsewhere
     if len(landmarks) >= MIN_LANDMARKS:
-        wanted = max(LANDMARK_POKES_PER_POSE, MIN_LANDMARK_POKES - elsewhere)
+        wanted = max(LANDMARK_POKES_IN_LATER_POSE, MIN_LANDMARK_POKES - elsewhere)
     targets = list[LandmarkTarget]()
     open_ = [] if "" in skipped else [landmark for landmark in landmarks if landmark.name not in skipped]
     while open_ and here.total() < wanted:
@@ -87,7 +89,7 @@ def rig_error_sd(pokes: LandmarkPokes, noise: NoiseSettings) -> float:
     It is the median landmark miss, which one wrong poke does not change, less the noise of the sensor and of the hand
     (`RigPrior.landmark`). The pokes are corrected by the corrections in use.
     """
-    if len(pokes) < LANDMARK_POKES_PER_POSE:
+    if len(pokes) < MIN_LANDMARK_POKES_FOR_FRAME:
         return 0.0
     off = pokes.place - pokes.sensor
     lever, force = np.sqrt(np.vecdot(off, off)), pokes.force_size

@@ -16,6 +16,9 @@ from skincal.model.tables import Table, check_degrees
 from skincal.model.urdf import Robot, read_urdf
 from skincal.model.urdf_chain import UrdfChain
 
+DEFAULT_TURN_MAX_DEG = 0.5
+"""Degrees. Largest turn of a joint during a poke."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotSpec:
@@ -33,8 +36,8 @@ class RobotSpec:
     """1 if the sensor reports the force on the part, -1 for the reaction; `None` if the URDF does not say."""
     poses: Mapping[str, FloatArray]
     """Named arm poses: (moving joints,) float, radians."""
-    tolerance: float
-    """rad."""
+    turn_max: float
+    """rad, largest turn of a joint during a poke."""
     mesh: tuple[Path, float, FloatArray, bool] | None
     """The part's mesh as in `SurfaceSpec`: file, metres per unit, (4, 4) pose in the part's link, whether the unit is typed."""
     mesh_link: str
@@ -58,7 +61,7 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
     columns = tuple(table.words("joints", []))
     fixed = _degrees(table.table("fixed"), urdf)
     chain, sign = urdf.chain(link, sensor, columns, fixed, where)
-    poses, tolerance = read_poses(table, len(columns))
+    poses, turn_max = read_poses(table, len(columns))
     poses = {name: angles[list(chain.joints)] for name, angles in poses.items()}
     packages_table, packages = table.table("packages"), dict[str, Path]()
     for name in [] if packages_table is None else packages_table.keys:
@@ -78,18 +81,18 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
         scale_and_pose = found[0].scale_and_pose(found[1], where) if unit is None else (unit, found[1])
         mesh = file, *scale_and_pose, unit is not None
     table.refuse_unknown_keys()
-    return RobotSpec(urdf, sensor, chain, columns, fixed, sign, poses, tolerance, mesh, found[0].link if mesh and found else "")
+    return RobotSpec(urdf, sensor, chain, columns, fixed, sign, poses, turn_max, mesh, found[0].link if mesh and found else "")
 
 
 def read_poses(table: Table, joints: int) -> tuple[dict[str, FloatArray], float]:
-    """Read the named poses of an arm, (joints,) each, and their tolerance; radians."""
+    """Read the named poses of an arm, (joints,) each, and the largest turn of a joint during a poke; radians."""
     poses_table, poses = table.table("poses"), dict[str, FloatArray]()
     for name in [] if poses_table is None else poses_table.keys:
         assert poses_table is not None
         angles: FloatArray = poses_table.array(name, (joints,))
         check_degrees(angles, f"{poses_table.where}: {name}")
         poses[name] = np.radians(angles)
-    tolerance = table.take("tolerance_deg", float, 0.5)
+    tolerance = table.take("tolerance_deg", float, DEFAULT_TURN_MAX_DEG)
     if not tolerance > 0:
         raise InputError(f"{table.where}: tolerance_deg is {tolerance}; expected a number above 0.")
     return poses, float(np.radians(tolerance))

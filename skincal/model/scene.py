@@ -17,7 +17,7 @@ import numpy as np
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.length_units import METRES_PER_UNIT
-from skincal.model.robot import RobotSpec, read_poses, read_robot
+from skincal.model.robot import DEFAULT_TURN_MAX_DEG, RobotSpec, read_poses, read_robot
 from skincal.model.skin import Anchor, Layout, SkinKind, load_layout, read_anchor
 from skincal.model.tables import MAX_LENGTH_M, Table, check_degrees, check_metres, parse_toml, read_text
 from skincal.model.tool_rig import BASE_LINK, ToolSpec, read_tool
@@ -84,7 +84,7 @@ class ContactSettings:
     still_change: float = 0.05
     """Largest relative spread (sd) of the force inside the still window."""
     slide_max: float = 0.0015
-    """m. Largest travel of the force axis inside the still window, measured where the contact is."""
+    """m. Largest slide of the force axis inside the still window, measured where the contact is."""
     pitch_max: float = 0.008
     """m. Largest |f . m|/|f|^2 (eq. 3): the 99th percentile of single contacts is 7.5 mm in simulation with sensor noise only.
     Raise it to 20 mm if the sensor's matrix is wrong: an error of 2 % with cross-talk at a lever of 0.2 m makes a pitch of sd
@@ -139,7 +139,7 @@ class ArmSpec:
     arm: Arm | UrdfChain
     poses: dict[str, FloatArray]
     """Name to (joints,) float, radians; may be empty if the joints are streamed."""
-    tolerance: float = float(np.radians(0.5))
+    turn_max: float = float(np.radians(DEFAULT_TURN_MAX_DEG))
     """rad. A poke is rejected if a streamed joint moves more."""
 
 
@@ -300,7 +300,7 @@ def _read_arm(table: Table) -> ArmSpec:
 
 
 def _robot_arm(robot: RobotSpec | None) -> ArmSpec | None:
-    return None if robot is None or not robot.chain.joints else ArmSpec(robot.chain, dict(robot.poses), robot.tolerance)
+    return None if robot is None or not robot.chain.joints else ArmSpec(robot.chain, dict(robot.poses), robot.turn_max)
 
 
 def _fixed_sensor_pose(robot: RobotSpec | None) -> FloatArray:

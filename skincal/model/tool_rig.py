@@ -24,7 +24,7 @@ BASE_LINK = "base"
 """Name of the frame of all positions while the part's pose in it is not known."""
 TOOL_ARM_POSE = "tool"
 """Name of the arm pose of all pokes: the tool has another pose at each, and no two share an error of their own."""
-DEFAULT_TOLERANCE_DEG = 1.0
+DEFAULT_TOOL_TURN_MAX_DEG = 1.0
 """Degrees. Largest turn of the tool between its tare and the poke: a tool of 0.5 kg then changes the force by 0.09 N."""
 
 
@@ -44,7 +44,7 @@ class ToolSpec:
     """Whether the scene gives the part's pose in the base."""
     tip: FloatArray | None
     """(3,) float, metres, tool frame: the end of the tip; `None` if not given."""
-    tolerance: float
+    turn_max: float
     """rad, largest turn of the tool between its tare and the end of the poke."""
 
     @property
@@ -69,7 +69,7 @@ def read_tool(table: Table) -> ToolSpec:
     base_from_link = table.pose("base_from_link", np.eye(4))
     tool_from_sensor = table.pose("flange", np.eye(4))
     tip = table.lengths_mm("tip_mm", (3,)) if "tip_mm" in table.keys else None
-    tolerance = table.take("tolerance_deg", float, DEFAULT_TOLERANCE_DEG)
+    tolerance = table.take("tolerance_deg", float, DEFAULT_TOOL_TURN_MAX_DEG)
     if not 0 < tolerance <= 90:
         raise InputError(f"{table.where}: tolerance_deg is {tolerance:g}; expected a number above 0, up to 90.")
     table.refuse_unknown_keys()

@@ -101,7 +101,7 @@ class ArmPoses:
 
     def _name_of(self, arm: ArmSpec, angles: FloatArray, sensor: FloatArray) -> str:
         for name, named in arm.poses.items():
-            if np.abs(named - angles).max(initial=0.0) <= arm.tolerance:
+            if np.abs(named - angles).max(initial=0.0) <= arm.turn_max:
                 return name
         # Adding zero makes 0 of -0, which would be another name.
         words = ", ".join(f"{angle:.0f} deg" for angle in np.degrees(angles).round() + 0.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.gates import widest_gap
-from skincal.contacts.press import axis_travel, force_spread, still_share
+from skincal.contacts.press import axis_slide, force_spread, still_share
 
 
 def test_the_widest_gap_is_that_between_two_groups():
@@ -44,7 +44,7 @@ def test_the_travel_is_the_way_across_the_force_wherever_the_sensor_is():
     across = np.linalg.norm(way[-1] - unit * (way[-1] @ unit))
     for place in ([0.0, 0.0, 0.0], [0.1, 0.2, 0.05], [-0.3, 0.02, 0.1]):
         force_n, moment = _wrenches(way + place, force)
-        assert axis_travel(force_n, moment, times) == pytest.approx(across, rel=1e-3)
+        assert axis_slide(force_n, moment, times) == pytest.approx(across, rel=1e-3)
 
 
 def test_the_travel_turns_with_everything():
@@ -54,9 +54,9 @@ def test_the_travel_turns_with_everything():
     moment = np.cross(rng.normal(0, 0.002, (15, 3)) + np.linspace(0, 0.006, 15)[:, None] + [0.05, 0, 0.1], force)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     turn *= np.linalg.det(turn)
-    plain = axis_travel(force, moment, times)
+    plain = axis_slide(force, moment, times)
     assert plain > 0.001
-    assert axis_travel(force @ turn.T, moment @ turn.T, times) == pytest.approx(plain, rel=1e-9)
+    assert axis_slide(force @ turn.T, moment @ turn.T, times) == pytest.approx(plain, rel=1e-9)
 
 
 def test_a_force_that_turns_about_the_contact_travels_nowhere():
@@ -64,4 +64,4 @@ def test_a_force_that_turns_about_the_contact_travels_nowhere():
     angle = np.linspace(0, 0.2, 15)
     force = 8 * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1)
     point = np.array([0.02, 0.03, 0.08])
-    assert axis_travel(force, np.cross(point, force), times) < 1e-6
+    assert axis_slide(force, np.cross(point, force), times) < 1e-6
