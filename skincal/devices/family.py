@@ -136,8 +136,11 @@ class Route:
     port: int = 0
     """TCP or UDP port if the address names none; 0: it must name one."""
     baud: int = 0
+    """Baud rate if the address names none."""
+    bauds: tuple[int, ...] = ()
+    """Baud rates to try in turn if the address names none, in place of `baud`."""
     options: tuple[str, ...] = ()
-    """Names that may follow `?`."""
+    """Names that may follow `?`; a serial port always has `baud`."""
     handshake: Callable[[tuple[Stream, ...]], Handshake] | None = None
     """Makes the handshake for the streams that the link carries."""
     needs_every_byte: bool = False

@@ -90,7 +90,7 @@ def parse_device(address: str) -> DeviceAddress | None:
             continue
         unknown = [key for key in found.options if key not in route.options]
         if unknown:
-            allowed = ", ".join(route.options) or "none"
+            allowed = ", ".join((*route.options, *(["baud"] if route.form is Form.SERIAL else []))) or "none"
             raise InputError(f"{address}: unknown option {unknown[0]!r}. Allowed options: {allowed}.")
         empty = [key for key, value in found.options.items() if not value]
         needs_value = next((key for key in empty if key in OPTIONS_WITH_VALUE), "")
@@ -103,6 +103,24 @@ def parse_device(address: str) -> DeviceAddress | None:
     raise InputError(f"{address} is not a valid {scheme} address. Example: {examples}.")
 
 
+def split_baud(address: str) -> tuple[str, int]:
+    """Split `PORT@BAUD`; 0 for an address without a number after its last `@`."""
+    path, at, baud = address.rpartition("@")
+    if at and baud.isascii() and baud.isdigit() and int(baud) > 0:
+        return path, int(baud)
+    return address, 0
+
+
+def _read_baud(address: str, place: str, option: str) -> tuple[str, int]:
+    """Return port and baud rate of `PORT@BAUD` or `PORT?baud=BAUD`; 0 if neither names one. Raises InputError."""
+    port, baud = split_baud(place)
+    if option and not (option.isascii() and option.isdigit() and int(option) > 0):
+        raise InputError(f"{address}: baud is {option!r}; expected a whole number such as 115200.")
+    if option and baud and int(option) != baud:
+        raise InputError(f"{address}: names two baud rates, {baud} and {option}; keep one.")
+    return port, int(option) if option else baud
+
+
 def _read_form(address: str, route: Route, rest: str) -> DeviceAddress | None:
     """Read the rest of an address by the form of a route. `None` or ValueError: it has another form."""
     if route.form is Form.COMMAND:
@@ -112,9 +130,11 @@ def _read_form(address: str, route: Route, rest: str) -> DeviceAddress | None:
         is_path = place.startswith("/") and len(place) > 1
         if not place or not (route.form is Form.SERIAL or (route.form is Form.PATH and is_path)):
             return None
-        return DeviceAddress(
-            address, route, path=place, baud=route.baud, options=dict(parse_qsl(query, keep_blank_values=True))
-        )
+        options = dict(parse_qsl(query, keep_blank_values=True))
+        if route.form is not Form.SERIAL:
+            return DeviceAddress(address, route, path=place, baud=route.baud, options=options)
+        place, baud = _read_baud(address, place, options.pop("baud", ""))
+        return DeviceAddress(address, route, path=place, baud=baud or (0 if route.bauds else route.baud), options=options)
     parts = urlsplit(address)
     host, options = parts.hostname or "", dict(parse_qsl(parts.query, keep_blank_values=True))
     host.encode("idna")  # raises ValueError for a name that no host can have
@@ -128,6 +148,9 @@ def _read_form(address: str, route: Route, rest: str) -> DeviceAddress | None:
             return None
         # /dev/ttyACM0, but COM7
         place = parts.path if parts.path.count("/") > 1 else parts.path.removeprefix("/")
+        place, baud = _read_baud(address, place, options.get("baud", ""))
+        if baud:
+            options["baud"] = str(baud)
         return DeviceAddress(address, route, host, path=place, options=options)
     if route.form is Form.LISTEN:
         # The check names the way for an address with a host.

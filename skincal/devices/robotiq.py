@@ -1,7 +1,7 @@
 """Robotiq FT 300 and FT 300-S: the stream of the serial port, and the text that a UR controller with Robotiq's URCap serves.
 
-Serial, 19200 baud: 16 bytes, 20 4E, six int16 little-endian (N x 100, N m x 1000), CRC-16/MODBUS little-endian; 100 Hz, no
-clock, no number, no word on saturation. The stream is stopped by 50 bytes FF and started by writing register 410 over
+Serial, 19200 or 115200 baud: 16 bytes, 20 4E, six int16 little-endian (N x 100, N m x 1000), CRC-16/MODBUS little-endian;
+100 Hz, no clock, no number, no saturation flag. The stream is stopped by 50 bytes FF and started by writing register 410 over
 Modbus; a sensor that streams hears nothing else, so it is stopped first. TCP 63351: `(fx , fy , fz , mx , my , mz)` without
 end, nothing between but the parentheses. Sources: Robotiq's ROS driver and FT 300-S manual; public clients of port 63351.
 """
@@ -21,6 +21,8 @@ FRAME_STRUCT = struct.Struct("<2s6hH")
 COUNTS_PER_SI_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
 """Counts for each N and N m."""
 SATURATED_RAW_COUNT = 32767
+BAUD_RATES = (19200, 115200)
+"""The FT 300 manual has the first; Robotiq's own reader of 2026 tries both."""
 STOP_BYTES = b"\xff" * 50
 START_BYTES = bytes.fromhex("0910019A0001020200CDCA")
 START_ANSWER = bytes.fromhex("0910019A00012152")
@@ -122,7 +124,7 @@ FAMILY = Family(
             form=Form.SERIAL,
             transport="serial",
             format="robotiq",
-            baud=19200,
+            bauds=BAUD_RATES,
             handshake=lambda _: RobotiqHandshake(),
         ),
         Route(usage="robotiq://192.168.1.2", form=Form.HOST, transport="tcp", format="robotiq-text", port=63351),

@@ -19,7 +19,7 @@ from urllib.parse import parse_qsl
 from skincal.devices.family import AUTO, DeviceAddress, Form, Route
 from skincal.devices.foreign_addresses import foreign_advice
 from skincal.devices.link import FailureKind, Link, LinkError
-from skincal.devices.registry import parse_device
+from skincal.devices.registry import parse_device, split_baud
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
@@ -138,14 +138,6 @@ def make_link_decoder(address: str, format_name: str, channels: int | None, carr
     if part is None:
         return LinkDecoder(format_name, channels, carries)
     return PartDecoder(part, format_name, channels, carries)
-
-
-def split_baud(address: str) -> tuple[str, int]:
-    """Split `PORT@BAUD`; 0 for an address without a number after its last `@`."""
-    path, at, baud = address.rpartition("@")
-    if at and baud.isascii() and baud.isdigit() and int(baud) > 0:
-        return path, int(baud)
-    return address, 0
 
 
 def _is_file(path: str) -> bool:

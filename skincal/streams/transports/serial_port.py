@@ -23,10 +23,15 @@ WRITE_TIMEOUT_S = 0.5
 
 
 def open_transport(opening: Opening) -> Link:
-    """Open the port. Without a baud rate and a format, the baud rate is searched."""
+    """Open the port. Without a baud rate and a format, the baud rate is searched, for a device among its rates."""
     address = opening.address
     if address.baud:
         return SerialLink(address.path, address.baud)
+    if address.route.bauds:
+        from skincal.streams.transports.baud_search import DeviceBaudLink
+
+        rates = address.route.bauds
+        return DeviceBaudLink(SerialLink(address.path, rates[0]), rates, address.route.format, opening.carries)
     if opening.format != AUTO:
         return SerialLink(address.path, DEFAULT_BAUD_RATE)
     # Imported now: it needs decoders.

@@ -82,6 +82,45 @@ def test_an_address_of_another_program_names_the_one_to_type(address, typed):
     assert parse_address(typed.replace("HOST:PORT/TOPIC", "h:9090/a")).route.transport in ("tcp", "serial", "udp", "websocket")
 
 
+@pytest.mark.parametrize(
+    ("address", "path", "baud"),
+    [
+        ("robotiq:/dev/ttyUSB0", "/dev/ttyUSB0", 0),
+        ("robotiq:/dev/ttyUSB0@115200", "/dev/ttyUSB0", 115200),
+        ("robotiq:/dev/ttyUSB0?baud=115200", "/dev/ttyUSB0", 115200),
+        ("robotiq:COM4@19200?baud=19200", "COM4", 19200),
+        ("bota:/dev/ttyUSB0", "/dev/ttyUSB0", 460800),
+        ("bota:/dev/ttyUSB0@230400", "/dev/ttyUSB0", 230400),
+        ("papillarray:COM3?baud=", "COM3", 115200),
+        ("robotiq:/dev/a@b", "/dev/a@b", 0),
+    ],
+)
+def test_a_serial_device_takes_a_baud_rate_in_both_forms(address, path, baud):
+    device = parse_address(address)
+    assert (device.path, device.baud, dict(device.options)) == (path, baud, {})
+
+
+def test_a_baud_rate_of_the_makers_driver_has_both_forms_too():
+    for address in ("bota:///dev/ttyACM0@230400", "bota:///dev/ttyACM0?baud=230400"):
+        device = parse_address(address)
+        assert (device.path, dict(device.options)) == ("/dev/ttyACM0", {"baud": "230400"})
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("robotiq:COM4?baud=fast", "baud is 'fast'; expected a whole number such as 115200"),
+        ("robotiq:COM4?baud=0", "baud is '0'"),
+        ("robotiq:COM4@19200?baud=115200", "names two baud rates, 19200 and 115200; keep one"),
+        ("robotiq:COM4?speed=1", "unknown option 'speed'. Allowed options: baud."),
+    ],
+)
+def test_a_wrong_baud_rate_is_refused_with_the_one_expected(address, words):
+    with pytest.raises(InputError) as error:
+        parse_address(address)
+    assert words in str(error.value)
+
+
 @pytest.mark.parametrize("scheme", ["osc", "mqtt", "lsl", "ws"])
 def test_a_protocol_that_needs_a_program_names_it_and_the_manual_has_it(scheme):
     with pytest.raises(InputError) as error:

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from skincal.devices.robotiq import START_BYTES, STOP_BYTES, RobotiqHandshake
 from skincal.model.readings import Stream
-from skincal.streams.decoders.auto_detect import LinkDecoder
+from skincal.streams import opening
+from skincal.streams.decoders.auto_detect import LinkDecoder, make_decoder
+from skincal.streams.opening import HandshakeLink
 from skincal.streams.transports import baud_search
-from skincal.streams.transports.baud_search import BAUD_RATE_TRIAL_MAX_S, BAUD_RATES, BaudSearchLink
+from skincal.streams.transports.baud_search import BAUD_RATE_TRIAL_MAX_S, BAUD_RATES, BaudSearchLink, DeviceBaudLink
 from tests.skincal.streams.maker_records import VECTORS
 
 BOTA, ROBOTIQ = VECTORS["bota"].data, VECTORS["robotiq"].data
@@ -82,3 +85,41 @@ def test_clean_text_is_no_wrong_rate(record):
         link.read(0.1)
     assert not link.found
     assert line.trials == [115200, 460800]
+
+
+class StartedSensor(Line):
+    """An FT 300 that streams after its start, at one rate, and is silent else; at a wrong rate it understands no byte."""
+
+    def __init__(self, baud, *, streams):
+        super().__init__(ROBOTIQ, baud)
+        self._now, self._streams = 19200, streams
+        self.trials = [19200]
+
+    def read(self, timeout_s):
+        return super().read(timeout_s) if self._streams else b""
+
+    def write(self, data):
+        if self._now == self._baud:
+            self._streams = {START_BYTES: True, STOP_BYTES: False}[data]
+
+
+@pytest.mark.parametrize("baud", [19200, 115200])
+@pytest.mark.parametrize("streams", [False, True], ids=["stopped", "left streaming"])
+def test_a_robotiq_of_either_rate_is_started_and_read(monkeypatch, baud, streams):
+    now = [0.0]
+
+    def tick():
+        now[0] += 0.02
+        return now[0]
+
+    monkeypatch.setattr(baud_search.time, "monotonic", tick)
+    assert opening.time is baud_search.time
+    sensor = StartedSensor(baud, streams=streams)
+    rates = (19200, 115200)
+    link = HandshakeLink("robotiq:X", DeviceBaudLink(sensor, rates, "robotiq", (Stream.WRENCH,)), RobotiqHandshake())
+    decoder = make_decoder("robotiq", None, (Stream.WRENCH,))
+    for _ in range(300):
+        decoder.feed(link.read(0.1))
+    assert decoder.valid_records > 100
+    assert sensor.trials == list(rates[: rates.index(baud) + 1])
+    assert link.tried == tuple(sensor.trials)
