@@ -1,0 +1,283 @@
+"""Pose of a part in the base of a tool's poses, from the points of the part that the tool touched.
+
+Touch k measures a point x_k in the base with the precision W_k (3 x 3): of rank 3 for the tip of a tool, of rank 2 for a force
+axis, which measures nothing along its push. Unknown is the pose (R, t) that carries the base into the part's link:
+
+    p_k = R x_k + t.
+
+Three kinds of equations give it, in one weighted least squares.
+
+* **Landmark** l_k: p_k = l_k, noise W_k^-1 + s_l^2 I.
+* **Layout**: p_k = q_k + b + b_m, with q_k the planned place of the taxel that answers most. The hand aims beside it by the
+  scene's `contact`. The whole skin is laid b off its plan and its module m by b_m more: unknowns with a prior.
+* **Mesh**: n.(p_k - y_k) = h, with y_k the nearest point of the triangles that face the push, n its normal. The foam's height h
+  over the mesh is one unknown for all touches, with the scene's `skin` as its sd. A poke of a taxel then uses the layout only
+  across n.
+
+A small motion of the part turns by w about the centre c of the touched points and shifts by s: p' = p + w x (p - c) + s. With
+W = B'B the equation of a point that should lie at y is B (x + R'(t - y)) = 0, and its derivative B R' [-S(y - c), I]: exact for
+a force axis, too, whose point x may be far from y. Gauss-Newton steps from many starts (`part_pose_starts`) with Huber's
+weights give the pose. Its covariance is the inverse of the normal equations, without the rows of b, b_m and h. It grows by
+chi-square over its degrees of freedom where that is above 1.
+
+Directions with a large error are named (`open_motions`), as the shift along the axis of a cylinder whose mesh alone is known.
+Poses that differ and fit as well are rivals: a box fits turned by half a turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from skincal.geometry import FloatArray, inverse_pose
+from skincal.rig.part_pose_starts import start_poses
+from skincal.rig.part_touches import (
+    HUBER_THRESHOLD_SDS,
+    LANDMARK_SD_M,
+    MODULE_SHIFT_SD_M,
+    PLAN_SHIFT_SD_M,
+    POINT_MIN_PRECISION,
+    SHIFT_PRIOR_SD_M,
+    TURN_PRIOR_SD_RAD,
+    OpenMotion,
+    PartShape,
+    PartTouches,
+    find_open_motions,
+    motion_rows,
+    moved_pose,
+    pose_rows,
+    roots_of,
+    trust_of,
+)
+
+PART_POSE_MAX_SD_M = 0.015
+"""m. A pose is used if no point of the part has a larger sd in any direction: half of `POSITION_MAX_SD_M` of a taxel."""
+MIN_TOUCHES = 3
+DISAGREES_ABOVE_SDS = 5.0
+"""The touches miss their places by so many times the expected miss: another part, a wrong landmark, a wrong tip."""
+RIVAL_MIN_DISTANCE_M, RIVAL_MAX_CHI2_INCREASE = 0.010, 16.0
+"""m, rms over the part, between two poses that are rivals; a rival fits no worse than by 4 standard deviations."""
+FIT_STEPS = 40
+CONVERGED_STEP_SDS = 1e-6
+"""Steps smaller than this share of the standard deviations end a fit."""
+
+
+class PartPoseState(Enum):
+    """How far the touches give the pose."""
+
+    FEW_TOUCHES = "few touches"
+    OPEN = "open"
+    """A motion of the part hardly changes the fit."""
+    AMBIGUOUS = "ambiguous"
+    """Another pose fits as well."""
+    DISAGREES = "disagrees"
+    """No pose fits."""
+    KNOWN = "known"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartPose:
+    """Pose of the part in the base, with its error."""
+
+    state: PartPoseState
+    link_from_base: FloatArray
+    """(4, 4) float, metres; the identity with few touches."""
+    centre: FloatArray
+    """(3,) float, metres, link frame: c."""
+    covariance: FloatArray
+    """(6, 6) float: of the turn w (rad) about the centre, and of the shift s (m), link frame."""
+    landmarks: int
+    """Touches at landmarks that it was fitted to..."""
+    taxels: int
+    """...touches at taxels with a planned place..."""
+    points: int
+    """...and touches on the mesh."""
+    ratio: float = 1.0
+    """Misses over the expected ones: the root of chi-square over its degrees of freedom."""
+    worst_landmark: int = 0
+    """Number of the landmark touch that misses most; 0 without landmarks."""
+    worst_miss: float = 0.0
+    """m, its miss."""
+    sd: float = np.inf
+    """m, largest sd of a point of the part in any direction."""
+    open_motions: tuple[OpenMotion, ...] = ()
+    """The largest first."""
+    rival: FloatArray | None = None
+    """(4, 4) float, metres: link_from_base of another pose that fits as well; `None` without one."""
+
+    @property
+    def base_from_link(self) -> FloatArray:
+        """(4, 4) float, metres: the pose as a scene writes it."""
+        return inverse_pose(self.link_from_base)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it may carry estimates into the part's frame."""
+        return self.state is PartPoseState.KNOWN
+
+    def moves(self, points: FloatArray) -> FloatArray:
+        """Compute the shifts (n, 3, 6), metres, of points (n, 3) of the link by independent errors of unit variance."""
+        values, axes = np.linalg.eigh(self.covariance)
+        return motion_rows(points - self.centre) @ (axes * np.sqrt(np.maximum(values, 0.0)))
+
+
+NO_PART_POSE = PartPose(PartPoseState.FEW_TOUCHES, np.eye(4), np.zeros(3), np.eye(6), 0, 0, 0)
+
+
+def _huber_cost(sizes: FloatArray) -> FloatArray:
+    return np.where(sizes < HUBER_THRESHOLD_SDS, sizes**2, HUBER_THRESHOLD_SDS * (2.0 * sizes - HUBER_THRESHOLD_SDS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A pose with its normal equations."""
+
+    turn: FloatArray
+    shift: FloatArray
+    centre: FloatArray
+    covariance: FloatArray
+    """(6, 6) float, not yet enlarged."""
+    step: FloatArray
+    """(6,) float: the Gauss-Newton step."""
+    cost: float
+    """Huber's cost, with the priors of the plan's shift and the height."""
+    chi2: float
+    """Sum of the trusted squares."""
+    target_misses: FloatArray
+    """(k,) float: sizes in standard deviations."""
+
+    @classmethod
+    def at(cls, touches: PartTouches, shape: PartShape, turn: FloatArray, shift: FloatArray) -> _Fit:
+        rows = pose_rows(touches, shape, turn[None], shift[None], is_start=False)
+        modules, module = np.unique(touches.module[touches.on_plan], return_inverse=True)
+        landmarks, targets, points = len(touches.at_landmark), rows.of_targets.shape[1], rows.of_mesh.shape[1]
+        # Columns: turn and shift, the height, the plan's shift, the shift of each module.
+        own = np.zeros((targets, 3, 4 + 3 * len(modules)))
+        own[:, :, 1:4] = rows.plan_slopes[0]
+        for row, index in enumerate(module.tolist(), start=landmarks):
+            own[row, :, 4 + 3 * index : 7 + 3 * index] = rows.plan_slopes[0, row]
+        of_mesh = np.zeros((points, own.shape[2]))
+        of_mesh[:, 0] = rows.height_slopes[0]
+        slopes = np.concatenate(
+            [
+                np.concatenate([rows.target_slopes[0], own], axis=2).reshape(-1, 6 + own.shape[2]),
+                np.concatenate([rows.mesh_slopes[0], of_mesh], axis=1),
+            ]
+        )
+        misses = np.concatenate([rows.of_targets[0].ravel(), rows.of_mesh[0]])
+        height = max(shape.noise.skin, 1e-5)
+        sds = np.concatenate([[height], np.repeat([PLAN_SHIFT_SD_M, MODULE_SHIFT_SD_M], [3, 3 * len(modules)])])
+        prior = np.concatenate([np.repeat([TURN_PRIOR_SD_RAD, SHIFT_PRIOR_SD_M], 3), sds]) ** -2.0
+        trust, left, rest = np.ones(len(misses)), misses, np.zeros(own.shape[2])
+        for _ in range(3):  # the shifts and the height are found at each pose, with the weights
+            weighted = slopes * trust[:, None]
+            normal = weighted.T @ slopes
+            rest = np.asarray(np.linalg.solve(normal[6:, 6:] + np.diag(prior[6:]), -(weighted.T @ misses)[6:]), np.float64)
+            left = misses + slopes[:, 6:] @ rest
+            trust = trust_of(_sizes(left, targets))
+        weighted = slopes * trust[:, None]
+        normal = weighted.T @ slopes + np.diag(prior)
+        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        gradient = weighted.T @ left
+        gradient[6:] += prior[6:] * rest
+        step = -(inverse @ gradient)[:6]
+        sizes = _size_of_each(left, targets)
+        cost = float(np.sum(_huber_cost(sizes)) + np.sum(prior[6:] * rest**2))
+        chi2 = float(np.sum(trust * left**2) + np.sum(prior[6:] * rest**2))
+        return cls(turn, shift, rows.centres[0], inverse[:6, :6], step, cost, chi2, sizes[:targets])
+
+    def next(self, touches: PartTouches, shape: PartShape) -> _Fit:
+        turn, shift = moved_pose(self.turn[None], self.shift[None], self.centre[None], self.step[None])
+        return _Fit.at(touches, shape, turn[0], shift[0])
+
+    @property
+    def is_converged(self) -> bool:
+        return float(self.step @ np.linalg.solve(self.covariance, self.step)) < CONVERGED_STEP_SDS**2
+
+    @property
+    def link_from_base(self) -> FloatArray:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.turn, self.shift
+        return pose
+
+
+def _size_of_each(misses: FloatArray, targets: int) -> FloatArray:
+    """Compute the size (k + m,) of each miss: of three rows for each target, then of one row for each point."""
+    of_targets = np.linalg.norm(misses[: 3 * targets].reshape(-1, 3), axis=1)
+    return np.concatenate([of_targets, np.abs(misses[3 * targets :])])
+
+
+def _sizes(misses: FloatArray, targets: int) -> FloatArray:
+    """Compute the size of the miss of each row."""
+    sizes = _size_of_each(misses, targets)
+    return np.concatenate([np.repeat(sizes[:targets], 3), sizes[targets:]])
+
+
+def fit_part_pose(touches: PartTouches, shape: PartShape) -> PartPose:
+    """Fit the pose of a part to touches of it, from scratch.
+
+    The same touches give the same pose to the last bit.
+    """
+    counts = len(touches.at_landmark), len(touches.on_plan), len(touches.on_mesh) if shape.surface is not None else 0
+    used = sum(counts[:2]) + counts[2]
+    if max(counts) < MIN_TOUCHES and used < 2 * MIN_TOUCHES:
+        return replace(NO_PART_POSE, landmarks=counts[0], taxels=counts[1], points=counts[2])
+    fits: list[_Fit] = []
+    for turn, shift in zip(*start_poses(touches, shape), strict=True):
+        fit = _Fit.at(touches, shape, turn, shift)
+        for _ in range(FIT_STEPS):
+            if fit.is_converged:
+                break
+            fit = fit.next(touches, shape)
+        fits.append(fit)
+    best = min(fits, key=lambda fit: fit.cost)
+    return _judge(best, fits, touches, shape, counts)
+
+
+def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartShape, counts: tuple[int, int, int]) -> PartPose:
+    ranks = np.linalg.matrix_rank(touches.precision, hermitian=True, tol=POINT_MIN_PRECISION)
+    equations = int(ranks[touches.at_landmark].sum() + ranks[touches.on_plan].sum()) + counts[2]
+    if shape.surface is not None:
+        equations -= int(np.isin(touches.on_plan, touches.on_mesh).sum())
+    ratio = float(np.sqrt(best.chi2 / max(equations - 6, 1)))
+    covariance = best.covariance * max(1.0, ratio) ** 2
+    open_motions, sd = find_open_motions(covariance, best.centre, shape.corners)
+    rival = _find_rival(best, fits, shape.corners, max(1.0, ratio) ** 2)
+    worst_landmark, worst_miss = _worst_landmark(best, touches)
+    state = PartPoseState.KNOWN
+    if sd > PART_POSE_MAX_SD_M:
+        state = PartPoseState.OPEN
+    elif rival is not None:
+        state = PartPoseState.AMBIGUOUS
+    if equations > 6 and ratio > DISAGREES_ABOVE_SDS:
+        state = PartPoseState.DISAGREES
+    return PartPose(
+        state, best.link_from_base, best.centre, covariance, *counts, ratio, worst_landmark, worst_miss, sd, open_motions, rival
+    )
+
+
+def _worst_landmark(best: _Fit, touches: PartTouches) -> tuple[int, float]:
+    rows = touches.at_landmark
+    if not len(rows):
+        return 0, 0.0
+    off = touches.place[rows] @ best.turn.T + best.shift - touches.landmark[rows]
+    # Along a direction that a touch does not measure it misses nothing.
+    measured = roots_of(best.turn @ touches.precision[rows] @ best.turn.T, LANDMARK_SD_M**2)
+    sizes = np.linalg.norm((measured @ off[:, :, None])[:, :, 0], axis=1)
+    row = int(np.argmax(sizes))
+    values = np.linalg.norm(measured[row], ord=2)
+    return int(touches.number[rows[row]]), float(sizes[row] / values)
+
+
+def _find_rival(best: _Fit, fits: Sequence[_Fit], corners: FloatArray, variance: float) -> FloatArray | None:
+    """Find another pose that fits about as well and puts the part elsewhere."""
+    base = (corners - best.shift) @ best.turn
+    others = [fit for fit in fits if (fit.cost - best.cost) / variance < RIVAL_MAX_CHI2_INCREASE]
+    for fit in sorted(others, key=lambda fit: fit.cost):
+        off = base @ fit.turn.T + fit.shift - corners
+        if float(np.linalg.norm(off)) / len(off) ** 0.5 > RIVAL_MIN_DISTANCE_M:
+            return fit.link_from_base
+    return None
