@@ -57,7 +57,7 @@ PART_POSE_MAX_SD_M = 0.015
 """m. A pose is used if no point of the part has a larger sd in any direction: half of `POSITION_MAX_SD_M` of a taxel."""
 MIN_TOUCHES = 3
 DISAGREES_ABOVE_SDS = 5.0
-"""The touches miss their places by so many times the expected miss: another part, a wrong landmark, a wrong tip."""
+"""Misses over expected ones. Above this the part, a landmark or the tip is another one."""
 RIVAL_MIN_DISTANCE_M, RIVAL_MAX_CHI2_INCREASE = 0.010, 16.0
 """m, rms over the part, between two poses that are rivals; a rival fits no worse than by 4 standard deviations."""
 FIT_STEPS = 40

@@ -166,7 +166,7 @@ def _seeds(surface: Surface) -> tuple[FloatArray, FloatArray]:
     # A sequence of low discrepancy (Roberts 2018) over the area and in each triangle.
     at = np.modf(0.5 + np.arange(1, MESH_POINTS + 1)[:, None] * PLASTIC_NUMBER ** -np.arange(1.0, 4.0))[0]
     below: FloatArray = np.cumsum(areas, dtype=np.float64)
-    rows: IntArray = np.searchsorted(below[:-1], at[:, 0] * below[-1])
+    rows: IntArray = np.asarray(below[:-1].searchsorted(at[:, 0] * below[-1]), dtype=np.int64)
     root = np.sqrt(at[:, 1:2])
     places = corners[rows, 0] + root * (sides[rows, 0] + at[:, 2:] * (sides[rows, 1] - sides[rows, 0]))
     chosen = [int(np.argmax(np.linalg.norm(places - places.mean(axis=0), axis=1)))]

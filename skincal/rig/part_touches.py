@@ -78,7 +78,7 @@ class PartTouches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartShape:
-    """What is known of the part."""
+    """Mesh and size of the part, and the noise of the scene."""
 
     surface: Surface | None
     corners: FloatArray
