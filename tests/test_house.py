@@ -18,6 +18,9 @@ from packaging.requirements import Requirement
 CHECKOUT = Path(__file__).resolve().parent.parent
 LOCKS = ("requirements.lock", "requirements-dev.lock")
 LINES_MAX = 900
+MANY_PARAMETERS = 7
+FUNCTIONS_WITH_MANY_PARAMETERS_MAX = 19
+"""Ten of them are commands, whose parameters are their options. Lower it when you write one with fewer."""
 PACKAGE_OF = {
     "bota_driver": "bota-driver",
     "PIL": "pillow",
@@ -132,6 +135,17 @@ def modules() -> dict[str, Path]:
         *(path for folder in ("app", "skincal", "tools") for path in (CHECKOUT / folder).rglob("*.py")),
     ]
     return {".".join(path.relative_to(CHECKOUT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
+
+
+def test_few_functions_have_many_parameters() -> None:
+    many: list[str] = []
+    for name, path in modules().items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                own = [each.arg for each in given if each.arg not in ("self", "cls")]
+                many += [f"{name}.{node.name}: {len(own)}"] * (len(own) >= MANY_PARAMETERS)
+    assert len(many) <= FUNCTIONS_WITH_MANY_PARAMETERS_MAX, "\n".join(many)
 
 
 def test_each_folder_of_tests_is_a_room_of_the_program() -> None:

@@ -15,6 +15,7 @@ from app.dialogs.form_widgets import number_field
 from app.panels.widgets import escape_tooltip, secondary_label
 from skincal.model.readings import Stream
 from skincal.part.draft_preview import JointState, PartPreview
+from skincal.streams.expected_readings import ExpectedReadings
 
 SLIDER_RANGE_WITHOUT_LIMITS_DEG = 180.0
 SLIDER_STEPS_PER_DEGREE = 10
@@ -106,7 +107,7 @@ class JointsStep(Step):
         if not self.columns.hasFocus():
             self.columns.setText(", ".join(draft.joints or [joint.name for joint in preview.joints]))
         count = 1 + max((joint.column for joint in preview.joints), default=0)
-        self.live.set_widths(max(1, draft.channels or 1), count, draft.joints or tuple(self._streamed()))
+        self.live.expect(ExpectedReadings(max(1, draft.channels or 1), count, draft.joints or tuple(self._streamed())))
 
     def _make_rows(self, joints: list[JointState], *, can_fix: bool) -> None:
         for row in self.rows.values():

@@ -10,6 +10,7 @@ from app.session.previews import Previews, list_ports
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.links import parse_address
 
 
@@ -26,7 +27,7 @@ class LiveRow(QWidget):
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setColumnStretch(2, 1)
         self.row.add_to(grid)
-        self._widths: tuple[int, int, tuple[str, ...]] = (1, 0, ())
+        self._expected = ExpectedReadings(1)
         self._is_open = False
         self._previews = previews = Previews()
         self.destroyed.connect(lambda: previews.stop_readers())
@@ -36,10 +37,10 @@ class LiveRow(QWidget):
         self._timer.timeout.connect(self._update)
         self.row.agreed.connect(self._choose)
 
-    def set_widths(self, channels: int, joints: int, names: tuple[str, ...] = ()) -> None:
-        """Expect this many values of a skin frame, and at least this many joints, with these names of their columns."""
-        if (channels, joints, names) != self._widths:
-            self._widths = channels, joints, names
+    def expect(self, expected: ExpectedReadings) -> None:
+        """Set the values that the readings should have."""
+        if expected != self._expected:
+            self._expected = expected
             self._choose()
 
     def resume(self) -> None:
@@ -67,7 +68,7 @@ class LiveRow(QWidget):
             except InputError as error:
                 self.row.show_preview(None, str(error))
                 address = ""
-        self._previews.choose_widths({self._stream: address} if address else {}, *self._widths)
+        self._previews.choose_expected({self._stream: address} if address else {}, self._expected)
         if address:
             self._timer.start()
         else:

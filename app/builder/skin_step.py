@@ -31,6 +31,7 @@ from skincal.part.draft_preview import PartPreview
 from skincal.part.layout_placing import middle_of
 from skincal.part.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
 from skincal.part.touch_watch import TouchWatch
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.words.layout_words import layout_size, unsaid_kind_finding
 
 POLARITY_CHOICES = {"up": "values rise", "down": "values fall"}
@@ -151,7 +152,7 @@ class SkinStep(Step):
         self.live.setEnabled(width > 0)
         if self._watch is None:
             self.touched.setText(TOUCH_HINT if width else NO_WIDTH_HINT)
-        self.live.set_widths(max(1, width), 0)
+        self.live.expect(ExpectedReadings(max(1, width)))
 
     def _choose_kind(self) -> None:
         self._kind, self._material = str(self.layout_kind.currentData()), None

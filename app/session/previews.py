@@ -13,9 +13,9 @@ import numpy as np
 from skincal.devices.link import LinkError
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.pose_form import PoseForm
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
 from skincal.model.scene import Scene
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, yarp_ports
 from skincal.streams.ros_topics import FoundTopic, list_ros_topics
@@ -64,10 +64,8 @@ class Preview:
 class _Preview:
     """Reader and decoder of one previewed link."""
 
-    def __init__(
-        self, spec: LinkSpec, channels: int, joints: int, joint_names: tuple[str, ...], pose_form: tuple[PoseForm, float] | None
-    ) -> None:
-        self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints, joint_names, pose_form=pose_form)
+    def __init__(self, spec: LinkSpec, expected: ExpectedReadings) -> None:
+        self._inbox, self._intake = ChunkQueue(), LinkIntake(expected, spec)
         self._first: dict[Stream, FloatArray] = {}
         self._now: dict[Stream, float] = {}
         self._frames: dict[Stream, list[FloatArray]] = {stream: [] for stream in spec.carries}
@@ -107,8 +105,7 @@ class _Preview:
         return Preview(self._intake.health(now_ns), now_ns, tuple(self._curves[stream]), tuple(self._frames[stream]))
 
 
-_Key: TypeAlias = tuple[LinkSpec, int, int, tuple[str, ...], tuple[PoseForm, float] | None]
-"""A link, the channels of its skin, the joints and their names, and the form of a tool's poses."""
+_Key: TypeAlias = tuple[LinkSpec, ExpectedReadings]
 
 
 class Previews:
@@ -130,32 +127,15 @@ class Previews:
             An address has an unknown form.
         """
         if scene is None:
-            self.choose_widths({}, 1, 0)
-            return
-        joints = 0 if scene.arm is None else max(scene.arm.arm.joints, default=-1) + 1
-        names = () if scene.robot is None else scene.robot.columns
-        form = None if scene.tool is None else scene.tool.streamed_form
-        self.choose_widths(addresses, scene.skin.channels, joints, names, form)
+            self.choose_expected({}, ExpectedReadings(1))
+        else:
+            self.choose_expected(addresses, ExpectedReadings.of_scene(scene))
 
-    def choose_widths(
-        self,
-        addresses: Mapping[Stream, str],
-        channels: int,
-        joints: int,
-        joint_names: tuple[str, ...] = (),
-        pose_form: tuple[PoseForm, float] | None = None,
-    ) -> None:
-        """Preview the devices at these addresses with the expected numbers of values; see `choose`.
-
-        Parameters
-        ----------
-        channels, joints : numbers of values of a skin frame, and of joints at least
-        joint_names : of the columns of a joint stream
-        pose_form : of a tool's poses, and metres per unit of their lengths, if the scene names it
-        """
+    def choose_expected(self, addresses: Mapping[Stream, str], expected: ExpectedReadings) -> None:
+        """Preview the devices at these addresses with the expected values of their readings; see `choose`."""
         if self._closed:
             return
-        wanted: set[_Key] = {(spec, channels, joints, joint_names, pose_form) for spec in describe_links(addresses)}
+        wanted: set[_Key] = {(spec, expected) for spec in describe_links(addresses)}
         for gone in self._open.keys() - wanted:
             self._end(gone)
         for new in wanted - self._open.keys():

@@ -358,7 +358,7 @@ class ContactDetector:
     def _end(self, press: Press) -> list[Outcome]:
         self._press = None
         self._pokes += 1
-        poke = finish(self._pokes, press, self._scene, self._candidates, self._tares.noise, self._period_s, self._drift)
+        poke = finish(self._pokes, press, self._scene, self._tares.noise, self._period_s, self._drift)
         self._pending.append(poke)
         self._has_answer = self._has_answer or len(poke.channels) > 0
         changed = self._health.on_poke(poke)

@@ -105,13 +105,8 @@ def widest_gap(places: FloatArray) -> float:
     return widest
 
 
-def finish(
-    number: int, press: Press, scene: Scene, candidates: IntArray, noise: FloatArray, period_s: float, drift: SkinDrift
-) -> FinishedPress:
-    """Summarize a press at its release.
-
-    `candidates` are the (c,) channels that are taxels; `noise` is (channels,), raw units, the sd of each channel at rest.
-    """
+def finish(number: int, press: Press, scene: Scene, noise: FloatArray, period_s: float, drift: SkinDrift) -> FinishedPress:
+    """Summarize a press at its release; `noise` is (channels,), raw units, the sd of each channel at rest."""
     best = press.best
     finished = FinishedPress(
         number=number,
@@ -134,8 +129,7 @@ def finish(
     )
     if best is None:
         return finished
-    response = scene.skin.polarity * (press.best_skin - drift.rest_at(press.tare, best.time_s))
-    finished = finished.with_answers(response, candidates)
+    finished = drift.with_first_answers(finished, best.time_s)
     top, at_top = taxels_at_top(press.best_frames, finished.channels, scene.skin.polarity)
     return replace(finished, top=top, at_top=at_top)
 

@@ -45,6 +45,10 @@ class SkinDrift:
         """Predict the values at rest (channels,), raw, from the tare before."""
         return tare.skin + self.rate * (time_s - tare.time_s) if self._rates else tare.skin
 
+    def with_first_answers(self, press: FinishedPress, time_s: float) -> FinishedPress:
+        """Measure the answers of a press at `time_s` from the tare before it: the one after it is not known yet."""
+        return self._answers(press, self._polarity * (press.skin - self.rest_at(press.before, time_s)))
+
     def judge(self, press: FinishedPress, after: Tare | None) -> FinishedPress:
         """Measure the answers of a finished press from the line between its tares if the skin drifts, else from the first one.
 

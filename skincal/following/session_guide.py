@@ -55,11 +55,11 @@ from skincal.rig.setup_check import frame_in_doubt
 from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
     ClosingProgress,
+    begin_check,
     closing_rounds,
     closings_of,
     first_taxels,
     is_due,
-    pokes_before,
     strongest_of,
 )
 from skincal.session.decisions import ClosingRound
@@ -387,7 +387,7 @@ class ClosingGuide:
             return None
         rounds, asked = closing_rounds(snapshot, self._noise), None
         if rounds and not snapshot.decisions.closings[-1].ended and not rounds[-1].is_finished:
-            asked = self._next(rounds, snapshot.decisions.closings[-1], guidance, snapshot, pose)
+            asked = self._next(rounds, guidance, snapshot, pose)
         return self.begun(guidance, snapshot, pose) if asked is None and is_due(snapshot, rounds) else asked
 
     def begun(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
@@ -395,22 +395,19 @@ class ClosingGuide:
         if not guidance.enough:
             return None
         last = int(snapshot.columns.numbers.max(initial=0))
-        rounds = [*closing_rounds(snapshot, self._noise), ClosingProgress()]
-        return self._next(rounds, ClosingRound(last), guidance, snapshot, pose)
+        rounds = closing_rounds(snapshot, self._noise)
+        return self._next([*rounds, begin_check(ClosingRound(last), rounds)], guidance, snapshot, pose)
 
-    def _next(
-        self, rounds: Sequence[ClosingProgress], begun: ClosingRound, guidance: Guidance, snapshot: Snapshot, pose: str
-    ) -> Guidance | None:
+    def _next(self, rounds: Sequence[ClosingProgress], guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         """Add the next place of the last check; `None` if it has no more."""
-        *done, now = rounds
-        earlier = frozenset[int]().union(*(each.pokes for each in done))
+        now = rounds[-1]
         for at in ClosingPlaces:
-            poked, again, targets = self._places(at, guidance, snapshot, pose, begun, earlier, now.pokes)
+            poked, again, targets = self._places(at, guidance, snapshot, pose, now)
             names = [name for name in poked[:CLOSING_CHECK_PLACES] if name in targets]
             if len(names) < CLOSING_CHECK_MIN_PLACES:
                 continue
             places = [] if now.is_complete else [ClosingPlace(at, name) for name in names if name not in again]
-            place = next((place for place in places if place not in begun.skipped), now.repeat_place)
+            place = next((place for place in places if place not in now.begun.skipped), now.repeat_place)
             if place is None or place.at is not at or place.name not in targets:
                 return None
             suspect = now.found.poke if place == now.repeat_place and now.found is not None else None
@@ -422,24 +419,17 @@ class ClosingGuide:
         return None
 
     def _places(
-        self,
-        at: ClosingPlaces,
-        guidance: Guidance,
-        snapshot: Snapshot,
-        pose: str,
-        begun: ClosingRound,
-        earlier: frozenset[int],
-        again_pokes: frozenset[int],
+        self, at: ClosingPlaces, guidance: Guidance, snapshot: Snapshot, pose: str, check: ClosingProgress
     ) -> tuple[Sequence[str], set[str], Mapping[str, Target]]:
         """List the first places of a kind that were poked in an arm pose before a check, those poked again, and all targets."""
         if at is ClosingPlaces.TAXELS:
-            first, those = first_taxels(snapshot, begun, earlier, pose), strongest_of(snapshot, again_pokes)
+            first, those = first_taxels(snapshot, check, pose), strongest_of(snapshot, check.pokes)
             return list(map(str, first)), set(map(str, those)), _taxel_targets(guidance, snapshot, {*first, *those})
         made, marks = snapshot.counting_landmark_pokes, snapshot.decisions.landmarks
-        before = pokes_before(made, begun, earlier)
+        before = made[check.is_before(made.number)]
         targets = {mark.name: _straight(None, mark.place, self._landmarks.normal(mark), mark.name) for mark in marks}
         names = list(dict.fromkeys(before.name[before.pose == pose].tolist()))
-        return names, set(made.name[np.isin(made.number, list(again_pokes))].tolist()), targets
+        return names, set(made.name[np.isin(made.number, list(check.pokes))].tolist()), targets
 
 
 def changes_pose_at_most_pokes(snapshot: Snapshot) -> bool:

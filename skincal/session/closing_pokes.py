@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray
+from skincal.geometry import BoolArray, FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.closing import CLOSING_CHECK_PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
@@ -31,6 +32,10 @@ MAX_REPEATS_OF_DECIDING_PLACE = 2
 class ClosingProgress:
     """Progress of a closing check."""
 
+    begun: ClosingRound
+    """Its request and skips."""
+    earlier: frozenset[int] = frozenset()
+    """Numbers of the pokes of the checks before it."""
     pokes: frozenset[int] = frozenset()
     """Numbers of its pokes."""
     found: Closing | None = None
@@ -42,6 +47,10 @@ class ClosingProgress:
     is_finished: bool = False
     """It gets no more pokes."""
 
+    def is_before(self, numbers: IntArray) -> BoolArray:
+        """Whether each of some pokes was made before the check began, and for no earlier check."""
+        return (numbers <= self.begun.after) & ~np.isin(numbers, list(self.earlier))
+
 
 def closings_of(snapshot: Snapshot, noise: NoiseSettings) -> tuple[Closing, ...]:
     """List the results of the final checks for movement, oldest first; one with too few repeated places is left out."""
@@ -51,23 +60,30 @@ def closings_of(snapshot: Snapshot, noise: NoiseSettings) -> tuple[Closing, ...]
 def closing_rounds(snapshot: Snapshot, noise: NoiseSettings) -> list[ClosingProgress]:
     """Determine the progress of each closing check."""
     rounds = list[ClosingProgress]()
-    for number in range(len(snapshot.decisions.closings)):
-        earlier = frozenset[int]().union(*(each.pokes for each in rounds))
-        rounds.append(_progress(snapshot, number, earlier, noise))
+    closings = snapshot.decisions.closings
+    for begun, following in zip_longest(closings, closings[1:]):
+        rounds.append(_progress(snapshot, begin_check(begun, rounds), following, noise))
     return rounds
 
 
-def _progress(snapshot: Snapshot, number: int, earlier: frozenset[int], noise: NoiseSettings) -> ClosingProgress:
-    """Determine the progress of a check, given by its index; `earlier` are the pokes of the checks before.
+def begin_check(begun: ClosingRound, rounds: Sequence[ClosingProgress]) -> ClosingProgress:
+    """Begin a closing check after the checks `rounds`."""
+    return ClosingProgress(begun, frozenset[int]().union(*(each.pokes for each in rounds)))
+
+
+def _progress(
+    snapshot: Snapshot, check: ClosingProgress, following: ClosingRound | None, noise: NoiseSettings
+) -> ClosingProgress:
+    """Determine the progress of a check without pokes so far, up to the `following` check.
 
     Its pokes are the counting pokes after it began, until three places are repeated, nine pokes are made, or the next check
     begins. Later pokes belong to it only up to a place that had to be repeated.
     """
-    begun, *later = snapshot.decisions.closings[number:]
+    begun = check.begun
     numbers = snapshot.columns.numbers
     is_of_check = ~snapshot.columns.excluded & (numbers > begun.after)
-    if later:
-        is_of_check &= numbers <= later[0].after
+    if following is not None:
+        is_of_check &= numbers <= following.after
     since: list[int] = np.flatnonzero(is_of_check).tolist()
     again, size, is_complete = set[ClosingPlace](), 0, False
     while not is_complete and size < min(len(since), CLOSING_CHECK_MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES):
@@ -80,7 +96,7 @@ def _progress(snapshot: Snapshot, number: int, earlier: frozenset[int], noise: N
     while True:
         pokes = frozenset(snapshot.pokes[row].outcome.poke for row in since[:size])
         every = _pokes_at_places_of(snapshot, pokes)
-        found = _result(begun, pokes, earlier, every, noise)
+        found = _result(check, pokes, every, noise)
         asked = _place_to_repeat(begun, found, pokes, every)
         if asked is None or not is_complete:
             break
@@ -89,7 +105,14 @@ def _progress(snapshot: Snapshot, number: int, earlier: frozenset[int], noise: N
             asked = asked if len(tries) < CLOSING_CHECK_MAX_POKES_PER_PLACE else None
             break
         size += tries.index(asked) + 1
-    return ClosingProgress(pokes, found, is_complete, asked, asked is None if is_complete else tried)
+    return replace(
+        check,
+        pokes=pokes,
+        found=found,
+        is_complete=is_complete,
+        repeat_place=asked,
+        is_finished=asked is None if is_complete else tried,
+    )
 
 
 def _was_poked(snapshot: Snapshot, place: ClosingPlace, begun: ClosingRound) -> bool:
@@ -110,25 +133,16 @@ def _pokes_at_places_of(snapshot: Snapshot, pokes: frozenset[int]) -> dict[Closi
 
 
 def _result(
-    begun: ClosingRound,
-    pokes: frozenset[int],
-    earlier: frozenset[int],
-    every: dict[ClosingPlaces, LandmarkPokes],
-    noise: NoiseSettings,
+    check: ClosingProgress, pokes: frozenset[int], every: dict[ClosingPlaces, LandmarkPokes], noise: NoiseSettings
 ) -> Closing | None:
     for at, of_kind in every.items():
-        then, before = of_kind[np.isin(of_kind.number, list(pokes))], pokes_before(of_kind, begun, earlier)
+        then, before = of_kind[np.isin(of_kind.number, list(pokes))], of_kind[check.is_before(of_kind.number)]
         # Of the skin pokes those at the same taxels; of landmark pokes all, which show the rig's errors.
         before = before if at is ClosingPlaces.LANDMARKS else before[np.isin(before.name, then.name)]
         closing = closing_check(before, then, at, noise)
         if closing is not None:
-            return replace(closing, after=begun.after)
+            return replace(closing, after=check.begun.after)
     return None
-
-
-def pokes_before(pokes: LandmarkPokes, begun: ClosingRound, earlier: frozenset[int]) -> LandmarkPokes:
-    """Select the pokes before a check began, without the pokes `earlier` of the checks before."""
-    return pokes[(pokes.number <= begun.after) & ~np.isin(pokes.number, list(earlier))]
 
 
 def _place_to_repeat(
@@ -169,12 +183,12 @@ def taxel_pokes(snapshot: Snapshot, channels: Collection[int]) -> LandmarkPokes:
     return LandmarkPokes.at(pokes, list(map(str, names)), [places[channel] for channel in names])
 
 
-def first_taxels(snapshot: Snapshot, begun: ClosingRound, earlier: frozenset[int], pose: str) -> list[int]:
+def first_taxels(snapshot: Snapshot, check: ClosingProgress, pose: str) -> list[int]:
     """List the first taxels with a position that were poked in an arm pose before a check began, as many as it needs."""
     columns, found = snapshot.columns, list[int]()
     if pose not in columns.pose_names:
         return found
-    is_before = columns.counting & (columns.numbers <= begun.after) & ~np.isin(columns.numbers, list(earlier))
+    is_before = columns.counting & check.is_before(columns.numbers)
     waiting = columns.strongest[is_before & (columns.poses == columns.pose_names.index(pose))]
     while len(waiting) and len(found) < CLOSING_CHECK_PLACES:
         channel = int(waiting[0])

@@ -34,6 +34,7 @@ from skincal.session.corrections import corrected_progress
 from skincal.session.landmark_pokes import LandmarkFinder
 from skincal.session.session import Session
 from skincal.session.snapshot import LiveView, Snapshot
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
 from skincal.words.link_words import BINARY_LEVELS, binary_skin, freeze_sentences
@@ -93,13 +94,7 @@ class Pipeline:
 
     def _connect(self, links: Sequence[LinkSpec]) -> None:
         self.links = tuple(links)
-        arm = self.scene.arm
-        used = () if arm is None else tuple(arm.arm.joints)
-        names = () if self.scene.robot is None else self.scene.robot.columns
-        width = max(used, default=-1) + 1
-        tool = self.scene.tool
-        form = None if tool is None else tool.streamed_form
-        self._intake = Intake(self.scene.skin.channels, links, width, names, used, self._find_frame, form)
+        self._intake = Intake(ExpectedReadings.of_scene(self.scene), links, self._find_frame)
         self._frozen = frozenset[str]()
         self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)

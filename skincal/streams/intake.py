@@ -15,11 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skincal.devices.decoding import TOOL_VALUES, WRENCH_VALUES
 from skincal.devices.family import AUTO
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.pose_form import PoseForm
 from skincal.model.readings import (
     SENSOR_STREAMS,
     Batch,
@@ -37,11 +35,11 @@ from skincal.model.readings import (
 from skincal.model.wrench_frames import FindFrame, WrenchFrames, unchecked_frame
 from skincal.streams.clocks import Timestamper
 from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class
+from skincal.streams.expected_readings import TIP_WIDTH, ExpectedReadings
 from skincal.streams.link_diagnosis import Differences, LinkMonitor
 from skincal.streams.links import LinkSpec, format_of, make_link_decoder
 from skincal.streams.pairing import Pairing
 
-TIP_WIDTH = 3
 LIVE_CURVE_SPAN_S = 10.0
 """s of wrenches that the live curves show."""
 RATE_AVERAGING_WINDOW_NS = 2_000_000_000
@@ -52,36 +50,20 @@ LOSSES_THAT_BREAK_COUNTING = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM
 
 
 class Intake:
-    """Decodes, dates and pairs the data of a session's links: skin frames of `channels` values, at least `joints` angles.
+    """Decodes, dates and pairs the data of a session's links; `find_frame` finds the frames that messages name for the wrench.
 
-    `joint_names` are those of the columns of angles, for formats that name their joints; empty if the scene has none.
-    `used_joints` are the columns that must be numbers; all of them if it is empty.
-    `find_frame` finds the frames that messages name for the wrench.
-    `pose_form` is the form of the tool's poses, with metres per unit of their lengths; `None` if the scene names none.
     The constructor raises InputError: a format is not known, or two links have one name.
     """
 
-    def __init__(
-        self,
-        channels: int,
-        links: Sequence[LinkSpec],
-        joints: int = 0,
-        joint_names: tuple[str, ...] = (),
-        used_joints: Sequence[int] = (),
-        find_frame: FindFrame = unchecked_frame,
-        pose_form: tuple[PoseForm, float] | None = None,
-    ) -> None:
-        self._links = {
-            spec.name: LinkIntake(channels, spec, joints, joint_names, used_joints, find_frame, pose_form) for spec in links
-        }
-        self._used_joints = np.array(used_joints, np.int64)
+    def __init__(self, expected: ExpectedReadings, links: Sequence[LinkSpec], find_frame: FindFrame = unchecked_frame) -> None:
+        self._links = {spec.name: LinkIntake(expected, spec, find_frame) for spec in links}
+        self._expected = expected
         if len(self._links) < len(links):
             raise InputError("Two links have the same name; expected a name of its own for each.")
         self.frozen: frozenset[str] = frozenset()
         """Names of the links on which a stream that always has noise repeats one reading."""
         self.has_new_frames = True
         """Whether a message named a new frame of the wrench; reset by who looks at `wrench_frames`."""
-        self._joints = joints
         self._pairing = Pairing()
         self._now_s = -np.inf
 
@@ -139,7 +121,7 @@ class Intake:
             elif batch.stream is Stream.TOOL:
                 if math.isfinite(values[0]):
                     self._pairing.add_tool(stamp, values)
-            elif len(values) >= self._joints and _has_angles(values, self._used_joints):
+            elif self._expected.has_angles(values):
                 self._pairing.add_joints(stamp, values)
 
     def recent_wrench(self, after_s: float = -math.inf) -> tuple[FloatArray, FloatArray]:
@@ -171,30 +153,15 @@ class TimestampedBatch(NamedTuple):
     """Differences between the readings, if they were read ahead."""
 
 
-def _has_angles(values: FloatArray, used: IntArray) -> bool:
-    """Whether the `used` columns of a reading are numbers; without `used`, all columns."""
-    return bool(np.isfinite(values.take(used) if len(used) else values).all())
-
-
 class LinkIntake:
     """One link: its decoder, its clocks and its figures."""
 
-    def __init__(
-        self,
-        channels: int,
-        spec: LinkSpec,
-        joints: int = 0,
-        joint_names: tuple[str, ...] = (),
-        used_joints: Sequence[int] = (),
-        find_frame: FindFrame = unchecked_frame,
-        pose_form: tuple[PoseForm, float] | None = None,
-    ) -> None:
-        self.spec, self._joint_names, self._joints, self._pose_form = spec, joint_names, joints, pose_form
+    def __init__(self, expected: ExpectedReadings, spec: LinkSpec, find_frame: FindFrame = unchecked_frame) -> None:
+        self.spec, self._expected = spec, expected
         self.frames = WrenchFrames(find_frame)
         """Frames of the wrenches."""
         self.frames_noted = 0
         """Number of them that `Intake.has_new_frames` counts."""
-        self._used_joints = np.array(used_joints, np.int64)
         self._numberless = 0
         self._stamper = Timestamper()
         self._format = format_of(spec.address, spec.format)
@@ -202,12 +169,7 @@ class LinkIntake:
         kind = None if self._format == AUTO else decoder_class(self._format)
         streams = spec.carries if kind is not None and kind.single_stream else SENSOR_STREAMS
         look = None if kind is not None and kind.needs_recipe else lambda: LinkDecoder(self._format, None, streams)
-        widths = {
-            Stream.WRENCH: WRENCH_VALUES, Stream.SKIN: channels, Stream.JOINTS: joints, Stream.TIP: TIP_WIDTH,
-            Stream.TOOL: TOOL_VALUES,
-        }  # fmt: skip
-        self.monitor = LinkMonitor(spec.carries, widths, look)
-        self._channels = channels
+        self.monitor = LinkMonitor(spec.carries, expected.widths, look)
         self._decoder = self._new_decoder()
         self._ahead: deque[tuple[Chunk, TimestampedBatch]] = deque()
         """Chunks that are decoded and dated already."""
@@ -224,8 +186,8 @@ class LinkIntake:
         """Begin of a step, ns, and its number of readings."""
 
     def _new_decoder(self) -> LinkDecoder:
-        decoder = make_link_decoder(self.spec.address, self._format, self._channels, self.spec.carries)
-        decoder.use_scene(self._joint_names, self.frames, self._pose_form)
+        decoder = make_link_decoder(self.spec.address, self._format, self._expected.channels, self.spec.carries)
+        decoder.use_scene(self._expected, self.frames)
         return decoder
 
     def read_ahead(self, chunks: Sequence[Chunk]) -> None:
@@ -262,7 +224,7 @@ class LinkIntake:
         if self._uncountable_losses() > before:
             self._stamper.note_loss()
         self._count_readings(batches)
-        self._numberless += sum(self._count_numberless(batch) for _, batch in batches)
+        self._numberless += sum(self._expected.count_numberless(batch) for _, batch in batches)
         self.monitor.on_data(chunk.data, chunk.host_ns, [batch for _, batch in batches])
         return self._dated(batches)
 
@@ -272,7 +234,7 @@ class LinkIntake:
         if event.state is LinkState.ENDED:
             batches = self._decoder.finish()
             self._count_readings(batches)
-            self._numberless += sum(self._count_numberless(batch) for _, batch in batches)
+            self._numberless += sum(self._expected.count_numberless(batch) for _, batch in batches)
         elif event.state is LinkState.OPEN and self._last_ns:
             # A new decoder: half a record from before the break must not be joined to the first one after it.
             self._losses_before += self._decoder.current.counts
@@ -294,17 +256,6 @@ class LinkIntake:
     def _dated(self, batches: Sequence[tuple[int, Batch]]) -> list[TimestampedBatch]:
         arrived = [(batch, host_ns * 1e-9) for host_ns, batch in batches]
         return [TimestampedBatch(batch, self._stamper.stamp(batch, arrival_s), arrival_s) for batch, arrival_s in arrived]
-
-    def _count_numberless(self, batch: Batch) -> int:
-        """Count the readings that are no use for want of numbers: one channel is enough for a skin."""
-        finite = np.isfinite(batch.values)
-        if finite.all():
-            return 0
-        if batch.stream is Stream.SKIN:
-            return int(np.count_nonzero(~finite.any(axis=1)))
-        if batch.stream is Stream.JOINTS and len(self._used_joints) and batch.values.shape[1] >= self._joints:
-            finite = finite[:, self._used_joints]
-        return int(np.count_nonzero(~finite.all(axis=1)))
 
     def _uncountable_losses(self) -> int:
         counts = self._decoder.current.counts

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from skincal.model.readings import Chunk, LinkEvent, Stream
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader
 from tests.skincal.ros.dds_peer import DOMAIN, process
@@ -45,7 +46,7 @@ def test_every_message_is_read_and_the_processor_is_idle():
         children = {name: ends.enter_context(process(what, hz=hz)) for name, (what, _, hz, _) in TOPICS.items()}
         for name, (what, stream, *_) in TOPICS.items():
             spec = LinkSpec(name, f"ros2:{what.partition('=')[0]}?domain={DOMAIN}", (stream,))
-            intakes[name] = LinkIntake(CHANNELS, spec, JOINTS)
+            intakes[name] = LinkIntake(ExpectedReadings(CHANNELS, JOINTS), spec)
             readers.append(Reader(spec, items))
             readers[-1].start()
         begin_s, begin_cpu = time.monotonic(), time.process_time()

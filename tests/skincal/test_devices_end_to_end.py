@@ -16,6 +16,7 @@ import pytest
 from skincal.cli import main
 from skincal.model.readings import LinkEvent, Stream
 from skincal.model.scene import resource
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec, Reader
 from tests.skincal.record_support import told_to_poke
@@ -107,7 +108,7 @@ def test_each_example_of_the_page_is_read(made, tmp_path):
     command = made(tmp_path, port)
     link = LinkSpec("wrench", f"lines://127.0.0.1:{port}", (Stream.WRENCH,))
     items = queue.SimpleQueue()
-    intake, reader = Intake(64, [link]), Reader(link, items)
+    intake, reader = Intake(ExpectedReadings(64), [link]), Reader(link, items)
     with subprocess.Popen(command) as program:
         try:
             reader.start()

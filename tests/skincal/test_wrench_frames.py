@@ -25,6 +25,7 @@ from skincal.ros.topics import TopicChoice
 from skincal.session.corrections import offered
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import apply_item, load, replay
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_sentences
@@ -269,7 +270,7 @@ def live_packets(frames, rows):
 
 def values_of(packets, format_name, scene, per_chunk):
     spec = LinkSpec("wrench", "file:x", (Stream.WRENCH,), format_name)
-    link = LinkIntake(16, spec, find_frame=scene.wrench_frame)
+    link = LinkIntake(ExpectedReadings(16), spec, find_frame=scene.wrench_frame)
     found = [
         each.batch.values
         for at in range(0, len(packets), per_chunk)
@@ -337,7 +338,7 @@ def test_landmarks_offer_no_correction_that_hides_the_frame_of_the_wrench(tmp_pa
 def test_live_readings_in_a_second_frame_without_a_urdf_are_left_out():
     wrench = true_readings()[0][200:240]
     packets, _ = live_packets(["a"] * 20 + ["b"] * 20, wrench)
-    link = LinkIntake(16, LinkSpec("wrench", "file:x", (Stream.WRENCH,), "ros2"))
+    link = LinkIntake(ExpectedReadings(16), LinkSpec("wrench", "file:x", (Stream.WRENCH,), "ros2"))
     assert sum(len(each.batch.seq) for each in link.feed(Chunk("wrench", 1, b"".join(packets)))) == 20
     assert link.health(0).losses == Counter({Loss.OTHER_FRAME: 20})
 

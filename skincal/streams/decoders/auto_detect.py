@@ -15,7 +15,6 @@ from skincal.devices.decoding import FrameDecoder
 from skincal.devices.family import AUTO
 from skincal.devices.registry import CHECKSUMMED_FORMATS, FORMATS, find_decoder
 from skincal.model.errors import InputError
-from skincal.model.pose_form import PoseForm
 from skincal.model.readings import Batch, Loss, Stream
 from skincal.model.wrench_frames import WrenchFrames
 from skincal.streams.decoders.delimited import TextDecoder
@@ -23,6 +22,7 @@ from skincal.streams.decoders.records import RecordsDecoder
 from skincal.streams.decoders.skb import SkbDecoder
 from skincal.streams.decoders.skt import SktDecoder
 from skincal.streams.decoders.yarp_log import CsvDecoder, YarpDecoder, YarpRxDecoder, YarpTxRxDecoder
+from skincal.streams.expected_readings import ExpectedReadings
 
 _DECODER_OF_FORMAT: dict[str, type[FrameDecoder]] = {
     "skb": SkbDecoder,
@@ -90,24 +90,12 @@ class LinkDecoder:
         else:
             self.current = make_decoder(format_name, channels, carries)
 
-    def use_scene(
-        self,
-        joint_names: tuple[str, ...],
-        wrench_frames: WrenchFrames,
-        pose_form: tuple[PoseForm, float] | None = None,
-    ) -> None:
-        """Give all decoders what the scene says of the readings.
-
-        Parameters
-        ----------
-        joint_names : of the columns of joints
-        wrench_frames : of the link's wrenches
-        pose_form : form of the tool's poses, and metres per unit of their lengths; `None` if the scene names none
-        """
+    def use_scene(self, expected: ExpectedReadings, wrench_frames: WrenchFrames) -> None:
+        """Give all decoders what the scene says of the readings, and the frames of the link's wrenches."""
         for each in {id(each): each for each in (self.current, self._text, *self._probes)}.values():
-            each.joint_names, each.wrench_frames = joint_names, wrench_frames
-            if pose_form is not None:
-                each.set_pose_form(*pose_form)
+            each.joint_names, each.wrench_frames = expected.joint_names, wrench_frames
+            if expected.pose_form is not None:
+                each.set_pose_form(*expected.pose_form)
         self._wrench_frames = wrench_frames
 
     def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:

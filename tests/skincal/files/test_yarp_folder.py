@@ -11,6 +11,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.decoders.yarp_log import LINE_MAX
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import Intake
 from tests.approved import approved, approved_pattern
 from tests.skincal.import_support import read_recording
@@ -112,7 +113,7 @@ def test_chunks_are_whole_lines_and_never_run_backwards(tmp_path):
 
 def samples_of(folders) -> list:
     links, chunks, _ = read_recording("yarp", folders["wrench"], folders["skin"], folders["joints"])
-    intake = Intake(CHANNELS, links)
+    intake = Intake(ExpectedReadings(CHANNELS), links)
     return [sample for chunk in chunks for sample in intake.feed(chunk)]
 
 

@@ -18,6 +18,7 @@ from skincal.simulation.operator import AutoOperator, Habits
 from skincal.simulation.outlets import PtyOutlet
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.serve import Server
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import Intake
 from tests.skincal.meanwhile import meanwhile
 from tests.skincal.sim_support import make_rig
@@ -94,7 +95,7 @@ def test_each_device_is_read_over_its_transport(maker, tcp):
         links = [link for link in server.links if link.carries[0] in MAKERS[maker].carries]
         channels = line.rig.scene.skin.channels
         with reading(links) as items:
-            health = readings_of(Intake(channels, links), items, 50)
+            health = readings_of(Intake(ExpectedReadings(channels), links), items, 50)
     assert [lost_on_the_way(link) for link in health] == [{}] * len(links)
     assert all(link.format for link in health)
 
@@ -136,7 +137,7 @@ def test_events_and_bytes_alone_make_the_same_readings_again(played):
     links = (orchestra.links["wrench netft"], orchestra.links["skin yarp"])
     kept = [item for item in brought if item.link in {link.name for link in links}]
     assert any(isinstance(item, Chunk) for item in kept)
-    first, second = (Intake(orchestra.line.rig.scene.skin.channels, links) for _ in range(2))
+    first, second = (Intake(ExpectedReadings(orchestra.line.rig.scene.skin.channels), links) for _ in range(2))
     samples = [[s for item in kept for s in intake.feed(item)] for intake in (first, second)]
     assert len(samples[0]) > 50
     made = [[(each.host_s, each.wrench.tolist(), each.skin.tolist()) for each in course] for course in samples]

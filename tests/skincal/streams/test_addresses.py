@@ -19,6 +19,7 @@ from skincal.devices.datagrams import OTHER_SENDER_KIND, READING_KIND, DatagramD
 from skincal.devices.decoding import pack
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Loss, Stream
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import LinkSpec, open_link, parse_address
 
@@ -36,7 +37,7 @@ def read_link(address, channels, count, carries=SKIN, send=None):
     """The first readings of a link, as many as asked for, and its intake. `send` is called again and again."""
     link, intake, rows = (
         open_link(LinkSpec("link", address, carries)),
-        LinkIntake(channels, LinkSpec("link", address, carries)),
+        LinkIntake(ExpectedReadings(channels), LinkSpec("link", address, carries)),
         [],
     )
     intake.feed(LinkEvent("link", 1, LinkState.OPEN))
@@ -372,7 +373,7 @@ def test_wrong_requests_are_refused():
 
 
 def feed_lines(address, lines, channels):
-    intake = LinkIntake(channels, LinkSpec("skin", address, SKIN))
+    intake = LinkIntake(ExpectedReadings(channels), LinkSpec("skin", address, SKIN))
     intake.feed(LinkEvent("skin", 1, LinkState.OPEN))
     rows = []
     for k, line in enumerate(lines):

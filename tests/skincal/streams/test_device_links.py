@@ -19,6 +19,7 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.simulation.emulated_devices import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
 from skincal.simulation.emulated_transports import MakerOutlets, TalkOutlet
 from skincal.streams import links
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import Intake
 from skincal.streams.links import ADDRESS_MAX_CHARS, ChunkQueue, Reader, format_of, open_link, parse_address
 from skincal.streams.opening import ANSWER_MAX_BYTES, HandshakeLink
@@ -55,7 +56,7 @@ def served(*outlets):
 
 def readings_from(items, write, want=3, intake=None):
     """Write again and again until so many readings arrived."""
-    intake = intake or Intake(4, [spec("yarp:/x")])
+    intake = intake or Intake(ExpectedReadings(4), [spec("yarp:/x")])
     end = time.monotonic() + PATIENCE_S
     while intake.health(0)[0].readings < want:
         assert time.monotonic() < end
@@ -196,7 +197,7 @@ def test_netft_is_asked_again_when_it_falls_silent_and_gaps_are_counted():
     encoder = RdtEncoder()
     outlet = MakerOutlets(64).open("netft", Stream.WRENCH, tcp=True)
     with served(outlet), reading(outlet.address) as items:
-        intake = Intake(4, [spec(outlet.address)])
+        intake = Intake(ExpectedReadings(4), [spec(outlet.address)])
         readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 3, intake)
         outlet._host = None  # switched off and on, or another program stole the stream
         encoder._next_number.clear()
@@ -230,7 +231,7 @@ def test_netft_without_its_page_says_what_to_give():
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pseudo-terminals")
 def test_a_robotiq_stream_is_started_started_again_and_stopped_at_the_end():
     encoder, outlet = MAKERS["robotiq"].encoder(), MakerOutlets(4).open("robotiq", Stream.WRENCH, tcp=False)
-    intake = Intake(4, [spec(outlet.address)])
+    intake = Intake(ExpectedReadings(4), [spec(outlet.address)])
     with served(outlet):
         with reading(outlet.address) as items:
             readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 3, intake)
@@ -252,7 +253,7 @@ def test_what_comes_while_the_program_stands_still_waits_in_the_system_and_none_
     monkeypatch.setattr(links, "QUEUED_MAX_BYTES", 150_000)
     encoder, outlet, inbox = MAKERS["yarp"].encoder(), MakerOutlets(4).open("yarp", Stream.SKIN, tcp=True), ChunkQueue()
     address = spec(outlet.address, (Stream.SKIN,))
-    intake, reader = Intake(384, [address]), Reader(address, inbox)
+    intake, reader = Intake(ExpectedReadings(384), [address]), Reader(address, inbox)
 
     def write():
         say(outlet, encoder.record(Stream.SKIN, 1, [0.0] * 384))
@@ -288,7 +289,7 @@ def test_a_device_whose_bytes_were_dropped_is_read_on(maker, monkeypatch):
         time.sleep(0.002)
 
     address = spec(outlet.address, (stream,))
-    intake, reader = Intake(4, [address]), Reader(address, inbox)
+    intake, reader = Intake(ExpectedReadings(4), [address]), Reader(address, inbox)
     with served(outlet):
         reader.start()
         try:
@@ -431,7 +432,7 @@ def liar(first, then, pause_s=0.0):
 def heard_of(address, carries, seconds):
     """What is said of a link within so long while its bytes are worked on, without what says that bytes were dropped."""
     inbox, link = ChunkQueue(), spec(address, carries)
-    intake, reader, said = Intake(24, [link]), Reader(link, inbox), []
+    intake, reader, said = Intake(ExpectedReadings(24), [link]), Reader(link, inbox), []
     reader.start()
     try:
         end = time.monotonic() + seconds
@@ -542,7 +543,8 @@ def test_a_device_costs_no_import_where_none_is_opened():
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
 from skincal.model.readings import Stream
-Intake(4, [LinkSpec("a", "netft://h", (Stream.WRENCH,)), LinkSpec("b", "/dev/x", (Stream.SKIN,))])
+from skincal.streams.expected_readings import ExpectedReadings
+Intake(ExpectedReadings(4), [LinkSpec("a", "netft://h", (Stream.WRENCH,)), LinkSpec("b", "/dev/x", (Stream.SKIN,))])
 found = [name for name in sys.modules if name.startswith(("websockets", "skincal.streams.transports", "serial"))]
 others = ("yarp", "bota", "robotiq", "rtde", "xela", "papillarray")
 makers = [name for name in others if "skincal.devices." + name in sys.modules]

@@ -10,6 +10,7 @@ import pytest
 
 from skincal.journal.documents import event_to_json, read_document
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import Intake
 from skincal.streams.links import DROP_BYTES_AFTER_OVERFLOW_FOR_NS, QUEUED_MAX_BYTES, ChunkQueue, LinkSpec, Reader
 from skincal.streams.transports.tcp import TcpLink
@@ -113,7 +114,7 @@ def test_dropped_bytes_are_a_loss_of_the_link_and_come_back_from_the_journal(tmp
     assert read_document(json.dumps(event_to_json(event)).encode(), tmp_path) == event
     plain = LinkEvent("wrench", 5, LinkState.OPEN)
     assert "dropped" not in event_to_json(plain)
-    intake = Intake(4, links)
+    intake = Intake(ExpectedReadings(4), links)
     intake.feed(event)
     (health,) = intake.health(6)
     assert health.losses[Loss.DROPPED] == 1234

@@ -10,6 +10,7 @@ from skincal.devices.decoding import pack
 from skincal.devices.netft import RECORDS
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkState, Loss, Stream
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
 from skincal.streams.pairing import (
@@ -234,7 +235,7 @@ def feed_all(intake, items):
 
 
 def test_two_devices_with_their_own_clocks_are_brought_together():
-    intake = Intake(4, LINKS)
+    intake = Intake(ExpectedReadings(4), LINKS)
     samples = feed_all(intake, rig(8))
     assert len(samples) >= 8 * 50 - 3
     settled = samples[150:]
@@ -252,7 +253,7 @@ def test_two_devices_with_their_own_clocks_are_brought_together():
 
 def test_same_items_give_the_same_samples_bit_for_bit():
     items = rig(4, broken=True)
-    one, two = Intake(4, LINKS), Intake(4, LINKS)
+    one, two = Intake(ExpectedReadings(4), LINKS), Intake(ExpectedReadings(4), LINKS)
     a, b = feed_all(one, items), feed_all(two, items)
     assert len(a) == len(b) > 150
     for x, y in zip(a, b, strict=True):
@@ -264,7 +265,7 @@ def test_same_items_give_the_same_samples_bit_for_bit():
 
 
 def test_health_counts_rates_and_losses():
-    intake = Intake(4, LINKS)
+    intake = Intake(ExpectedReadings(4), LINKS)
     assert [(h.state, h.rate, h.format) for h in intake.health(0)] == [(LinkState.LOST, 0.0, "")] * 2
     items = rig(4, broken=True)
     feed_all(intake, items)
@@ -287,7 +288,7 @@ def test_link_that_went_away_and_came_back_goes_on_with_all_counts():
     items = rig(4, broken=True)
     half = len(items) // 2
     now = items[half].host_ns
-    intake = Intake(4, LINKS)
+    intake = Intake(ExpectedReadings(4), LINKS)
     before = feed_all(intake, items[:half])
     counted = intake.health(now)
     feed_all(intake, [LinkEvent("skin", now, LinkState.LOST, "unplugged")])
@@ -305,7 +306,7 @@ def test_link_that_went_away_and_came_back_goes_on_with_all_counts():
 def test_memory_stays_flat():
     items = rig(12)
     half = len(items) // 2
-    intake = Intake(4, LINKS)
+    intake = Intake(ExpectedReadings(4), LINKS)
     for item in items[:half]:
         intake.feed(item)
     tracemalloc.start()
@@ -319,7 +320,7 @@ def test_memory_stays_flat():
 
 
 def test_text_held_back_is_let_through_at_the_end():
-    intake = Intake(2, LINKS[1:])
+    intake = Intake(ExpectedReadings(2), LINKS[1:])
     intake.feed(Chunk("skin", 1_000_000, b"1,1\n2,2\n3,3\n"))
     assert intake.health(0)[0].readings == 0
     intake.feed(LinkEvent("skin", 2_000_000, LinkState.ENDED))
@@ -329,11 +330,11 @@ def test_text_held_back_is_let_through_at_the_end():
 
 def test_unknown_links_and_formats_are_named():
     with pytest.raises(InputError, match=r"'other'.*wrench, skin"):
-        Intake(4, LINKS).feed(Chunk("other", 0, b""))
+        Intake(ExpectedReadings(4), LINKS).feed(Chunk("other", 0, b""))
     with pytest.raises(InputError, match="same name"):
-        Intake(4, (LINKS[0], LINKS[0]))
+        Intake(ExpectedReadings(4), (LINKS[0], LINKS[0]))
     with pytest.raises(InputError, match="'xml'"):
-        Intake(4, (LinkSpec("wrench", "a", (Stream.WRENCH,), "xml"),))
+        Intake(ExpectedReadings(4), (LinkSpec("wrench", "a", (Stream.WRENCH,), "xml"),))
 
 
 def held_up(ready_s, rng):
@@ -357,7 +358,7 @@ def test_numbered_wrench_is_paired_on_a_machine_that_is_late_for_a_while():
         frames = [skb_skin(k // 20, 77_000 + k * 1000, [0] * 4) for k in due if k % 20 == 0]
         items.append(Chunk("wrench", round(at * 1e9), b"".join(pack(RECORDS, record) for record in records)))
         items.append(Chunk("skin", round(at * 1e9), b"".join(frames)))
-    intake = Intake(4, (LinkSpec("wrench", "netft://h", (Stream.WRENCH,)), LINKS[1]))
+    intake = Intake(ExpectedReadings(4), (LinkSpec("wrench", "netft://h", (Stream.WRENCH,)), LINKS[1]))
     settled = [sample for sample in feed_all(intake, items) if sample.host_s > START + 10.0]
     assert len(settled) >= 30 * 50 - 5
     error_s = [sample.wrench[0] - ramp(sample.host_s - START - 0.0105)[0] for sample in settled]
@@ -365,7 +366,7 @@ def test_numbered_wrench_is_paired_on_a_machine_that_is_late_for_a_while():
 
 
 def test_a_break_of_the_connection_is_counted_with_its_time():
-    intake = Intake(4, LINKS)
+    intake = Intake(ExpectedReadings(4), LINKS)
 
     def outages(now_s):
         return {link.link: (link.outages.count, link.outages.seconds) for link in intake.health(round(now_s * 1e9))}

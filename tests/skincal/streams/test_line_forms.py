@@ -16,6 +16,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.streams.decoders.delimited import HEX_AFTER_DECIMALS, MAY_BE_HEX, TextDecoder
 from skincal.streams.decoders.line_forms import LINE_FORMS, last_clean_line, nearest_form, read_line
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import LinkSpec
 from skincal.words.link_words import link_verdict_words
@@ -577,7 +578,7 @@ def test_values_that_rise_for_a_while_are_no_clock():
 
 
 def verdict_of(raw, channels=WIDTH, carries=SKIN):
-    link = LinkIntake(channels, LinkSpec("skin", "/dev/ttyUSB0", carries, "auto"))
+    link = LinkIntake(ExpectedReadings(channels), LinkSpec("skin", "/dev/ttyUSB0", carries, "auto"))
     link.feed(LinkEvent("skin", 1, LinkState.OPEN))
     for k in range(100):
         link.feed(Chunk("skin", 10**9 + k * 20_000_000, raw))

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.model.readings import Batch, Chunk, LinkAnswer, LinkEvent, LinkState, Stream
+from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import LinkIntake
 from skincal.streams.link_diagnosis import LinkMonitor
 from skincal.streams.links import LinkSpec
@@ -36,7 +37,7 @@ class Played:
     """A link whose clock is the test's."""
 
     def __init__(self, *carries: Stream, format_name: str = "auto", address: str = "socket://127.0.0.1:1") -> None:
-        self.link = LinkIntake(CHANNELS, LinkSpec("link", address, carries, format_name), JOINTS)
+        self.link = LinkIntake(ExpectedReadings(CHANNELS, JOINTS), LinkSpec("link", address, carries, format_name))
         self.now_ns = 10 * SECOND
         self.event(LinkState.OPEN)
 
