@@ -16,6 +16,7 @@ from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, Q
 from PySide6.QtWidgets import QWidget
 
 from app.scene3d.drawing_probe import start_egl_probe
+from app.scene3d.pyvista_import import import_plotter
 from app.text_size import text_scale
 
 if TYPE_CHECKING:
@@ -131,6 +132,7 @@ def load(
         # The ring on the skin asks for these first: computed on demand, they would block the window.
         _ = static.surface.centres, static.surface.radii
     if canvas is Canvas.OPENGL:
+        import_plotter()
         # pyvista imports the widgets only as it makes an interactor, in the window's thread: here they block nothing.
         import pyvistaqt  # noqa: F401
         import vtkmodules.vtkInteractionWidgets  # noqa: F401
@@ -141,6 +143,8 @@ def load(
     from app.scene3d.mesh_actors import window_of
     from app.scene3d.offscreen import choose_offscreen, make_plotter
 
+    # Meanwhile the child tries to draw.
+    import_plotter()
     choose_offscreen(egl_probe)
     # Only EGL and OSMesa are not bound to a thread: elsewhere the window's thread draws the first picture.
     if not sys.platform.startswith("linux"):

@@ -15,6 +15,7 @@ from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 
 from app.scene3d.drawing_probe import choose_offscreen
 from app.scene3d.mesh_actors import window_of
+from app.scene3d.pyvista_import import import_plotter
 from app.scene3d.scene_renderer import PLOTTER_SHAPE, SceneRenderer
 from app.scene3d.scene_state import LIGHT, StaticScene
 from app.state.view_state import state_at_rest
@@ -26,6 +27,7 @@ from skincal.taxels.result import Method
 
 def make_plotter(size: tuple[int, int]) -> pv.Plotter:
     """Make a plotter that is never on a screen, for a `SceneRenderer`; `size` is in pixels."""
+    import_plotter()
     plotter = pv.Plotter(off_screen=True, shape=PLOTTER_SHAPE, border=False, lighting="none", window_size=list(size))
     # Software OpenGL pays for every sample of every pixel: four of them make a picture take 2.5 times as long.
     window_of(plotter).SetMultiSamples(0)

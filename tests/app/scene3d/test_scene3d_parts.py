@@ -172,12 +172,12 @@ session = snapshot(1, {{3: estimate(3, (-0.018, 0.02, 0.01))}})
 surface = box() if {surface} else None
 part = Part(scene(plan), surface, laid(plan), plan.channels, ())
 picture(part, session, Method.FREE, Path({out!r}), (400, 300))
-print([n for n in ("PySide6", "pyvistaqt") if n in sys.modules])
+print([n for n in ("PySide6", "pyvistaqt", "matplotlib.pyplot", "matplotlib.figure") if n in sys.modules])
 """
 
 
 @pytest.mark.parametrize("surface", [True, False])
-def test_a_picture_is_drawn_without_display_or_qt(tmp_path: Path, surface: bool):
+def test_a_picture_is_drawn_without_display_qt_or_figures_of_matplotlib(tmp_path: Path, surface: bool):
     if not sys.platform.startswith("linux"):
         pytest.skip("without a display: a matter of Linux")
     out = tmp_path / "picture.png"
@@ -193,6 +193,23 @@ def test_a_picture_is_drawn_without_display_or_qt(tmp_path: Path, surface: bool)
     assert not (pixels == MODULE_RGB[2]).all(axis=-1).any()
     grey = (np.ptp(pixels.astype(int), axis=-1) < 12) & (pixels.max(axis=-1) < 220)
     assert (grey.sum() > 20_000) == surface
+
+
+LATE_FIGURES = """
+from app.scene3d.pyvista_import import import_plotter
+import_plotter()
+import pyvista as pv
+chart = pv.ChartMPL()
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+import matplotlib.pyplot as plt
+import sys
+print(type(chart._canvas) is FigureCanvasAgg, chart.figure is plt.gcf(), plt is sys.modules["matplotlib.pyplot"])
+"""
+
+
+def test_a_chart_of_pyvista_finds_the_figures_that_were_not_imported_with_it():
+    done = subprocess.run([sys.executable, "-c", LATE_FIGURES], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "True", "True"]
 
 
 def _read_png(path: Path) -> np.ndarray:
