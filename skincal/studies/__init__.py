@@ -34,6 +34,7 @@ STUDIES: Mapping[str, Entry] = {
     ),
     "robot": Entry("robot", "A robot pokes without a hand, in MuJoCo: an ideal rig, and one with real imperfections."),
     "tip": Entry("tip_study", "Positions of the tip from a robot or a tracker, together with the force axes."),
+    "tool": Entry("tool_study", "A cobot or a tracked probe pokes a still part; the sensor is on the tool, or there is none."),
     "unmodelled": Entry("unmodelled", "Rigs with errors that the program does not model, from an independent simulator."),
 }
 """By the study's name."""
