@@ -18,7 +18,7 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import Scene
-from skincal.model.tool_rig import BASE_LINK, DEFAULT_TOLERANCE_DEG, TOOL_ARM_POSE, ToolSpec
+from skincal.model.tool_rig import BASE_LINK, DEFAULT_TOOL_TURN_MAX_DEG, TOOL_ARM_POSE, ToolSpec
 from skincal.palette import BLACK, BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
 from skincal.session.session import Session
@@ -137,7 +137,7 @@ def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
         link_from_base=inverse_pose(poked.base_from_part) if knows else np.eye(4),
         has_part_pose=knows,
         tip=poked.tip,
-        tolerance=float(np.radians(DEFAULT_TOLERANCE_DEG)),
+        turn_max=float(np.radians(DEFAULT_TOOL_TURN_MAX_DEG)),
     )
     skin = own.skin if case.has_mesh else replace(own.skin, anchor=None)
     return replace(
