@@ -10,7 +10,7 @@ R the ball's radius, z the tool's axis, `tip` the end of the ball on that axis, 
 and F the force on the tool. The sensor feels F at c, in its own frame. The reported pose differs from T by a scale, by a smooth
 error of position over the workspace, by noise, and by its delay times the speed of the tool while it presses.
 
-Foam lies on the taxels: under the ball its outer face is pressed in by d (Winkler foundation, `independent_simulator`), so the
+Foam covers the taxels: under the ball its outer face is pressed in by d (Winkler foundation, `independent_simulator`), so the
 contact point is `foam` - d above the taxels. Skin, taxels, mesh and errors of the sensor are those of the second simulator.
 
 Everything is drawn from a seed. Lengths are metres, forces newtons, angles radians.
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 WORKSPACE_NEAR_M, WORKSPACE_FAR_M = 0.35, 0.65
 """m, distance of the part from the base: the middle of the reach of a small cobot (UR5e: 0.85 m)."""
 POSITION_ERROR_LENGTH_M = 0.3
-"""m, correlation length of a robot's position error: errors of link lengths and joint zeros change over such a way."""
+"""m, correlation length of a robot's position error: errors of link lengths and joint zeros change over this way."""
 POSITION_ERROR_TURN = 0.6
 """Length of the difference of two unit directions over which that error changes: about 35 degrees of the wrist."""
 ERROR_WAVES = 200

@@ -1,4 +1,4 @@
-"""A tool that pokes a still part: error against pokes and run time, by rig and by what is known of the part.
+"""A tool that pokes a still part: error against pokes and run time, by rig and by the knowledge of the part.
 
 The sessions come from an independent simulator (`tool_simulator`) with all imperfections of a cobot or of a tracked probe. The
 part's pose in the base is given, or nothing is known of the part: then all positions are in the base.
@@ -33,7 +33,7 @@ GOAL_POKES = 168
 POKE_CYCLE_S = 3.5
 """s, from one poke to the next: a robot's way, a rest and a press."""
 BASE_ALONE, POSE_GIVEN = "nothing", "pose"
-"""What is known of the part: nothing, so that positions are in the base; or its pose in the base, from the scene."""
+"""Knowledge of the part: none, so that positions are in the base; or its pose in the base, from the scene."""
 METHOD_COLOURS = dict(zip(Method, (BLUE, GREEN, VERMILION), strict=True))
 
 
@@ -111,7 +111,7 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
     if case.has_mesh:
         surface = make_surface(poked.vertices, part.surface.triangles)
     session, contacts = Session(scene, surface), contacts_of(poked, scene)
-    places = poked.places if case.known != BASE_ALONE else _moved(poked.base_from_part, poked.places)
+    places = poked.places if case.known != BASE_ALONE else _carry(poked.base_from_part, poked.places)
     found: dict[int, dict[str, Any]] = {}
     done = 0
     for count in task.sizes.counts:
@@ -127,7 +127,7 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
 
 
 def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
-    """Describe a simulated session as its user would: the forearm's layout, the sensor on the tool, and what is known."""
+    """Describe a simulated session as its user would: the forearm's layout, the sensor on the tool, and the knowledge of the part."""
     own = forearm().scene
     knows = case.known == POSE_GIVEN
     tool = ToolSpec(
@@ -164,7 +164,7 @@ def contacts_of(poked: ToolSession, scene: Scene) -> list[Contact]:
     return contacts
 
 
-def _moved(pose: FloatArray, points: FloatArray) -> FloatArray:
+def _carry(pose: FloatArray, points: FloatArray) -> FloatArray:
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
