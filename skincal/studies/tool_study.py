@@ -52,7 +52,7 @@ class ToolCase(NamedTuple):
         return f"{self.rig}, {part}, {self.landmarks} landmarks, {'mesh' if self.has_mesh else 'no mesh'}"
 
 
-CASES = (
+TOOL_CASES = (
     ToolCase("ideal", POSE_GIVEN, 0, has_mesh=True),
     ToolCase("wrist", POSE_GIVEN, 0, has_mesh=True),
     ToolCase("wrist", POSE_GIVEN, 0, has_mesh=False),
@@ -67,7 +67,7 @@ class ToolSizes:
     seeds: int = 20
     counts: tuple[int, ...] = (42, 84, 126, 168, 252, 336)
     """Numbers of pokes on the skin after which a session is solved."""
-    cases: tuple[ToolCase, ...] = CASES
+    cases: tuple[ToolCase, ...] = TOOL_CASES
 
 
 class Task(NamedTuple):
@@ -127,7 +127,7 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
 
 
 def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
-    """Describe a simulated session as its user would: the forearm's layout, the sensor on the tool, and the knowledge of the part."""
+    """Describe a simulated session as its user would: the forearm's layout, the tool, and the knowledge of the part."""
     own = forearm().scene
     knows = case.known == POSE_GIVEN
     tool = ToolSpec(

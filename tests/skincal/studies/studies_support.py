@@ -14,7 +14,7 @@ from skincal.studies.robot import RobotSizes
 from skincal.studies.runtime import PartPlan, RuntimeSizes
 from skincal.studies.stability_cases import CaseSizes
 from skincal.studies.tip_study import TipSizes
-from skincal.studies.tool_study import CASES, ToolSizes
+from skincal.studies.tool_study import TOOL_CASES, ToolSizes
 from skincal.studies.unmodelled import UnmodelledSizes
 
 FOREARM = "icub-forearm"
@@ -41,7 +41,7 @@ SIZES: dict[str, Any] = {
     "tip": TipSizes(
         seeds=1, pokes_per_taxel=1, counts=(42, 84), cases=(("good", None), ("good", 1.0), ("corrected", 1.0))
     ),
-    "tool": ToolSizes(seeds=1, counts=(42, 84), cases=CASES),
+    "tool": ToolSizes(seeds=1, counts=(42, 84), cases=TOOL_CASES),
     "unmodelled": UnmodelledSizes(seeds=1, cases=("nothing", "gaussian"), sheet_seeds=0),
 }  # fmt: skip
 
