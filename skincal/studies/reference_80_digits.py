@@ -73,6 +73,20 @@ def unit(v: Exact) -> Exact:
     return v / np.sqrt((v * v).sum(axis=-1, keepdims=True))
 
 
+def _sinc(angle: Any) -> Any:
+    return MP.sin(angle) / angle if angle else MP.one
+
+
+_sincs: Any = _np.frompyfunc(_sinc, 1, 1)
+
+
+def rotate(v: Exact, by: Exact) -> Exact:
+    """Rotate `v` (..., 3) about `by` (..., 3) by its length, rad: v + sinc b x v + (1 - cos)/b^2 b x (b x v)."""
+    angle = np.sqrt((by * by).sum(axis=-1, keepdims=True))
+    once = cross(by, v)
+    return v + _sincs(angle) * once + _sincs(angle / 2) ** 2 / 2 * cross(by, once)
+
+
 def distance(p: Exact, q: Any = 0) -> float:
     """Return |p - q|; without `q` the length of p."""
     return float(MP.sqrt(dot(p - q, p - q)))

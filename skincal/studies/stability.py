@@ -5,7 +5,8 @@ the last place, plus 1e-15 of the answer's norm. The error is the largest over s
 solvers must give the same bits in all of them. A module's error is that of its worst pad, each with its own tolerance. The
 solver must report exactly the unobservable pads as blind. Pads without a defined position are not compared.
 
-Corrections, covariances, heights and distances (`stability_corrections`) have the same tolerance.
+Rig corrections (`stability_corrections`), covariances and heights (`stability_covariances`), and known distances
+(`stability_distances`) have the same tolerance.
 """
 
 from __future__ import annotations
@@ -35,17 +36,21 @@ from skincal.studies.stability_cases import (
     FULL_SIZES,
     PADS_PER_MODULE,
     QUICK_SIZES,
+    AddedCase,
     Case,
     CaseSizes,
     ModuleCase,
     Readings,
+    cases_of,
     contacts_of,
     model_of,
     module_cases,
     perturbed,
     taxel_cases,
 )
-from skincal.studies.stability_corrections import AddedCase, added_cases
+from skincal.studies.stability_corrections import correction_cases
+from skincal.studies.stability_covariances import covariance_cases
+from skincal.studies.stability_distances import distance_cases
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
@@ -55,6 +60,13 @@ RELATIVE_TOLERANCE = 1e-15
 """Share of the answer's norm: nine roundings of it."""
 SOLVER_NAMES = ("free", "surface", "modules", "added")
 STUDY_RANDOM_SEED = 20261121
+ADDED_CASES_RANDOM_SEED = 20261123
+ADDED_FAMILIES = {
+    "corrections": correction_cases,
+    "covariances and heights": covariance_cases,
+    "known distances": distance_cases,
+}
+"""Cases of what the program adds to the paper's methods. Their order is part of the seed."""
 Record: TypeAlias = dict[str, Any]
 AddedTruth: TypeAlias = dict[str, tuple[reference.Exact, float]]
 """By name of the output: its numbers in 80 digits, and their largest change by the last digits of the inputs."""
@@ -83,6 +95,11 @@ def measure(bench: Bench, sizes: CaseSizes) -> Findings:
         "misses": [case["name"] for case in records if not case["holds"]],
         "cases": records, "alternatives": alternatives,
     })  # fmt: skip
+
+
+def added_cases(sizes: CaseSizes) -> Iterator[AddedCase]:
+    """Yield the cases of what the program adds to the paper's methods."""
+    return cases_of(ADDED_FAMILIES, ADDED_CASES_RANDOM_SEED, sizes)
 
 
 def all_cases(sizes: CaseSizes) -> Iterator[Case | AddedCase]:

@@ -718,6 +718,22 @@ MODULE_FAMILIES: dict[str, Callable[[np.random.Generator, CaseSizes], ModuleCase
 }  # fmt: skip
 
 
+Outputs: TypeAlias = dict[str, Any]
+"""Numbers by name: arrays of floats from the program, of exact numbers from its reference."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AddedCase:
+    """Inputs (a dataclass of arrays), and two ways to compute the outputs."""
+
+    name: str
+    inputs: Any
+    shipped: Callable[[Any], Outputs]
+    exact: Callable[[Any], Outputs]
+    pokes: int
+    family: str = ""
+
+
 def cases_of(
     families: Mapping[str, Callable[[np.random.Generator, CaseSizes], Iterator[Any]]], seed: int, sizes: CaseSizes
 ) -> Iterator[Any]:

@@ -1,43 +1,31 @@
-"""Stability cases of the program's additions: rig corrections, covariances, heights, distances, and the same in 80 digits.
+"""Stability cases of a rig's correction, and the same in 80 digits.
 
 Choices are made in double precision by the program's rule, here too: trust of pokes, the likeliest noise of landmark pokes.
-Everything else is computed in another way.
-
-**A rig's correction.** The program solves for n unknowns x by QR of the prior's rows and the pokes', whitened. Here, with J the
-slopes of a step's rows, r their misses, R their covariance and P that of the prior,
+Everything else is computed in another way. The program solves for n unknowns x by QR of the prior's rows and the pokes',
+whitened. Here, with J the slopes of a step's rows, r their misses, R their covariance and P that of the prior,
 
     x = P J' S^-1 (J x0 - r),   S = J P J' + R,   covariance P - P J' S^-1 J P,
 
 as many equations as rows. P is diagonal, and for the matrix C it is U x V over its rows and columns, so J P J' is a product of
 small matrices. Slopes with the arm's poses are differences in 80 digits. The uncertainty of a correction is compared by its
 effect on a poke on the skin, metres.
-
-**Covariances.** A poke whose wrench and pose are off by x shifts its axis across the push by u x (dm - c x df)/|f|, and a
-module by N^-1 sum A'D^-1 times that. **A height** z is one more unknown of the module, with n for its slope. **Known
-distances** are rows next to the inverse of P.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.geometry import orthonormal_pair as pairs_across
-from skincal.mesh.surface import make_surface
-from skincal.model.scene import KnownDistance, NoiseSettings, load_scene, resource
-from skincal.modules.distances import GAUSS_NEWTON_STEPS as DISTANCE_STEPS
-from skincal.modules.distances import apply_distances
-from skincal.modules.estimate import FittedModule, estimate_modules
-from skincal.modules.off_surface import HEIGHT_MAX_SD_M, SIGNIFICANT_HEIGHT_MIN_SDS, SUBTRACTED_SKIN_THICKNESS_SDS
-from skincal.modules.pose import MODULE_TURN_TO_LENGTH_RADIUS_M, ModulePoses, ModulesOnSurface
+from skincal.model.scene import NoiseSettings, load_scene, resource
 from skincal.modules.pose_fit import trust_from_squares
 from skincal.pokes import LandmarkPokes
-from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, Correction, CorrectionErrors, RigPrior, products
+from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, CorrectionErrors, RigPrior, products
 from skincal.rig.correction_fit import (
     GAUSS_NEWTON_STEPS,
     LANDMARK_HELD_OUT_FOLDS,
@@ -57,73 +45,26 @@ from skincal.studies.reference_80_digits import (
     DIFFERENCE_STEP,
     MP,
     Exact,
-    ExactPads,
-    ExactPokes,
-    InPlane,
     cross,
     dot,
-    find_pose,
-    inverse,
-    pokes_of,
-    residuals_and_jacobian,
+    rotate,
     solve_positive,
     to_float,
     to_mp,
-    true_pose,
     two_across,
 )
 from skincal.studies.reference_80_digits import unit as unit_of
 from skincal.studies.stability_cases import (
-    PADS_PER_MODULE,
+    AddedCase,
     CaseSizes,
-    ModuleCase,
+    Outputs,
     arm_poses,
-    cases_of,
     cone,
-    contacts_of,
-    in_space,
-    model_of,
-    module_case,
-    on_sheet,
     unit,
 )
-from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import Estimate, Method, State
 
-Outputs: TypeAlias = dict[str, Any]
-"""Numbers by name: arrays of floats from the program, of exact numbers from here."""
-_np: Any = np
 LINEAR_COLUMNS, ALL_COLUMNS = 6, 27
 """Columns of the matrix C: of a wrench's components, and with their products."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AddedCase:
-    """Inputs (a dataclass of arrays), and two ways to compute the outputs."""
-
-    name: str
-    inputs: Any
-    shipped: Callable[[Any], Outputs]
-    exact: Callable[[Any], Outputs]
-    pokes: int
-    family: str = ""
-
-
-def _sinc(angle: Any) -> Any:
-    return MP.sin(angle) / angle if angle else MP.one
-
-
-_sincs: Any = _np.frompyfunc(_sinc, 1, 1)
-
-
-def rotate(v: Exact, by: Exact) -> Exact:
-    """Rotate `v` (..., 3) about `by` (..., 3) by its length, rad: v + sinc b x v + (1 - cos)/b^2 b x (b x v)."""
-    angle = np.sqrt((by * by).sum(axis=-1, keepdims=True))
-    once = cross(by, v)
-    return v + _sincs(angle) * once + _sincs(angle / 2) ** 2 / 2 * cross(by, once)
-
-
-# ---- a rig's correction ----
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -428,233 +369,6 @@ def correct_by_landmarks(pokes: CorrectionInputs) -> RigAnswer:
     return correct_rig(RigRequest(scene, None, [], known, prior=pokes.prior))
 
 
-# ---- covariances, heights and distances of modules ----
-
-POKE_NUMBER_STEP_BETWEEN_CASES = 100
-"""Pokes with numbers so far apart share no slow noise."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CovarianceInputs:
-    """A module's pokes, and the root of a correction's covariance."""
-
-    case: ModuleCase
-    root: FloatArray
-    """(n, n) float, as in `Correction`."""
-    columns: int
-    """Of the matrix C."""
-    known: int
-    """Number of arm poses in the correction; the others are as wrong as the prior says."""
-
-
-def renumber(contacts: Sequence[Contact]) -> dict[int, Contact]:
-    """Renumber contacts so that they share no slow noise; return them by their numbers."""
-    numbers = (1 + POKE_NUMBER_STEP_BETWEEN_CASES * at for at in range(len(contacts)))
-    return {number: replace(contact, poke=number) for number, contact in zip(numbers, contacts, strict=True)}
-
-
-def exact_covariances(shared: CovarianceInputs) -> Outputs:
-    """Compute covariances of a module's pads, their part that all pokes share, and the variance of its height."""
-    case = shared.case
-    pokes = pokes_of(case.readings, case.noise)
-    pose, _ = find_pose(pokes, true_pose(case))
-    pads = pose.pads()
-    misses, slopes, weight = residuals_and_jacobian(pokes, pads)
-    unknowns = slopes.shape[2]
-    places, _, normals = pokes.contact_centres(pads)
-    weights = slopes.swapaxes(1, 2) @ weight
-    back = inverse((weights @ slopes).sum(axis=0))
-    alike, of_pose = _axes_of(shared, pokes, places)
-    moves = back @ (weights @ alike).sum(axis=0)
-    own = [(weights @ each).sum(axis=0) for each in of_pose]
-    squares, free = dot(misses, (weight @ misses[:, :, None])[:, :, 0]).sum(), 2 * len(misses) - unknowns
-    factor = _factor(squares, free)
-    skin, out = to_mp(case.noise.skin), dot(pokes.pairs, normals[:, None])
-    along = back @ (weights @ out[:, :, None]).sum(axis=0)
-    total = factor * back + skin**2 * along @ along.T + sum(back @ each @ each.T @ back for each in own)
-    height = MP.zero
-    if unknowns == ModulesOnSurface.unknowns:
-        # One unknown more: the misses' slope with the height, less what the module's own unknowns make of it.
-        alone = ((out - (slopes @ along)[:, :, 0])[:, None] @ weight)[:, 0]
-        told = dot(alone, out).sum()
-        z = dot(alone, misses).sum() / told
-        z = min(z, max(z - SUBTRACTED_SKIN_THICKNESS_SDS * skin, MP.zero))
-        lifts = [(alone[:, None] @ each).sum(axis=0)[0] / told for each in (alike, *of_pose)]
-        variance = factor / told + sum(dot(each, each) for each in lifts)
-        height = (
-            z**2 - variance
-            if factor / told < HEIGHT_MAX_SD_M**2 and z**2 > SIGNIFICANT_HEIGHT_MIN_SDS**2 * variance
-            else MP.zero
-        )
-    changes = pads.changes
-    outward = height * pads.normals[:, :, None] * pads.normals[:, None]
-    by_shared = changes @ (moves @ moves.T) @ changes.swapaxes(1, 2)
-    covariances = changes @ total @ changes.swapaxes(1, 2) + by_shared + outward
-    return _with_height({"covariances": covariances, "shared": by_shared}, np.array([height]))
-
-
-def _factor(squares: Any, free: int) -> Any:
-    """Return the factor by which misses exceed the scene's noise, as `variance_factors` defines it."""
-    seen = squares / free - MP.sqrt(MP.mpf(2) / free)
-    return seen * free / max(free - 2, 1) if seen > 1 else MP.one
-
-
-def _axes_of(shared: CovarianceInputs, pokes: ExactPokes, places: Exact) -> tuple[Exact, list[Exact]]:
-    """Return the shifts E da of the axes: (m, 2, n) by shared errors, and (m, 2, 6) by those of each unknown pose."""
-    readings = shared.case.readings
-    wrenches = to_mp(np.concatenate([readings.forces, readings.moments], axis=1))
-    first, second = np.triu_indices(6)
-    features = np.concatenate([wrenches, wrenches[:, first] * wrenches[:, second]], axis=1)[:, : shared.columns]
-    of_wrench, of_pose = axes_off(wrenches, to_mp(readings.poses)[readings.pose_of], places)
-    rows = (pokes.pairs @ of_wrench)[:, :, :, None] * features[:, None, None]
-    size, root = 6 * shared.columns, to_mp(shared.root)
-    alike, own = rows.reshape(len(rows), 2, size) @ root[:size], pokes.pairs @ of_pose
-    prior = RigPrior()
-    scales, others = to_mp(np.repeat([prior.pose_turn, prior.pose_shift], 3)), list[Exact]()
-    for pose in range(len(readings.poses)):
-        here = (readings.pose_of == pose).astype(int)[:, None, None]
-        if pose < shared.known:
-            alike = alike + here * (own @ root[size + 6 * pose : size + 6 * pose + 6])
-        else:
-            others.append(here * own * scales)
-    return alike, others
-
-
-def shipped_covariances(shared: CovarianceInputs) -> Outputs:
-    """Compute the covariances by the program. It starts at its result: else its last step, up to 1e-7 m, is in the slopes."""
-    case = shared.case
-    surface = None if case.mesh is None else make_surface(case.mesh.vertices, case.mesh.triangles)
-    contacts = renumber(contacts_of(case, np.arange(len(case.readings.forces))))
-    quadratic = np.zeros((6, shared.columns - LINEAR_COLUMNS))
-    motions = {f"pose {pose}": np.eye(4) for pose in range(shared.known)}
-    correction = Correction(np.eye(6), motions=motions, root=shared.root, quadratic=quadratic)
-    table, errors = ContactTable(list(contacts.values())), CorrectionErrors(correction, contacts.__getitem__)
-
-    def placed_from(start: ModulePoses) -> tuple[list[Estimate], FittedModule]:
-        kept, model = dict[int, FittedModule](), model_of([replace(case, start=start)], surface)
-        found = estimate_modules(table, model, [0], case.noise, [], {}, False, errors, kept)
-        return [found[channel] for channel in range(PADS_PER_MODULE)], kept[0]
-
-    pads, module = placed_from(placed_from(case.start)[1].pose)
-    moves = np.array([pad.moved for pad in pads])
-    covariances = np.array([pad.covariance for pad in pads])
-    by_shared = moves @ moves.transpose(0, 2, 1)
-    return _with_height({"covariances": covariances, "shared": by_shared}, np.array([module.height]))
-
-
-def _with_height(outputs: Outputs, height: Any) -> Outputs:
-    """Add the variance of a height unless it is zero, which would have no tolerance."""
-    return {**outputs, "height": height} if height[0] else outputs
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DistanceInputs:
-    """Modules as their own pokes place them, without a surface, and known distances between them."""
-
-    cases: tuple[ModuleCase, ...]
-    fitted: tuple[FittedModule, ...]
-    distances: tuple[KnownDistance, ...]
-    lengths: FloatArray
-    """(d,) float, m."""
-    noise: NoiseSettings
-
-
-def fit_modules_with_distances(
-    cases: Sequence[ModuleCase], distances: Sequence[KnownDistance], root: FloatArray
-) -> DistanceInputs:
-    """Fit the modules of cases by the program, with correction errors of this root."""
-    contacts = [
-        replace(contact, channels=contact.channels + number * PADS_PER_MODULE, pose=f"pose {number}")
-        for number, case in enumerate(cases)
-        for contact in contacts_of(case, np.arange(len(case.readings.forces)))
-    ]
-    by_poke, kept, noise = renumber(contacts), dict[int, FittedModule](), cases[0].noise
-    errors = CorrectionErrors(Correction(np.eye(6), root=root), by_poke.__getitem__)
-    table, modules = ContactTable(list(by_poke.values())), range(len(cases))
-    estimate_modules(table, model_of(cases, None), modules, noise, [], {}, False, errors, kept)
-    lengths = np.array([each.length for each in distances])
-    return DistanceInputs(tuple(cases), tuple(kept[module] for module in modules), tuple(distances), lengths, noise)
-
-
-def shipped_distances(joined: DistanceInputs) -> Outputs:
-    """Compute the pads' positions and covariances by the program."""
-    model = model_of(joined.cases, None, joined.distances)
-    before = {
-        channel: Estimate(channel, Method.MODULES, State.TOUCHED, 1, position=np.zeros(3), covariance=np.eye(3))
-        for channel in range(len(joined.cases) * PADS_PER_MODULE)
-    }
-    found, tried = apply_distances(model, dict(enumerate(joined.fitted)), before, joined.noise)
-    if not all(each.used for each in tried):
-        raise ValueError("a case whose distances do not all count")
-    every = [found[channel] for channel in before]
-    places, covariances = ([getattr(each, name) for each in every] for name in ("position", "covariance"))
-    return {"places": np.array(places), "covariances": np.array(covariances)}
-
-
-def exact_distances(joined: DistanceInputs) -> Outputs:
-    """Compute the same by Gauss-Newton steps with the inverse of P and the distances' rows."""
-    count, own = len(joined.fitted), joined.fitted
-    size = 6 * count
-    prior = _np.full((size, size), MP.zero)
-    for at, module in enumerate(own):
-        prior[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] = to_mp(module.covariance)
-    moves = to_mp(np.concatenate([module.moves for module in own]))
-    held = inverse(prior + moves @ moves.T)
-    ends = [[_end_of(joined, told, side) for side in (0, 1)] for told in joined.distances]
-    x, covariance = to_mp(np.zeros(size)), held
-    for _ in range(DISTANCE_STEPS):
-        rows, left, weights = zip(
-            *(_distance(joined, x, *each) for each in zip(joined.distances, joined.lengths, ends, strict=True)), strict=True
-        )
-        slopes, weighing = np.array(rows), np.array(weights)[:, None]
-        covariance = inverse(held + slopes.T @ (weighing * slopes))
-        x = covariance @ (slopes.T @ (weighing[:, 0] * np.array(left)))
-    laid = [_place_points(joined, at, x, joined.cases[at].module.flat) for at in range(count)]
-    covariances = [
-        each.changes @ covariance[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] @ each.changes.swapaxes(1, 2)
-        for at, each in enumerate(laid)
-    ]
-    return {"places": np.concatenate([each.points for each in laid]), "covariances": np.concatenate(covariances)}
-
-
-def _end_of(joined: DistanceInputs, told: KnownDistance, side: int) -> tuple[int, FloatArray]:
-    """Return the module at an end of a distance, and that point in its plane."""
-    end = told.ends[side]
-    return (
-        (end // PADS_PER_MODULE, joined.cases[end // PADS_PER_MODULE].module.flat[end % PADS_PER_MODULE])
-        if told.of_taxels
-        else (end, np.zeros(2))
-    )
-
-
-def _place_points(joined: DistanceInputs, at: int, x: Exact, flat: FloatArray) -> ExactPads:
-    """Lay points of a module's plane after the move x, whose turns are lengths at `MODULE_TURN_TO_LENGTH_RADIUS_M`."""
-    pose, step = joined.fitted[at].pose, x[6 * at : 6 * at + 6]
-    by = step[3:] / to_mp(MODULE_TURN_TO_LENGTH_RADIUS_M)
-    place = to_mp(pose.points[0]) + step[:3]
-    pads = InPlane(place, rotate(to_mp(pose.x[0]), by), rotate(to_mp(pose.normals[0]), by), to_mp(flat)).pads()
-    turns = pads.changes[:, :, 3:] / to_mp(MODULE_TURN_TO_LENGTH_RADIUS_M)
-    return pads._replace(changes=np.concatenate([pads.changes[:, :, :3], turns], axis=2))
-
-
-def _distance(
-    joined: DistanceInputs, x: Exact, told: KnownDistance, known: float, ends: Sequence[tuple[int, FloatArray]]
-) -> tuple[Exact, Any, Any]:
-    """Return a distance's row J, the wanted J x, and 1/R."""
-    one, other = (_place_points(joined, at, x, flat[None]) for at, flat in ends)
-    way = (one.points - other.points)[0]
-    length = MP.sqrt(dot(way, way))
-    variance, row = to_mp(told.sd) ** 2, to_mp(np.zeros(len(x)))
-    for sign, pads, (at, flat) in ((1, one, ends[0]), (-1, other, ends[1])):
-        row[6 * at : 6 * at + 6] = sign * (way / length) @ pads.changes[0]
-        every, here = to_mp(joined.cases[at].module.flat), to_mp(flat)
-        middle = every.sum(axis=0) / len(every)
-        square = dot(every - middle, every - middle).sum() / len(every) - dot(here - middle, here - middle)
-        lean = dot(pads.normals[0], way / length)
-        variance = variance + (square / (2 * to_mp(joined.noise.radius)) * lean) ** 2
-    return row, to_mp(known) - length + dot(row, x), 1 / variance
-
-
 # ---- cases ----
 
 
@@ -701,22 +415,6 @@ class LandmarkSession:
         return CorrectionInputs(wrenches + off * units + spread, places, at, reported, pose_of, noise, prior)
 
 
-def _root(rng: np.random.Generator, columns: int, poses: int, share: float = 0.2) -> FloatArray:
-    """Make a root of a correction's covariance: fully correlated, a share of the prior's size."""
-    quadratic = NONLINEAR_SENSOR_QUADRATIC_SHARE if columns > LINEAR_COLUMNS else 0.0
-    scales = replace(RigPrior(), quadratic=quadratic).scales(poses)
-    return np.triu(scales[:, None] * share * (np.eye(len(scales)) + 0.1 * rng.normal(size=(len(scales),) * 2)))
-
-
-ADDED_SEED = 20261123
-
-
-def added_cases(sizes: CaseSizes) -> Iterator[AddedCase]:
-    """Yield the cases of what the program adds to the paper's methods."""
-    families = {"corrections": _corrections, "covariances and heights": _carried, "known distances": _distances}
-    return cases_of(families, ADDED_SEED, sizes)
-
-
 CORRECTION_CASES = {
     "rig as modelled": LandmarkSession(),
     "four landmarks, two pokes each": LandmarkSession(landmarks=4),
@@ -729,63 +427,9 @@ CORRECTION_CASES = {
 }
 
 
-def _corrections(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
+def correction_cases(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
+    """Yield a correction for each session of `CORRECTION_CASES`."""
     del sizes
     for name, session in CORRECTION_CASES.items():
         pokes = session.simulate(rng)
         yield AddedCase(f"correction, {name}", pokes, shipped_correction, exact_correction, pokes.landmark_count)
-
-
-def _carried(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
-    n, poses = max(sizes.contacts, 10), arm_poses(rng, 2, 0.3)
-    grounds = {"module": in_space(rng), "module on a sheet": on_sheet(rng, sizes, 8.0)}
-
-    def case(name: str, module: ModuleCase, share: float = 0.2, columns: int = LINEAR_COLUMNS, known: int = 2) -> AddedCase:
-        inputs = CovarianceInputs(module, _root(rng, columns, known, share), columns, known)
-        return AddedCase(name, inputs, shipped_covariances, exact_covariances, len(module.readings.forces))
-
-    for (name, ground), tilt in zip(grounds.items(), (0.2, 0.001), strict=True):
-        how: dict[str, Any] = {"rng": rng, "module": ground, "pokes": n, "poses": poses}
-        yield case(f"{name}, shared errors", module_case(name, **how))
-        yield case(f"{name}, shared errors of products too", module_case(name, **how), columns=ALL_COLUMNS)
-        yield case(f"{name}, arm poses that are not known", module_case(name, **how), known=0)
-        yield case(f"{name}, shared errors, pushes within {tilt} rad", module_case(name, tilt=tilt, **how))
-        loud = NoiseSettings(force=0.2, moment=0.02)
-        yield case(f"{name}, shared errors, twice the noise", module_case(name, noise=loud, **how))
-        yield case(f"{name}, shared errors, misses of 6 mm", module_case(name, scatter=0.006, **how))
-    flat = grounds["module on a sheet"]
-    for far in (0.004, -0.003):
-        usual = module_case(
-            "", rng, flat, 2 * n, NoiseSettings(contact=0.0005, skin=0.0005), poses=poses, tilt=0.8, scatter=1e-4
-        )
-        assert flat.mesh is not None
-        mesh = replace(flat.mesh, vertices=flat.mesh.vertices - far * flat.at.normals[0])
-        lowered = replace(flat, mesh=mesh, at=replace(flat.at, points=flat.at.points - far * flat.at.normals[0]))
-        start = replace(usual.start, points=usual.start.points - far * flat.at.normals[0])
-        yield case(f"module {1e3 * far:g} mm over its sheet", replace(usual, mesh=mesh, module=lowered, start=start), 0.02)
-
-
-def _distances(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
-    n, root = max(sizes.contacts, 10), _root(rng, LINEAR_COLUMNS, 0)
-    for name, sd, tilt in (("", 0.0005, 0.5), (" known to 1e-6 m", 1e-6, 0.5), (", pushes within 0.02 rad", 0.0005, 0.02)):
-        cases: list[ModuleCase] = []
-        for number in range(3):
-            module = in_space(rng, at=unit(rng.normal(size=3)) * 0.05 + np.array([0.05 * number, 0.0, 0.1]))
-            cases.append(module_case("", rng, module, n, tilt=tilt))
-        pads = [case.module.pad_positions() for case in cases]
-        ends_of = (
-            ((0, 1), False),
-            ((1, 2), False),
-            ((3, PADS_PER_MODULE + 7), True),
-            ((PADS_PER_MODULE + 2, 2 * PADS_PER_MODULE + 9), True),
-        )
-        told: list[KnownDistance] = []
-        for ends, taxels in ends_of:
-            one, other = (_where(cases, pads, end, taxels) for end in ends)
-            told.append(KnownDistance(ends, taxels, float(np.linalg.norm(one - other)), sd))
-        inputs = fit_modules_with_distances(cases, told, root)
-        yield AddedCase(f"distances between three modules{name}", inputs, shipped_distances, exact_distances, 3 * n)
-
-
-def _where(cases: Sequence[ModuleCase], pads: Sequence[FloatArray], end: int, of_taxels: bool) -> FloatArray:
-    return pads[end // PADS_PER_MODULE][end % PADS_PER_MODULE] if of_taxels else cases[end].module.at.points[0]

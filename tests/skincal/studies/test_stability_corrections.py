@@ -8,9 +8,10 @@ import pytest
 
 from skincal.modules import distances, off_surface
 from skincal.rig import correction, correction_fit
-from skincal.studies.stability import evaluate_added, find_added_truth
+from skincal.studies.stability import added_cases, evaluate_added, find_added_truth
 from skincal.studies.stability_cases import CaseSizes
-from skincal.studies.stability_corrections import CorrectionInputs, added_cases, correct_by_landmarks, shipped_distances
+from skincal.studies.stability_corrections import CorrectionInputs, correct_by_landmarks
+from skincal.studies.stability_distances import shipped_distances
 from skincal.taxels.shared_errors import NormalEquations
 
 TINY = CaseSizes(contacts=8, grid=6, many=300)
