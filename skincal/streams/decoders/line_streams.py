@@ -80,28 +80,44 @@ class FormAgreement:
         return self.key == key
 
 
-class ChannelFrames:
-    """Frames of labelled channels, on one line or over several.
-
-    A number is a channel, from 0 or from 1. A missing one is NaN, and never takes the value of its neighbour.
-    """
+class LineFrames:
+    """Frames that are put together from lines."""
 
     def __init__(self) -> None:
-        self._found: dict[int, float] = {}
-        self._first: int | None = None
         self._incomplete = 0
-        self._beyond_lines = self._frames_without = 0
-        self._without = set[int]()
+
+    def pop_incomplete(self) -> int:
+        """Count new incomplete frames, since the form of the frames was agreed."""
+        count, self._incomplete = self._incomplete, 0
+        return count
+
+
+class LabelledFrames(LineFrames):
+    """Frames whose lines have labels or titles that count."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._beyond_lines = 0
 
     @property
     def is_beyond(self) -> bool:
-        """Whether the labels count further than the scene: these channels are not those of the scene."""
+        """Whether they count further than the scene: these channels are not those of the scene."""
         return self._beyond_lines >= BEYOND_LINES_MIN
 
-    def pop_incomplete(self) -> int:
-        """Count new frames that lack more than half of their channels or a known first number."""
-        count, self._incomplete = self._incomplete, 0
-        return count
+
+class ChannelFrames(LabelledFrames):
+    """Frames of labelled channels, on one line or over several.
+
+    A number is a channel, from 0 or from 1. A missing one is NaN, and never takes the value of its neighbour.
+    A frame is incomplete if it lacks more than half of its channels, or if its first number is not known yet.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._found: dict[int, float] = {}
+        self._first: int | None = None
+        self._frames_without = 0
+        self._without = set[int]()
 
     def add(self, channels: dict[int, float], width: int | None) -> list[list[float]]:
         """Add the channels of a line; return the completed frames."""
@@ -147,23 +163,18 @@ class ChannelFrames:
         return sorted(self._without) if self._frames_without >= FRAMES_WITHOUT_CHANNEL_MIN else []
 
 
-class SeparatedRows:
+class SeparatedRows(LineFrames):
     """Frames whose rows are lines, with a title, dashes or a rising number between them.
 
     Separators have the same words, and any numbers. A frame is complete if all its rows lie between two separators.
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self.is_agreed = False
         self._shape = ""
         self._rows: list[list[float]] = []
         self._number = math.nan
-        self._incomplete = 0
-
-    def pop_incomplete(self) -> int:
-        """Count new frames that lack rows, since the separators were agreed."""
-        count, self._incomplete = self._incomplete, 0
-        return count
 
     def add_row(self, numbers: list[float], width: int) -> list[float] | None:
         """Add a line of numbers. A single number may be a separator, and then ends a frame, which is returned."""
@@ -202,7 +213,7 @@ class SeparatedRows:
         return None
 
 
-class NumberedRows:
+class NumberedRows(LabelledFrames):
     """Frames whose lines begin with their number: a row, or one channel.
 
     Nothing but a number counts 0, 1, 2, ... through the lines of a frame, again and again. With the number in the values it
@@ -210,21 +221,11 @@ class NumberedRows:
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self.is_agreed = False
         self._rows: list[list[float]] = []
         self._first = 0
-        self._lines = self._cycles = self._beyond_lines = 0
-        self._incomplete = 0
-
-    @property
-    def is_beyond(self) -> bool:
-        """Whether titles count further than the scene's rows."""
-        return self._beyond_lines >= BEYOND_LINES_MIN
-
-    def pop_incomplete(self) -> int:
-        """Count new frames that lack lines, since the numbers were agreed."""
-        count, self._incomplete = self._incomplete, 0
-        return count
+        self._lines = self._cycles = 0
 
     def add(self, number: float, values: list[float], width: int, *, is_title: bool = False) -> list[float] | None:
         """Add the values of a line and its number; return the frame that they complete."""
@@ -289,22 +290,18 @@ def counts_lines(rows: Sequence[Sequence[float]]) -> bool:
     return is_count and ((len(numbers) > 3 and numbers[0] in (0, 1)) or (len(rows) > 1 and len(rows[0]) == 2))
 
 
-class ContinuedLines:
+class ContinuedLines(LineFrames):
     """Frames on two or more lines, where a separator at the end or at the begin of a line says that the frame goes on."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._parts: list[float] = []
         self._ends_open = self._began_open = False
-        self._complete = self._incomplete = 0
+        self._complete = 0
 
     @property
     def is_agreed(self) -> bool:
         return self._complete > 1
-
-    def pop_incomplete(self) -> int:
-        """Count new frames that lack values, since frames were agreed to go on."""
-        count, self._incomplete = self._incomplete, 0
-        return count
 
     def add(self, line: str, numbers: list[float], width: int) -> list[float] | None:
         """Add a line and its numbers; return the frame that it completes, but not the first one."""
