@@ -16,6 +16,8 @@ PROBE_OPTION = "--probe-drawing"
 """Hidden option of the program: draw one small picture with the window class that follows, and end."""
 WINDOW_CLASS_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 """VTK's own switch: the class that it makes for a window it is not given."""
+PLOTTING_VARIABLE = "ALLOW_PLOTTING"
+"""pyvista's switch: without it, its first plotter starts `xset` or another OpenGL context to see whether it can draw."""
 EGL, OSMESA = "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"
 DRAWING_PROBE_TIMEOUT_S = 60.0
 """s. A trial needs 0.5 s, on a busy machine some seconds; a driver that hangs would never answer."""
@@ -67,6 +69,7 @@ def choose_offscreen(egl_probe: DrawingProbe | None = None) -> None:
         failure = (egl_probe if window_class == EGL else DrawingProbe(window_class)).failure()
         if not failure:
             os.environ[WINDOW_CLASS_VARIABLE] = window_class
+            os.environ[PLOTTING_VARIABLE] = "true"
             return
         failures.append(failure)
     raise InputError(NOTHING_DRAWS.format(why=", ".join(failures)))

@@ -9,7 +9,7 @@ import pytest
 from app import headless
 from app.__main__ import main
 from app.scene3d import drawing_probe
-from app.scene3d.drawing_probe import EGL, OSMESA, PROBE_OPTION, WINDOW_CLASS_VARIABLE, choose_offscreen
+from app.scene3d.drawing_probe import EGL, OSMESA, PLOTTING_VARIABLE, PROBE_OPTION, WINDOW_CLASS_VARIABLE, choose_offscreen
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
 
@@ -30,6 +30,7 @@ def trials(monkeypatch):
 
     monkeypatch.setattr(drawing_probe.subprocess, "Popen", popen)
     monkeypatch.setenv(WINDOW_CLASS_VARIABLE, "")
+    monkeypatch.setenv(PLOTTING_VARIABLE, "")
     return programs
 
 
@@ -41,6 +42,7 @@ def test_the_first_window_class_that_draws_is_used(trials, programs, chosen):
     trials.update(programs)
     choose_offscreen()
     assert os.environ[WINDOW_CLASS_VARIABLE] == chosen
+    assert os.environ[PLOTTING_VARIABLE] == "true", "pyvista need not try it again"
 
 
 def test_a_crash_of_every_trial_names_the_packages(trials):
