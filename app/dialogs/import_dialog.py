@@ -178,7 +178,7 @@ class ImportDialog(Dialog):
             return
         self.kind.setText(READING_TEXT)
         self._finds.renew()
-        channels = 0 if self._scene is None else self._scene.skin.channels
+        channels = 0 if self._scene is None else self._scene.skin.frame_width
         joints = () if self._scene is None else joint_columns(self._scene)
         self._finds.submit(
             lambda: _find_streams(paths, channels, joints), self._show_files, lambda why: self._take_preview(None, why)

@@ -155,7 +155,7 @@ def _import(
             places,
             joint_columns(scene),
             lambda share: go_on(read_share * share),
-            scene.skin.channels,
+            scene.skin.frame_width,
             None if others and importer.asks_if_tied else importer,
         )
         # Modules live as long as the command: looking through them for garbage takes a tenth of the time.

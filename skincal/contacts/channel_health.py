@@ -91,7 +91,7 @@ class ChannelHealth:
         """Channels that are not used, with the reason; a new mapping whenever it changes."""
 
     def on_frame(self, host_s: float, skin: FloatArray) -> bool:
-        """Process one skin frame; return whether `dead` changed. The channels are judged once a second."""
+        """Process the watched values (channels,) of a frame; return whether `dead` changed. Judges channels once a second."""
         if not len(self._last):
             self._changed_s[:] = self._number_s[:] = self._judged_s = host_s
             self._last = skin

@@ -36,6 +36,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from skincal.contacts.answers_of_skin import answers_of
 from skincal.contacts.channel_health import ChannelHealth
 from skincal.contacts.gates import MAX_SAMPLE_GAP_IN_SKIN_PERIODS, answer_limit, finish, judge, largest_turn_during_poke
 from skincal.contacts.outcome import CROWDED_REASONS, BeforePokes, Contact, Outcome, PressPhase, Progress, Reason, Rejection
@@ -77,10 +78,11 @@ class ContactDetector:
         self._scene = scene
         self._thresholds = scene.contacts
         self._candidates: IntArray = np.arange(scene.skin.channels) if layout is None else layout.channels
-        self._tares = TareKeeper(scene.contacts, scene.skin.channels)
+        self._answers = answers_of(scene.skin)
+        self._tares = TareKeeper(scene.contacts, scene.skin.frame_width)
         self._health = ChannelHealth(scene, self._candidates, dead)
-        self._drift = SkinDrift(self._candidates, scene.skin.channels, scene.skin.polarity)
-        self._watch = SkinWatch(scene, self._candidates, range_end)
+        self._drift = SkinDrift(self._candidates, scene.skin.frame_width, self._answers)
+        self._watch = SkinWatch(scene, self._candidates, self._answers, range_end)
         self._at_top: dict[int, Contact] = {}
         """Contacts with taxels that may be at the end of the range."""
         self._ignored: Set[int] | None = None
@@ -120,7 +122,7 @@ class ContactDetector:
         tare = self._tares.tare
         if self._last is None or tare is None:
             return np.full(self._scene.skin.channels, np.nan)
-        return self._scene.skin.polarity * (self._last.skin - self._drift.rest_at(tare, self._last.host_s))
+        return self._answers.responses(self._last.skin - self._drift.rest_at(tare, self._last.host_s))
 
     @property
     def last_s(self) -> float:
@@ -135,12 +137,13 @@ class ContactDetector:
         if not all(map(math.isfinite, sample.wrench.tolist())):
             # NaN would spoil every mean; a saturated sample is counted, and its poke is rejected.
             sample = replace(sample, wrench=np.zeros(6), saturated=True)
-        self._watch.on_frame(sample.skin)
+        watched = self._answers.watched(sample.skin)
+        self._watch.on_frame(watched)
         arm_pose = self._arm_pose = self._pose_now(sample, link_from_sensor, pose)
         gap_s = self._gap_before(sample)
         self._last = sample
         outcomes = self._rejudge_late_angles(sample, arm_pose)
-        outcomes += self._rejudge() if self._health.on_frame(sample.host_s, sample.skin) and self._ignored is None else []
+        outcomes += self._rejudge() if self._health.on_frame(sample.host_s, watched) and self._ignored is None else []
         tare = self._tares.tare
         if self._press is not None:
             outcomes += self._feed_press(self._press, sample, arm_pose, gap_s)
@@ -332,8 +335,8 @@ class ContactDetector:
     def _beyond_limit(self, sample: Sample, tare: Tare) -> tuple[np.ndarray, np.ndarray]:
         """(c,) bool each: candidates that are above and below their baseline by more than their limit."""
         rest = self._drift.rest_at(tare, sample.host_s)
-        response = (self._scene.skin.polarity * (sample.skin - rest))[self._candidates]
-        limit = answer_limit(self._thresholds, self._tares.noise)[self._candidates]
+        response = self._answers.responses(sample.skin - rest)[self._candidates]
+        limit = answer_limit(self._thresholds, self._noise)[self._candidates]
         return response > limit, response < -limit
 
     def _reject_untared(self, press: Press, sample: Sample, value: float, limit: float) -> list[Outcome]:
@@ -358,12 +361,12 @@ class ContactDetector:
     def _end(self, press: Press) -> list[Outcome]:
         self._press = None
         self._pokes += 1
-        poke = finish(self._pokes, press, self._scene, self._tares.noise, self._period_s, self._drift)
+        poke = finish(self._pokes, press, self._scene, self._noise, self._period_s, self._drift)
         self._pending.append(poke)
         self._has_answer = self._has_answer or len(poke.channels) > 0
         changed = self._health.on_poke(poke)
         outcomes = self._rejudge() if changed and self._ignored is None else []
-        if self._watch.on_press(poke, self._tares.noise):
+        if self._watch.on_press(poke, self._noise):
             outcomes += self._mark_clipped()
         return [*outcomes, self._judge(poke, None, final=False)]
 
@@ -442,6 +445,11 @@ class ContactDetector:
                 changed.append(self._rejudged[number])
         return changed
 
+    @property
+    def _noise(self) -> FloatArray:
+        """(channels,) float, raw units: noise of the responses at rest."""
+        return self._answers.noise(self._tares.noise)
+
     def _ignored_now(self) -> Set[int]:
         return self._health.dead.keys() if self._ignored is None else self._ignored
 
@@ -463,11 +471,11 @@ class ContactDetector:
         rest = self._tares.rest_skin
         if rest is None or sample.host_s - self._untared_since > TARE_AGE_MAX_S:
             return False
-        return len(self._answering(self._scene.skin.polarity * (sample.skin - rest))) > 0
+        return len(self._answering(self._answers.responses(sample.skin - rest))) > 0
 
     def _answering(self, responses: FloatArray) -> IntArray:
         """Channels in use whose response, (channels,), is above their limit; NaN is not."""
-        above = (responses > answer_limit(self._thresholds, self._tares.noise))[self._candidates]
+        above = (responses > answer_limit(self._thresholds, self._noise))[self._candidates]
         ignored = self._ignored_now()
         return np.array([channel for channel in self._candidates[above].tolist() if channel not in ignored], dtype=np.int64)
 

@@ -130,7 +130,7 @@ def finish(number: int, press: Press, scene: Scene, noise: FloatArray, period_s:
     if best is None:
         return finished
     finished = drift.with_first_answers(finished, best.time_s)
-    top, at_top = taxels_at_top(press.best_frames, finished.channels, scene.skin.polarity)
+    top, at_top = taxels_at_top(drift.answers.watched(press.best_frames), finished.channels, scene.skin.polarity)
     return replace(finished, top=top, at_top=at_top)
 
 
@@ -172,6 +172,7 @@ def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, i
     }
     if failure is None:
         tip = None if mean is None else mean.tip
-        return Contact(**common, responses=press.responses[used], tare_change=tare_change, tip=tip)
+        vectors = None if press.vectors is None else press.vectors[used]
+        return Contact(**common, responses=press.responses[used], tare_change=tare_change, tip=tip, vectors=vectors)
     value, limit = float(failure.value), float(failure.limit)
     return Rejection(**common, reason=failure.reason, value=value, limit=limit, unit=failure.unit)

@@ -84,6 +84,9 @@ class Contact:
     """(3,) float, metres, fixed frame: position of the tip; `None` without a tip stream."""
     clipped: IntArray | None = field(default=None, metadata=OPTIONAL_FIELD)
     """Those of `channels` at the end of the skin's range, so that their responses are lower bounds; `None` without any."""
+    vectors: FloatArray | None = field(default=None, metadata=OPTIONAL_FIELD)
+    """(k, 3) float, raw units above the baseline: readings of `channels` in the axes of each taxel, z out of the skin, force on
+    the taxel. NaN if a value is at an end of the range; `None` for a skin of one axis."""
     press: FinishedPress | None = field(default=None, repr=False, metadata=NOT_STORED)
     """The press, to judge it again with other dead channels. `None` if these cannot change the result."""
     tare_after: Tare | None = field(default=None, repr=False, metadata=NOT_STORED)

@@ -211,10 +211,12 @@ class FinishedPress:
     """Threshold of that channel, raw units."""
     thresholds: ContactSettings | None = None
     """Thresholds at the touch; `None` for the scene's."""
+    vectors: FloatArray | None = field(default=None, metadata=OPTIONAL_FIELD)
+    """(k, 3) float, raw units above the baseline, as in `Contact`; `None` for a skin of one axis."""
     late: LateAngles | None = field(default=None, metadata={"stored": False})
     """Angles that are too old; `None` if they came in time, or are those that came after the poke as well."""
     skin: FloatArray = field(default_factory=lambda: np.empty(0), metadata={"stored": False})
-    """(channels,) float, raw, mean of the still window; empty without one, and in a press that was read from a journal."""
+    """(values,) float, raw, mean of the still window; empty without one, and in a press that was read from a journal."""
     limit: FloatArray = field(default_factory=lambda: np.empty(0), metadata={"stored": False})
     """(channels,) float, raw units: response above which each channel answers; empty as `skin`."""
     top: float = field(default=math.nan, metadata={"stored": False})
@@ -224,14 +226,20 @@ class FinishedPress:
     drifted: bool = field(default=False, metadata={"stored": False})
     """Its answers are measured from rest values that drift."""
 
-    def with_answers(self, responses: FloatArray, candidates: IntArray) -> FinishedPress:
-        """Replace the answers by the (channels,) `responses`, raw units; `candidates` are the (c,) channels that are taxels."""
+    def with_answers(self, responses: FloatArray, candidates: IntArray, vectors: FloatArray | None = None) -> FinishedPress:
+        """Replace the answers by the (channels,) `responses`, raw units; `candidates` are the (c,) channels that are taxels.
+
+        `vectors` are (channels, 3), raw units; `None` for a skin of one axis.
+        """
         channels = candidates[(responses > self.limit)[candidates]]  # NaN is not above
         largest, needed = math.nan, math.nan
         if not len(channels):
             largest, needed = _closest_to_limit(responses[candidates], self.limit[candidates])
         at_top = self.at_top[np.isin(self.at_top, channels)]
-        return replace(self, channels=channels, responses=responses[channels], largest=largest, needed=needed, at_top=at_top)
+        answered = replace(
+            self, channels=channels, responses=responses[channels], largest=largest, needed=needed, at_top=at_top
+        )
+        return answered if vectors is None else replace(answered, vectors=vectors[channels])
 
     def without_frames(self) -> FinishedPress:
         """Leave out the frames: a session may keep thousands of presses."""
@@ -273,9 +281,9 @@ class Press:
         self.best: StillMean | None = None
         """The stillest window so far."""
         self.best_skin: FloatArray = np.empty(0)
-        """(channels,) float, raw, its mean skin frame."""
+        """(values,) float, raw, its mean skin frame."""
         self.best_frames: FloatArray = np.empty((0, 0))
-        """(n, channels) float, raw, its skin frames."""
+        """(n, values) float, raw, its skin frames."""
         self.late: LateAngles | None = None
         """Angles of the stillest window, if they came long before it."""
         # Sort key, smaller is better: 1 if the force is outside its range; spread/limit if above 1; distance to the force range

@@ -17,6 +17,7 @@ import numpy as np
 
 from skincal.contacts.press import FinishedPress
 from skincal.contacts.skin_drift import SkinDrift
+from skincal.contacts.taxel_answers import TaxelAnswers
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import Scene
 
@@ -122,8 +123,8 @@ class _PokeAtTop:
 class SkinWatch:
     """Watches the taxels `candidates` (c,) of every frame and every poke."""
 
-    def __init__(self, scene: Scene, candidates: IntArray, range_end: float = math.nan) -> None:
-        self._candidates, self._polarity = candidates, scene.skin.polarity
+    def __init__(self, scene: Scene, candidates: IntArray, answers: TaxelAnswers, range_end: float = math.nan) -> None:
+        self._candidates, self._polarity, self._answers_of_skin = candidates, scene.skin.polarity, answers
         self._given_end = math.nan if scene.skin.range is None else scene.skin.range[1 if scene.skin.polarity > 0 else 0]
         if math.isnan(self._given_end):
             self._given_end = range_end  # found before a break
@@ -140,7 +141,7 @@ class SkinWatch:
         """Raw value that pressed taxels cannot exceed; NaN while unknown."""
 
     def on_frame(self, skin: FloatArray) -> None:
-        """Process one skin frame (channels,)."""
+        """Process the watched values of one skin frame (channels,)."""
         values = skin[self._candidates]
         lowest, highest = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
         if not lowest < highest:  # also NaN
@@ -172,7 +173,7 @@ class SkinWatch:
             return False
         before = self.range_end
         own = self._candidates
-        response = self._polarity * (press.skin - press.before.skin)[own]
+        response = self._answers_of_skin.responses(press.skin - press.before.skin)[own]
         sd = noise[own]
         self._still_pokes += 1
         if np.isfinite(response).any():

@@ -18,6 +18,7 @@ import numpy as np
 
 from skincal.contacts.press import FinishedPress
 from skincal.contacts.tare import Tare
+from skincal.contacts.taxel_answers import TaxelAnswers
 from skincal.geometry import FloatArray, IntArray
 
 DRIFT_MIN_SHARE_OF_LIMIT = 0.4
@@ -31,23 +32,23 @@ POKES_FOR_RATE = 5
 
 
 class SkinDrift:
-    """Drift of the taxels `candidates` (c,) of a skin with `channels` values and a polarity of 1 or -1."""
+    """Drift of the taxels `candidates` (c,) of a skin with these `answers`, whose frames have `width` values."""
 
-    def __init__(self, candidates: IntArray, channels: int, polarity: int) -> None:
-        self._candidates, self._polarity = candidates, polarity
+    def __init__(self, candidates: IntArray, width: int, answers: TaxelAnswers) -> None:
+        self._candidates, self.answers = candidates, answers
         self._rates: deque[FloatArray] = deque(maxlen=POKES_FOR_RATE)
-        self.rate: FloatArray = np.zeros(channels)
-        """(channels,) float, raw units a second, of the last pokes; 0 without drift."""
+        self.rate: FloatArray = np.zeros(width)
+        """(values,) float, raw units a second, of the last pokes; 0 without drift."""
         self.means: list[float] = []
         """Raw units a second: for each drifting poke the median rate of its channels."""
 
     def rest_at(self, tare: Tare, time_s: float) -> FloatArray:
-        """Predict the values at rest (channels,), raw, from the tare before."""
+        """Predict the values at rest (values,), raw, from the tare before."""
         return tare.skin + self.rate * (time_s - tare.time_s) if self._rates else tare.skin
 
     def with_first_answers(self, press: FinishedPress, time_s: float) -> FinishedPress:
         """Measure the answers of a press at `time_s` from the tare before it: the one after it is not known yet."""
-        return self._answers(press, self._polarity * (press.skin - self.rest_at(press.before, time_s)))
+        return self._with_answers(press, press.skin - self.rest_at(press.before, time_s))
 
     def judge(self, press: FinishedPress, after: Tare | None) -> FinishedPress:
         """Measure the answers of a finished press from the line between its tares if the skin drifts, else from the first one.
@@ -60,19 +61,19 @@ class SkinDrift:
         span = after.time_s - before.time_s
         change = after.skin - before.skin
         share = (still.time_s - before.time_s) / span
-        above_line = self._polarity * (press.skin - before.skin - share * change)
-        if not self._is_drifting(above_line, change, press.limit):
+        above_line = press.skin - before.skin - share * change
+        if not self._is_drifting(self.answers.responses(above_line), change, press.limit):
             self._forget()
-            return self._answers(press, self._polarity * (press.skin - before.skin)) if press.drifted else press
+            return self._with_answers(press, press.skin - before.skin) if press.drifted else press
         self._rates.append(change / span)
         self.rate = np.nan_to_num(np.median(np.array(self._rates), axis=0))
-        self.means.append(float(np.nanmedian(change[self._candidates] / span)))
-        return replace(self._answers(press, above_line), drifted=True)
+        self.means.append(float(np.nanmedian(self.answers.watched(change)[self._candidates] / span)))
+        return replace(self._with_answers(press, above_line), drifted=True)
 
     def _is_drifting(self, above_line: FloatArray, change: FloatArray, limit: FloatArray) -> bool:
         own = self._candidates
         unpressed = above_line[own] <= limit[own]  # NaN is neither
-        changed = unpressed & (np.abs(change[own]) > DRIFT_MIN_SHARE_OF_LIMIT * limit[own])
+        changed = unpressed & (self.answers.sizes(change)[own] > DRIFT_MIN_SHARE_OF_LIMIT * limit[own])
         least = max(DRIFT_MIN_CHANNELS, DRIFT_MIN_SHARE_OF_CHANNELS * np.count_nonzero(unpressed))
         return bool(np.count_nonzero(changed) >= least)
 
@@ -81,5 +82,6 @@ class SkinDrift:
             self._rates.clear()
             self.rate = np.zeros_like(self.rate)
 
-    def _answers(self, press: FinishedPress, responses: FloatArray) -> FinishedPress:
-        return press.with_answers(responses, self._candidates)
+    def _with_answers(self, press: FinishedPress, change: FloatArray) -> FinishedPress:
+        answers = self.answers
+        return press.with_answers(answers.responses(change), self._candidates, answers.vectors(change, press.skin))

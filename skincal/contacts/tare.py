@@ -48,7 +48,7 @@ class Tare:
     wrench: FloatArray
     """(6,) float, mean, N and N m, sensor frame."""
     skin: FloatArray = field(default_factory=lambda: np.empty(0), metadata={"stored": False})
-    """(channels,) float, raw, median; NaN if the channel gave no number. Empty in a tare that was read from a journal."""
+    """(values,) float, raw, median; NaN if the channel gave no number. Empty in a tare that was read from a journal."""
 
 
 def wrench_baseline(before: Tare, after: Tare | None, time_s: float) -> FloatArray:
@@ -101,9 +101,9 @@ def window_length(seconds: float, period_s: float) -> int:
 
 
 class TareKeeper:
-    """Finds quiet windows between pokes and keeps the newest tares; a skin frame has `channels` values."""
+    """Finds quiet windows between pokes and keeps the newest tares; a skin frame has `width` values."""
 
-    def __init__(self, settings: ContactSettings, channels: int) -> None:
+    def __init__(self, settings: ContactSettings, width: int) -> None:
         self.quiet_s = settings.quiet_s
         """s, length of a quiet window."""
         self._run: deque[Sample] = deque()
@@ -111,11 +111,11 @@ class TareKeeper:
         self._recent: deque[Tare] = deque(maxlen=8)
         self._samples_since_tare = 0
         self._noise_windows = 0
-        self._variance = np.zeros(channels)
-        self.noise: FloatArray = np.zeros(channels)
-        """(channels,) float, raw units, sd of each channel at rest; 0 before the first tare."""
+        self._variance = np.zeros(width)
+        self.noise: FloatArray = np.zeros(width)
+        """(values,) float, raw units, sd of each value at rest; 0 before the first tare."""
         self.rest_skin: FloatArray | None = None
-        """(channels,) float, raw: the skin at its last rest; stays when the tare is dropped."""
+        """(values,) float, raw: the skin at its last rest; stays when the tare is dropped."""
 
     @property
     def tare(self) -> Tare | None:

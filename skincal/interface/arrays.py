@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from skincal.contacts.answers_of_skin import answers_of
 from skincal.contacts.gates import answer_limit, judge
 from skincal.contacts.press import FinishedPress, StillMean
 from skincal.contacts.tare import Tare
@@ -32,7 +33,8 @@ def pipeline_of_arrays(
     scene = part.scene
     forces = _array(wrenches, "wrenches", (None, 6), "a row a poke, force in N and moment in N m")
     count = len(forces)
-    answers = _array(responses, "responses", (count, scene.skin.channels), "a row a poke, a column a channel of the scene")
+    columns = "a channel" if scene.skin.axes is None else "a value of a skin frame, three a channel,"
+    answers = _array(responses, "responses", (count, scene.skin.frame_width), f"a row a poke, a column {columns} of the scene")
     sensors = _sensor_poses(scene, poses, count)
     ends = np.zeros(count) if times is None else _array(times, "times", (count,), "seconds, a number a poke")
     if (lacking := np.flatnonzero(~np.isfinite(forces).all(axis=1))).size:
@@ -47,10 +49,11 @@ def pipeline_of_arrays(
 
 
 def _outcome(scene: Scene, number: int, still: StillMean, answers: FloatArray) -> Outcome:
-    """Judge one poke from its mean wrench and the change of each channel, (channels,); the tare is zero."""
+    """Judge one poke from its mean wrench and the change of each value of a skin frame; the tare is zero."""
     limit = answer_limit(scene.contacts, np.zeros(scene.skin.channels))
     candidates = np.arange(scene.skin.channels) if scene.skin.layout is None else scene.skin.layout.channels
-    response = scene.skin.polarity * answers
+    skin = answers_of(scene.skin)
+    response, vectors = skin.responses(answers), skin.vectors(answers, None)
     with np.errstate(invalid="ignore"):
         channels = candidates[(response > limit)[candidates]]
     largest = response[candidates]
@@ -68,6 +71,7 @@ def _outcome(scene: Scene, number: int, still: StillMean, answers: FloatArray) -
         still=still,
         channels=channels,
         responses=response[channels],
+        vectors=None if vectors is None else vectors[channels],
         largest=float("nan") if len(channels) or best < 0 else float(largest[best]),
         needed=float("nan") if len(channels) or best < 0 else float(limit[candidates[best]]),
     )

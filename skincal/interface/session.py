@@ -375,7 +375,7 @@ def _read(
 ) -> Session:
     importer = next(each for each in RECORDING_IMPORTERS if each.name == name)
     part = scene.part
-    recording = importer.open_recording(places, joint_columns(part.scene), channels=part.scene.skin.channels)
+    recording = importer.open_recording(places, joint_columns(part.scene), channels=part.scene.skin.frame_width)
     pipeline = Pipeline(part.scene, recording.links, part.surface, laid=part.laid)
     play_recording(pipeline, recording, pose)
     first = next(iter(places.values())).path

@@ -289,6 +289,10 @@ def _check_contact(contact: Contact) -> Contact:
     is_bounded = all(-MAX_MEASURED_VALUE <= number <= MAX_MEASURED_VALUE for number in numbers)  # false for NaN
     is_right = 0 < contact.poke < MAX_POKE_NUMBER and any(numbers[:3])
     is_right &= len(channels) == len(responses) > 0 and channels == sorted(set(channels)) and min(responses) > 0
+    if contact.vectors is not None:
+        readings = contact.vectors.ravel().tolist()
+        is_right &= len(contact.vectors) == len(channels)
+        is_right &= all(math.isnan(number) or abs(number) <= MAX_MEASURED_VALUE for number in readings)
     if not is_bounded or not is_right:
         raise ValueError(f"poke {shown(contact.poke)} is none that was measured")
     return contact

@@ -24,8 +24,10 @@ PARSE_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError, Ove
 """Errors of `from_json` on JSON that skincal never wrote."""
 OPTIONAL_FIELD: Mapping[str, Any] = {"optional": True}
 """Metadata of a field that is left out while it is `None`, so that older files keep their bytes."""
-ARRAY_SHAPES = {"tip": (3,), "force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4)}
-"""Shapes of arrays by the name of their field; all others have one dimension."""
+ARRAY_SHAPES: Mapping[str, tuple[int | None, ...]] = {
+    "tip": (3,), "force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4), "vectors": (None, 3),
+}  # fmt: skip
+"""Shapes of arrays by the name of their field, `None` for any length; all others have one dimension."""
 MAX_POSE_COORDINATE_M = 1e3
 """m. Largest number in a pose: no sensor is a kilometre away."""
 
@@ -115,9 +117,9 @@ def _read_float(value: Any) -> float:
     return float(value)
 
 
-def _read_array(value: Any, kind: type[Any], shape: tuple[int, ...] | None) -> Any:
+def _read_array(value: Any, kind: type[Any], shape: tuple[int | None, ...] | None) -> Any:
     array = np.array(_exact(list, value), dtype=kind)  # as a float, null is NaN and "inf" infinity
-    if array.shape != (shape or (len(value),)):
+    if array.shape != tuple(len(value) if size is None else size for size in shape or (None,)):
         raise ValueError(f"an array has the shape {array.shape}")
     return array
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from skincal.model.tables import MAX_LENGTH_M, Table, check_degrees, check_metre
 from skincal.model.tool_rig import BASE_LINK, ToolSpec, read_tool
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import WrenchFrame, WrenchPlace, find_wrench_frame, read_wrench_place
+
+if TYPE_CHECKING:
+    from skincal.model.skin_axes import SkinAxes
 
 _KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
 """Settings that the file gives in degrees, by their key there."""
@@ -44,7 +47,7 @@ class SkinSpec:
     """The skin's stream and, where the maker gives one, its layout."""
 
     channels: int
-    """Width of a skin frame."""
+    """Number of channels; each is a taxel, or none. A skin frame has one value for each, or three (`axes`)."""
     polarity: int
     """+1 where raw values rise under pressure, -1 where they fall."""
     layout: Layout | None
@@ -52,6 +55,13 @@ class SkinSpec:
     """Planned position of the layout on the part; `None` if unknown."""
     range: tuple[float, float] | None
     """Lowest and highest raw value of the device; a taxel that stays there is stuck."""
+    axes: SkinAxes | None = None
+    """The values of taxels that measure a force vector; `None` for taxels of one value."""
+
+    @property
+    def frame_width(self) -> int:
+        """Number of values of a skin frame."""
+        return self.channels * (1 if self.axes is None else len(self.axes.places))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,7 +249,7 @@ def load_scene(path: Path) -> Scene:
         arm=_robot_arm(made) if arm is None else _read_arm(arm),
         sensor_pose=_fixed_sensor_pose(made) if sensor is None else sensor.pose("pose"),
         wrench_sign=_read_sign(wrench, _usual_sign(made, made_tool)),
-        contacts=_read_settings(contacts, ContactSettings),
+        contacts=_read_contacts(contacts, spec.axes),
         noise=_read_settings(noise, NoiseSettings),
         path=path,
         landmarks=_read_landmarks(root, path),
@@ -267,13 +277,23 @@ def _read_skin(table: Table, path: Path) -> SkinSpec:
     limits = table.array("range", (2,), None)
     if limits is not None and not limits[0] < limits[1]:
         raise InputError(f"{table.where}: range is {limits.tolist()}; expected the lowest raw value, then the highest.")
+    polarity = table.choice("polarity", {"up": 1, "down": -1}, 1)
     return SkinSpec(
         channels=channels,
-        polarity=table.choice("polarity", {"up": 1, "down": -1}, 1),
+        polarity=polarity,
         layout=layout,
         anchor=None if anchor is None else read_anchor(anchor),
         range=None if limits is None else (float(limits[0]), float(limits[1])),
+        axes=_read_skin_axes(table, polarity),
     )
+
+
+def _read_skin_axes(table: Table, polarity: int) -> SkinAxes | None:
+    if not {"axes", "order", "values", "response", "unit"} & set(table.keys):
+        return None
+    from skincal.model.skin_axes import read_axes  # only for skins of three axes
+
+    return read_axes(table, polarity)
 
 
 def _read_surface(table: Table, path: Path) -> SurfaceSpec:
@@ -421,6 +441,13 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
         _check_setting(table.where, key, value, default)
         given[item.name] = value if key == item.name else float(np.radians(value))
     return kind(**given)
+
+
+def _read_contacts(table: Table | None, axes: SkinAxes | None) -> ContactSettings:
+    """Read the thresholds of pokes; a skin in newtons has another default threshold of a taxel."""
+    is_given = table is not None and "response_min" in table.keys
+    settings: ContactSettings = _read_settings(table, ContactSettings)
+    return settings if axes is None or is_given else replace(settings, response_min=axes.response_min)
 
 
 def _check_setting(where: str, key: str, value: float, default: float) -> None:

@@ -51,6 +51,8 @@ class Pads:
     """
 
     def __init__(self, scene: Scene, surface: Surface, rng: np.random.Generator) -> None:
+        if scene.skin.axes is not None:
+            raise InputError(f"{scene.path}: a robot does not poke a skin of three axes here; leave out axes = 3.")
         shift, turn = MOUNT_SHIFT_M * rng.standard_normal(2), MOUNT_TURN * rng.standard_normal()
 
         def displaced(anchor: Anchor) -> Anchor:

@@ -173,7 +173,7 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
             f"{scene.path.name}: the sensor sits on the tool, and recordings of its poses cannot be imported; record the "
             "devices with `skincal record --tool`."
         )
-    files = replace(request.files, channels=scene.skin.channels)
+    files = replace(request.files, channels=scene.skin.frame_width)
     recording = files.open(joint_columns(scene), lambda share: go_on(read_share * share))
     with new_session(request.folder, scene, recording.links, copy=True) as pipeline:
         play_recording(pipeline, recording, request.pose or None, lambda share: go_on(read_share + (1 - read_share) * share))
@@ -207,7 +207,7 @@ def find_topics(
     needs_joints = scene.arm is not None and pose is None
     guessed, others = dict[Stream, RecordedPlace](), list[str]()
     if wanted - named.keys() or (needs_joints and Stream.JOINTS not in named):
-        found = guess_streams([path], scene.skin.channels, joint_columns(scene))
+        found = guess_streams([path], scene.skin.frame_width, joint_columns(scene))
         guessed = found.places
         for stream in (each for each in Stream if each in wanted - named.keys()):
             found.check_tied(stream)

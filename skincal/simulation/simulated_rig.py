@@ -124,6 +124,12 @@ class SimulatedArmPose:
     """(6,) float, N and N m, sensor frame: wrench of the part's weight."""
 
 
+def refuse_three_axes(scene: Scene) -> None:
+    """Raise InputError for a skin of three axes."""
+    if scene.skin.axes is not None:
+        raise InputError(f"{scene.path}: a skin of three axes is not simulated; leave out axes = 3 to simulate one axis.")
+
+
 class Rig:
     """A simulated rig and its sensor readings. `rng` draws all errors that are constant in a session.
 
@@ -133,6 +139,7 @@ class Rig:
     def __init__(self, scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator) -> None:
         # Separate random streams: a rig with another sensor has the same skin.
         mount, skin, arm, sensor = rng.spawn(4)
+        refuse_three_axes(scene)
         self.scene, self.surface, self.errors, self.foam = scene, surface, errors, Foam()
         self.channels, self.places, self.normals = _mounted(scene, surface, errors, mount)
         if surface is not None:

@@ -38,7 +38,7 @@ class ExpectedReadings:
         used = () if scene.arm is None else tuple(scene.arm.arm.joints)
         names = () if scene.robot is None else scene.robot.columns
         form = None if scene.tool is None else scene.tool.streamed_form
-        return cls(scene.skin.channels, max(used, default=-1) + 1, names, used, form)
+        return cls(scene.skin.frame_width, max(used, default=-1) + 1, names, used, form)
 
     @property
     def widths(self) -> Mapping[Stream, int]:

@@ -279,10 +279,10 @@ class RecordingPreview:
         widths = {stream.stream: stream.width for stream in self.streams}
         skin, joints = widths[Stream.SKIN], widths.get(Stream.JOINTS)
         found: list[str] = []
-        if skin != scene.skin.channels:
+        if skin != scene.skin.frame_width:
             found.append(
                 f"A row of the skin has {plural(skin, 'value')}, and the scene {scene.name} has "
-                f"{plural(scene.skin.channels, 'channel')}; choose the scene that it was recorded on."
+                f"{_expected_values(scene)}; choose the scene that it was recorded on."
             )
         if widths[Stream.WRENCH] != WRENCH_VALUES:
             found.append("No row of the force/torque recording has fx fy fz mx my mz; choose another file.")
@@ -294,6 +294,11 @@ class RecordingPreview:
             number = plural(max(scene.arm.arm.joints) + 1, "joint")
             found.append(f"A row of the joints has {plural(joints, 'value')}; the scene's arm needs {number} or more.")
         return tuple(found)
+
+
+def _expected_values(scene: Scene) -> str:
+    channels = plural(scene.skin.channels, "channel")
+    return channels if scene.skin.axes is None else f"{channels} of three axes, {plural(scene.skin.frame_width, 'value')}"
 
 
 def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda: True) -> RecordingPreview:
