@@ -9,13 +9,13 @@ import numpy as np
 
 from app.state.policies import Offer
 from skincal.following.review import Review
-from skincal.rig.correction import RIG, UsedCorrection
+from skincal.rig.correction import UsedCorrection
 from skincal.session.corrections import used_of
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
 from skincal.words.layout_words import distance_sentences
 from skincal.words.mistake_words import frame_sentence
-from skincal.words.rig_words import correction_sentence, rig_sentences
+from skincal.words.rig_words import correction_sentence, rig_error_sentences, rig_sentences
 from skincal.words.taxel_words import rig_name
 from skincal.words.units import DASH, cell, millimetres
 
@@ -69,15 +69,9 @@ def review_words(
     review: Review, snapshot: Snapshot, method: Method, estimates: Sequence[Estimate], *, has_arm: bool = True
 ) -> tuple[str, ...]:
     """List the sentences on errors of the rig, most important first."""
-    frame, rig, found = review.frame, review.rig, rig_sentences(review.rig, has_arm=has_arm)
-    said = [] if frame is None else [frame_sentence(frame, has_arm=has_arm)]
-    said += [correction_sentence(used, has_arm=has_arm) for used in snapshot.decisions.corrections.values()]
-    if RIG not in snapshot.decisions.corrections:
-        said += found[:1]
-    elif not rig.used:
-        said.append(f"The present landmark pokes no longer support the correction. {found[0]}")
     moved = moved_words(review, method, estimates)
-    return tuple(filter(None, (*said, moved, *found[1:], *distance_sentences(snapshot.tried_distances))))
+    said = rig_error_sentences(review.frame, snapshot.decisions.corrections, review.rig, moved, has_arm=has_arm)
+    return (*said, *distance_sentences(snapshot.tried_distances))
 
 
 def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None, *, has_arm: bool = True) -> str:

@@ -259,9 +259,8 @@ def _tip_result(frame: TipFrame | None) -> tuple[dict[str, Any], list[str]]:
 
 def _rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
     """Summarise what landmark pokes say of sensor and arm, as JSON and in lines; both empty without such pokes."""
-    from skincal.rig.correction import RIG
     from skincal.words.mistake_words import frame_sentence
-    from skincal.words.rig_words import correction_sentence, rig_sentences
+    from skincal.words.rig_words import rig_error_sentences
 
     frame, answer, used = results.frame, results.rig, results.session.decisions.corrections
     if answer is None:
@@ -279,9 +278,7 @@ def _rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
         rig["held_out_over_predicted"] = answer.ratio
         rig["noise_over_scene"] = answer.noisier
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
-    lines = [] if frame is None else [frame_sentence(frame, has_arm=has_arm)]
-    lines += [correction_sentence(each, has_arm=has_arm) for each in used.values()]
-    return rig, lines + list(rig_sentences(answer, has_arm=has_arm)[1 if RIG in used else 0 :])
+    return rig, rig_error_sentences(frame, used, answer, has_arm=has_arm)
 
 
 def _estimates_if_corrected(results: SessionResults) -> Estimates | None:
@@ -289,12 +286,12 @@ def _estimates_if_corrected(results: SessionResults) -> Estimates | None:
     from skincal.methods import estimate_taxels
     from skincal.rig.correction import RIG, CorrectionErrors
 
-    session, answer = results.session, results.rig
-    if answer is None or not answer.used or answer.correction is None or RIG in session.decisions.corrections:
+    session, correction = results.session, None if results.rig is None else results.rig.usable
+    if correction is None or RIG in session.decisions.corrections:
         return None
-    contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
+    contacts = [correction.corrected(contact) for contact in session.rig_request().contacts]
     noise, surface, model = session.scene.noise, session.surface, session.module_model
-    shared = CorrectionErrors(answer.correction, {contact.poke: contact for contact in contacts}.__getitem__)
+    shared = CorrectionErrors(correction, {contact.poke: contact for contact in contacts}.__getitem__)
     solved = estimate_taxels(
         contacts, session.channels, session.methods, noise, surface, session.dead, model=model, shared=shared
     )

@@ -144,7 +144,7 @@ def review_rig(request: ReviewRequest, between: Callable[[], None] = lambda: Non
     pokes = request.landmarks
     frame, rig = diagnose_rig(request, between)
     between()
-    found, is_corrected = rig.correction if rig.used else None, RIG in request.used
+    found, is_corrected = rig.usable, RIG in request.used
     after = [found.corrected(contact) for contact in request.contacts] if found is not None and not is_corrected else None
     if model is None and (is_corrected or after is not None):
         model = _model_of(request.scene.skin, request.scene.distances, request.surface)

@@ -21,7 +21,6 @@ from skincal.guide.progress import GuideSettings
 from skincal.model.errors import list_channels, plural
 from skincal.reporting.drawings import VIEW_NAMES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts
-from skincal.rig.correction import RIG
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate
 from skincal.taxels.shared_errors import PredictedError
@@ -30,7 +29,7 @@ from skincal.words.layout_words import distance_sentences, left_sentences, misfi
 from skincal.words.link_words import beside_words, outage_words
 from skincal.words.mistake_words import frame_sentence, setup_sentences
 from skincal.words.poke_words import REASON_WORDS, poke_count_words
-from skincal.words.rig_words import correction_sentence, rig_sentences
+from skincal.words.rig_words import rig_error_sentences
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words, unchecked_sentence
 from skincal.words.units import millimetres
 from skincal.words.verdict_words import agreement_words, check_words, closing_words, figures, left_words, verdict_sentence
@@ -315,9 +314,7 @@ def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tupl
 def _rig(facts: SessionFacts) -> ReportSection:
     used = facts.results.snapshot.decisions.corrections
     has_arm = facts.verdict.has_arm
-    said = [] if facts.results.frame is None else [frame_sentence(facts.results.frame, has_arm=has_arm)]
-    said += [correction_sentence(each, has_arm=has_arm) for each in used.values()]
-    said += [] if facts.results.rig is None else rig_sentences(facts.results.rig, has_arm=has_arm)[1 if RIG in used else 0 :]
+    said = rig_error_sentences(facts.results.frame, used, facts.results.rig, has_arm=has_arm)
     poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
     said += [] if off is None else [unchecked_sentence(off, poked, has_arm=has_arm)]
     said += distance_sentences(facts.results.snapshot.tried_distances)

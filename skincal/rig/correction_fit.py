@@ -242,6 +242,11 @@ class RigAnswer:
     """Factor on the scene's noise that the landmark pokes' own misses suggest, one of `NOISE_FACTORS`. It widens the
     prediction of held-out pokes, so `ratio` tells little if it is large."""
 
+    @property
+    def usable(self) -> Correction | None:
+        """The correction if it is worth using."""
+        return self.correction if self.used else None
+
 
 @dataclass(frozen=True, slots=True)
 class LandmarkAgreement:

@@ -145,7 +145,7 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
     """
     if frame is not None and not frame.right and frame.wrench_frame:
         return None  # it would hide that the wrench is in another frame
-    tried = rig.correction if rig.used else None
+    tried = rig.usable
     if frame is not None and not frame.right and frame.explained and (frame.sure or tried is None):
         found = frame.mistake.correction
         # It was found on top of the frame correction in use, and replaces it.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import sqrt
 
 from skincal.rig.closing import Closing, ClosingPlaces
-from skincal.rig.correction import FRAME, UsedCorrection
+from skincal.rig.correction import FRAME, RIG, UsedCorrection
 from skincal.rig.correction_fit import (
     MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT,
     MIN_LANDMARK_POKES,
@@ -14,6 +14,8 @@ from skincal.rig.correction_fit import (
     REPORT_LANDMARK_POKES_WITH_TRUST_BELOW,
     RigAnswer,
 )
+from skincal.rig.frame_check import FrameDiagnosis
+from skincal.words.mistake_words import frame_sentence
 from skincal.words.taxel_words import rig_name
 from skincal.words.units import millimetres
 
@@ -90,3 +92,31 @@ def rig_sentences(answer: RigAnswer, *, has_arm: bool = True) -> tuple[str, ...]
         if trust < REPORT_LANDMARK_POKES_WITH_TRUST_BELOW
     ]
     return (first, *doubted)
+
+
+def rig_error_sentences(
+    frame: FrameDiagnosis | None,
+    used: Mapping[str, UsedCorrection],
+    answer: RigAnswer | None,
+    moved: str = "",
+    *,
+    has_arm: bool = True,
+) -> list[str]:
+    """List the errors of the rig that landmark pokes show, most important first.
+
+    Parameters
+    ----------
+    used : corrections in use
+    answer : fit of the rig's correction; `None` without landmark pokes
+    moved : sentence on the taxels that a correction moves
+    """
+    said = [] if frame is None else [frame_sentence(frame, has_arm=has_arm)]
+    said += [correction_sentence(each, has_arm=has_arm) for each in used.values()]
+    if answer is None:
+        return [*said, *filter(None, [moved])]
+    offer, *doubted = rig_sentences(answer, has_arm=has_arm)
+    if RIG not in used:
+        said.append(offer)
+    elif not answer.used:
+        said.append(f"The present landmark pokes no longer support the correction. {offer}")
+    return [*said, *filter(None, [moved]), *doubted]

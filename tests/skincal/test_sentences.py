@@ -18,7 +18,7 @@ from skincal.taxels.shared_errors import PredictedError
 from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
 from skincal.words.link_words import STREAM_NAMES, link_verdict_words, outage_words, silent_links
 from skincal.words.mistake_words import frame_sentence
-from skincal.words.rig_words import correction_sentence, correction_words, rig_sentences
+from skincal.words.rig_words import correction_sentence, correction_words, rig_error_sentences, rig_sentences
 from skincal.words.taxel_words import error_words, state_sentence, unchecked_sentence
 from tests.approved import approved
 
@@ -206,6 +206,21 @@ def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_do
     assert rig_sentences(good) == (approved("rig.correctable", misses=misses), *doubted)
     left = approved("rig.left_as_is", with_mm="6.0", without_mm=7.4, below_mm=5.2)
     assert rig_sentences(replace(good, used=False, after=0.006)) == (left, *doubted)
+
+
+def test_a_correction_in_use_takes_the_place_of_the_offered_one_unless_the_pokes_no_longer_support_it():
+    frame, rig = (UsedCorrection(of, Correction(np.eye(6)), 0.0074, 0.0012, 21) for of in (FRAME, RIG))
+    trust, distances = {1: 1.0, 2: 0.0}, {1: 0.001, 2: 0.014}
+    good = RigAnswer(Correction(np.eye(6)), True, 0.0074, 0.0012, 6, trust, distances, NEITHER, NEITHER)
+    offer, doubted = rig_sentences(good)
+    begin, in_use = [frame_sentence(RIGHT), correction_sentence(frame)], correction_sentence(rig)
+    assert rig_error_sentences(RIGHT, {FRAME: frame}, good) == [*begin, offer, doubted]
+    assert rig_error_sentences(RIGHT, {FRAME: frame, RIG: rig}, good, "Moved.") == [*begin, in_use, "Moved.", doubted]
+    bad = replace(good, used=False, after=0.006)
+    left = rig_sentences(bad)[0]
+    unsupported = f"{approved('rig.unsupported')} {left}"
+    assert rig_error_sentences(None, {RIG: rig}, bad) == [in_use, unsupported, doubted]
+    assert rig_error_sentences(None, {}, None) == []
 
 
 def test_a_part_without_joints_hears_of_its_sensor_alone():
