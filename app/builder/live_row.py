@@ -28,6 +28,8 @@ class LiveRow(QWidget):
         grid.setColumnStretch(2, 1)
         self.row.add_to(grid)
         self._expected = ExpectedReadings(1)
+        self.skin_unit = ""
+        """Unit that the device names for the skin's values; empty for raw values."""
         self._is_open = False
         self._previews = previews = Previews()
         self.destroyed.connect(lambda: previews.stop_readers())
@@ -78,5 +80,6 @@ class LiveRow(QWidget):
         preview = self._previews.update().get(self._stream)
         if preview is not None:
             self.row.show_preview(preview)
+            self.skin_unit = preview.health.skin_unit
             if preview.frames:
                 self.read.emit(list(preview.frames))

@@ -30,7 +30,7 @@ from skincal.model.skin import KINDS, SkinKind
 from skincal.part.draft_preview import PartPreview
 from skincal.part.layout_placing import middle_of
 from skincal.part.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
-from skincal.part.touch_watch import TouchWatch
+from skincal.part.touch_watch import TouchWatch, default_threshold
 from skincal.streams.expected_readings import ExpectedReadings
 from skincal.words.layout_words import layout_size, unsaid_kind_finding
 
@@ -89,10 +89,15 @@ class SkinStep(Step):
         self.touched = secondary_label(TOUCH_HINT, wrap=True)
         self.use_polarity = button("Use this: they fall", run=self._use_polarity)
         self.use_polarity.setVisible(False)
-        touch = self.touched, self.live, row_of(self.again, self.use_polarity)
+        self.threshold = secondary_label("", wrap=True)
+        self.threshold.setVisible(False)
+        self.use_threshold = button("Use this t&hreshold", run=self._use_threshold)
+        self.use_threshold.setVisible(False)
+        touch = self.touched, self.threshold, self.live, row_of(self.again, self.use_polarity, self.use_threshold)
         self.fill(self.form, *touch)
         self._watch: TouchWatch | None = None
         self._falls = False
+        self._proposed = 0.0
 
     def _make_file_page(self) -> QWidget:
         page = QWidget()
@@ -215,7 +220,7 @@ class SkinStep(Step):
         if not frames:
             return
         if self._watch is None:
-            self._watch = TouchWatch(len(frames[0]))
+            self._watch = TouchWatch(len(frames[0]), self.live.skin_unit)
         for frame in frames:
             self._watch.feed(frame)
         if not self._watch.is_ready:
@@ -228,10 +233,28 @@ class SkinStep(Step):
         differs = len(touch.channels) > 0 and touch.falls != (self.draft.polarity == "down")
         self.use_polarity.setText(f"Use this: they {'fall' if touch.falls else 'rise'}")
         self.use_polarity.setVisible(differs)
+        self._show_threshold()
         before = self.answered
         if before is None or not np.array_equal(before, touch.channels):
             self.answered = touch.channels
             self.picture_changed.emit()
+
+    def _show_threshold(self) -> None:
+        """Compare noise and touch with the threshold of the part, and propose another one if it does not fit."""
+        found = None if self._watch is None else self._watch.threshold()
+        self.threshold.setVisible(found is not None)
+        self.use_threshold.setVisible(False)
+        if found is None or self._watch is None:
+            return
+        unit = self._watch.unit
+        used = self.draft.response_min or default_threshold(unit)
+        self.threshold.setText(found.sentence(used, unit))
+        self._proposed = found.proposed
+        self.use_threshold.setVisible(found.is_clear and not found.fits(used))
+
+    def _use_threshold(self) -> None:
+        self.change(replace(self.draft, response_min=self._proposed))
+        self._show_threshold()
 
     def _use_polarity(self) -> None:
         self.use_polarity.setVisible(False)
@@ -242,6 +265,7 @@ class SkinStep(Step):
         self.again.setVisible(False)
         self.touched.setText(TOUCH_HINT)
         self.use_polarity.setVisible(False)
+        self._show_threshold()
         self.picture_changed.emit()
 
     def leave(self) -> None:

@@ -97,7 +97,10 @@ class ThresholdsDialog(Dialog):
         self._state = state
         if not self.isVisible():
             return
-        now = asdict(state.snapshot.decisions.thresholds)
+        decisions = state.snapshot.decisions
+        if decisions.skin_response_min:
+            self._scene["response_min"] = decisions.skin_response_min
+        now = asdict(decisions.thresholds)
         if now != self._now:
             self._now = now
             self._show_fields()

@@ -387,6 +387,8 @@ class FrameDecoder(ABC):
             self.set_pose_form(self.defined_pose, 1.0)
         self.units = dict(DEFAULT_UNITS)
         """Names and unit of the values of a reading."""
+        self.skin_unit = ""
+        """Unit of the skin's values if the device names one, such as `N`; empty for raw values."""
         self.side_readings: dict[str, SideReading] = {}
         """Other quantities that the device measures, such as its temperature, by name and unit."""
 
@@ -544,4 +546,4 @@ class FrameDecoder(ABC):
             )
         unit = header.get("unit", "raw")[:UNIT_NAME_MAX_CHARS]
         if kind == "taxel" and unit != "raw":
-            self.units[Stream.SKIN] = f"values in {unit}"
+            self.units[Stream.SKIN], self.skin_unit = f"values in {unit}", unit

@@ -76,6 +76,7 @@ class PapillArrayDecoder(FrameDecoder):
         values = [value for force in forces for value in force]
         whole = self._width(Stream.SKIN) == len(values)
         self.units[Stream.SKIN] = f"{'Fx Fy Fz of' if whole else 'the force along'} each pillar, in N"
+        self.skin_unit = "N"
         if not whole:
             values = [abs(force[2]) for force in forces]
         device_s = time_us / US_PER_S

@@ -72,6 +72,7 @@ class XelaDecoder(FrameDecoder):
         whole = self._width(Stream.SKIN) == len(values)
         unit = "in N" if self._calibrated else "as raw words"
         self.units[Stream.SKIN] = f"{'x y z' if whole else 'the force across the skin'} of each taxel, {unit}"
+        self.skin_unit = "N" if self._calibrated else ""
         return values if whole else values[AXES_PER_TAXEL - 1 :: AXES_PER_TAXEL]
 
 

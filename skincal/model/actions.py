@@ -180,6 +180,16 @@ class SetThresholds:
 
 
 @dataclass(frozen=True, slots=True)
+class UseSkinUnit:
+    """Use the threshold of a taxel's answer that fits the unit of the skin; of the pipeline, for a scene that states none."""
+
+    unit: str
+    """Unit that the skin's device names."""
+    response_min: float
+    """In that unit."""
+
+
+@dataclass(frozen=True, slots=True)
 class Correct:
     """Use a correction of the rig, in place of one of the same kind; SI units."""
 
@@ -217,7 +227,8 @@ class Uncorrect:
 # fmt: off
 Action: TypeAlias = (
     Exclude | Restore | Undo | Redo | SetPose | MarkDead | Revive | AddLandmark | AtLandmark | FoundAtLandmark | MissedLandmark
-    | AskLandmark | AskPoke | SkipPoke | SkipLandmark | BeginClosing | SetThresholds | SkipClosing | Correct | Uncorrect
+    | AskLandmark | AskPoke | SkipPoke | SkipLandmark | BeginClosing | SetThresholds | UseSkinUnit | SkipClosing | Correct
+    | Uncorrect
 )
 # fmt: on
 

@@ -282,6 +282,8 @@ class LinkHealth:
     """Other quantities of the device so far, by name and unit."""
     units: str = ""
     """Units of its readings; empty while unknown."""
+    skin_unit: str = ""
+    """Unit that the device names for the skin's values, such as `N`; empty for raw values."""
     frames: tuple[str, ...] = ()
     """Frames that its messages name for the wrench, in their order."""
     verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)

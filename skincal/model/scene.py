@@ -204,6 +204,8 @@ class Scene:
     """Frame of the wrench that the scene names in place of the messages."""
     tool: ToolSpec | None = None
     """The tool that carries the sensor; `None` if the sensor is below the part."""
+    states_response_min: bool = True
+    """Whether `response_min` is written in the scene; if it is not, the unit of the skin may set it."""
 
     def wrench_frame(self, name: str) -> WrenchFrame:
         """Find the frame that messages name for a wrench; empty: they name none."""
@@ -238,6 +240,7 @@ def load_scene(path: Path) -> Scene:
         raise InputError(f"{path}: [arm], [sensor] and [robot] exclude each other; keep the one that places the sensor.")
     if tool is not None and (arm is not None or sensor is not None or robot is not None):
         raise InputError(f"{path}: [tool] excludes [arm], [sensor] and [robot]; keep the one that places the sensor.")
+    states_response_min = contacts is not None and "response_min" in contacts.keys
     spec, name, link = _read_skin(skin, path), root.take("name", str), root.take("link", str)
     made_tool = None if tool is None else read_tool(tool)
     made = None if robot is None else read_robot(robot, link, path.parent, surface is None)
@@ -258,6 +261,7 @@ def load_scene(path: Path) -> Scene:
         robot=made,
         wrench_place=read_wrench_place(wrench, made),
         tool=made_tool,
+        states_response_min=states_response_min,
     )
     _check_tool(scene)
     _check_force_order("" if contacts is None else contacts.where, scene.contacts)

@@ -7,10 +7,12 @@ of the iCub's `skinGui` files (`SkinMeshThreadPort.cpp`). Lengths are metres, an
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -29,6 +31,9 @@ class SkinKind(Enum):
 
 
 SKIN_KINDS = {kind.value: kind for kind in SkinKind}
+RESPONSE_MIN_OF_UNIT: Mapping[str, float] = MappingProxyType({"N": 0.15, "mN": 150.0})
+"""Default of `response_min` for a skin whose device names this unit: 7 times the noise of a good skin (0.02 N), and between one
+and two steps of a skin that sends tenths of a newton. A press of 4 N on six taxels gives each more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

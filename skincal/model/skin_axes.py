@@ -15,13 +15,11 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
+from skincal.model.skin import RESPONSE_MIN_OF_UNIT
 from skincal.model.tables import Table
 
 AXES_PER_TAXEL = 3
 AXIS_NAMES = ("x", "y", "z")
-NEWTON_RESPONSE_MIN = 0.15
-"""N. Default of `response_min` for skins in newtons: 7 times the noise of 0.02 N, and two steps of a skin at 0.1 N."""
-
 RAW_RESPONSE_MIN = 10.0
 """Raw units. As for skins of one axis."""
 
@@ -60,7 +58,7 @@ class SkinAxes:
     @property
     def response_min(self) -> float:
         """Default of the threshold of a taxel, in `unit`."""
-        return NEWTON_RESPONSE_MIN if self.unit == "N" else RAW_RESPONSE_MIN
+        return RESPONSE_MIN_OF_UNIT.get(self.unit, RAW_RESPONSE_MIN)
 
     def sort_values(self, frames: FloatArray) -> FloatArray:
         """Bring frames (..., 3 n), raw, in the device's order, to the axes of each taxel, (..., n, 3), with their signs."""

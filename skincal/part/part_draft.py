@@ -125,6 +125,8 @@ class PartDraft:
     """Name of that file in the scene; empty before the first writing."""
     anchor: AnchorDraft | None = None
     landmarks: tuple[LandmarkDraft, ...] = ()
+    response_min: float | None = None
+    """Threshold of a taxel's answer, in the unit of the skin; `None` for the default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,6 +218,7 @@ def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
         layout_name=skin.get("modules", ""),
         anchor=_read_anchor(skin["anchor"]) if "anchor" in skin else None,
         landmarks=tuple(map(_read_landmark, document.get("landmarks", ()))),
+        response_min=document.get("contacts", {}).get("response_min"),
     )
 
 
@@ -251,6 +254,7 @@ _ENTRY_COMMENTS: dict[Key, str] = {
     ("skin", "anchor", "point_mm"): "and where it is, link frame",
     ("skin", "anchor", "x"): "direction of the layout's x axis",
     ("skin", "anchor", "normal"): "outward",
+    ("contacts", "response_min"): "a taxel answers above it, in the unit of the skin",
     ("wrench", "sign"): "-1 if the sensor reports the reaction force",
 }
 _PATH_KEYS = (("robot", "urdf"), ("robot", "mesh"), ("surface", "mesh"))
@@ -291,6 +295,7 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
         for key in ("at_mm", "point_mm", "x", "normal"):
             entries[("skin", "anchor", key)] = getattr(draft.anchor, key)
     entries[("wrench", "sign")] = draft.sign
+    entries[("contacts", "response_min")] = draft.response_min
     return {key: value for key, value in entries.items() if value is not None}
 
 
@@ -354,6 +359,7 @@ def _entries_of_text(draft: PartDraft) -> dict[Key, Any]:
 def _all_keys(document: dict[str, Any]) -> list[Key]:
     """List the entries of a document that a draft knows."""
     known = [("name",), ("link",), ("skin", "channels"), ("skin", "polarity"), ("skin", "modules"), ("wrench", "sign")]
+    known += [("contacts", "response_min")]
     known += [("surface", key) for key in ("mesh", "unit", "pose")] + [("sensor", "pose")]
     known += [("robot", key) for key in ("urdf", "sensor", "mesh", "unit", "joints")]
     known += [("skin", "anchor", key) for key in ("at_mm", "point_mm", "x", "normal")]

@@ -29,6 +29,7 @@ from skincal.model.actions import (
     SkipLandmark,
     SkipPoke,
     Uncorrect,
+    UseSkinUnit,
 )
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, Landmark, Scene, with_thresholds
@@ -62,6 +63,8 @@ class Decisions:
     """Known points of the part: those of the scene, then those that the operator added."""
     thresholds: ContactSettings = field(default_factory=ContactSettings)
     """Thresholds for pokes that begin from now on."""
+    skin_response_min: float = 0.0
+    """Default of `response_min` in the unit of the skin; 0 for that of the scene."""
     pose: str = ""
     """Name of the chosen arm pose; empty if the joint stream says it."""
     excluded: frozenset[int] = frozenset()
@@ -87,6 +90,11 @@ class Decisions:
     def at_start(scene: Scene) -> Decisions:
         """Make the decisions of an empty session."""
         return Decisions(scene.landmarks, scene.contacts)
+
+    def default_thresholds(self, scene: Scene) -> ContactSettings:
+        """Return the scene's thresholds, with the default for the unit of the skin."""
+        given = scene.contacts
+        return replace(given, response_min=self.skin_response_min) if self.skin_response_min else given
 
 
 def is_undoable(action: Action) -> bool:
@@ -157,7 +165,7 @@ def _with_thresholds(action: SetThresholds, now: Decisions, scene: Scene, _: obj
     if len(action.names) != len(action.values) or len(set(action.names)) != len(action.names):
         numbers = f"{len(action.names)} names and {len(action.values)} values"
         raise InputError(f"Thresholds of a poke with {numbers}; expected a value each, and each name once.")
-    wanted = with_thresholds(scene.contacts, dict(zip(action.names, action.values, strict=True)))
+    wanted = with_thresholds(now.default_thresholds(scene), dict(zip(action.names, action.values, strict=True)))
     if wanted == now.thresholds:
         raise InputError("These thresholds of a poke are in use already.")
     return replace(now, thresholds=wanted)
@@ -292,6 +300,14 @@ class ActionKind:
     """Gives the present decisions without the action, from those before it and the present ones."""
 
 
+def _with_skin_unit(action: UseSkinUnit, now: Decisions, scene: Scene, _: object) -> Decisions:
+    # A scene that was changed after the recording may state it.
+    if scene.states_response_min:
+        return now
+    thresholds = with_thresholds(now.thresholds, {"response_min": action.response_min})
+    return replace(now, thresholds=thresholds, skin_response_min=action.response_min)
+
+
 def _describe_landmark_poke(action: AtLandmark | FoundAtLandmark) -> str:
     return f"poke {action.poke} at {action.name or 'no landmark'}"
 
@@ -309,6 +325,7 @@ ACTION_KINDS: dict[type[Action], ActionKind] = {
         lambda action: "change of thresholds" if action.names else "return to the scene's thresholds",
         _old_values("thresholds"),
     ),
+    UseSkinUnit: ActionKind(_with_skin_unit),
     MarkDead: ActionKind(_with_channel, lambda action: f"mark of channel {action.channel}", _old_values("marked", "revived")),
     Revive: ActionKind(_with_channel, lambda action: f"return of channel {action.channel}", _old_values("marked", "revived")),
     AddLandmark: ActionKind(_with_landmark, lambda action: f"landmark {action.name}", _old_values("landmarks")),

@@ -23,10 +23,11 @@ from skincal.contacts.skin_condition import SkinCondition
 from skincal.geometry import FloatArray
 from skincal.journal.documents import DetectorResult, Item, Result, SessionClosed, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
-from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, TimedAction
+from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, TimedAction, UseSkinUnit
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import Scene
+from skincal.model.skin import RESPONSE_MIN_OF_UNIT
 from skincal.model.tool_rig import TOOL_ARM_POSE
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, WrenchPlace
 from skincal.session.arm_poses import ArmPoses, CurrentPose
@@ -86,6 +87,8 @@ class Pipeline:
         self._frame_names: tuple[str, ...] = ()
         self.reads_frames = True
         """Wrenches are converted from the frames that messages name; in sessions of old formats they are not."""
+        self.finds_skin_unit = True
+        """The default of `response_min` follows the unit of the skin. A replay has the recorded action in its place."""
         self._now_ns = 0
         self._found_dead = False
         self.poses = ArmPoses(scene)
@@ -114,6 +117,8 @@ class Pipeline:
             if self._intake.has_new_frames:
                 self._intake.has_new_frames = False
                 self._note_frames()
+            if self.finds_skin_unit and (unit := self._intake.skin_unit):
+                self._use_skin_unit(unit, item.host_ns)
             for sample in samples:
                 outcomes += self._process_sample(sample)
             if self._interrupts_samples(item):
@@ -148,6 +153,14 @@ class Pipeline:
         for outcome in note.outcomes:
             self.session.add(outcome)
             self.poses.add_used(outcome.pose, outcome.link_from_sensor)
+
+    def _use_skin_unit(self, unit: str, host_ns: int) -> None:
+        """Use the default of `response_min` for a unit, unless the scene or the operator chose one, or a poke was made."""
+        self.finds_skin_unit = False
+        response_min = RESPONSE_MIN_OF_UNIT.get(unit, 0.0)
+        is_default = self.session.decisions.thresholds.response_min == self.scene.contacts.response_min != response_min
+        if response_min and is_default and not self.scene.states_response_min and not self.session.last_poke:
+            self.act(UseSkinUnit(unit, response_min), host_ns)
 
     def _find_frame(self, name: str) -> WrenchFrame:
         is_named = self.scene.wrench_place != WrenchPlace()
@@ -284,7 +297,7 @@ class Pipeline:
         self._earlier = self.totals()
         self.session.finalize_outcomes()
         self._connect(self.links if links is None else links)
-        self.poses.are_grouped = self.reads_frames = True
+        self.poses.are_grouped = self.reads_frames = self.finds_skin_unit = True
         self.journal = journal
         self.session.set_clock(None if journal is None else journal.clock)
         self.renew_detector()

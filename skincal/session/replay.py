@@ -118,6 +118,7 @@ def apply_item(pipeline: Pipeline, item: LogItem) -> None:
     if isinstance(item, SegmentHeader):
         if item.number > 1:
             pipeline.begin_segment(item.links)
+        pipeline.finds_skin_unit = False
         pipeline.poses.are_grouped = item.format >= FIRST_FORMAT_WITH_GROUPED_POSES
         pipeline.reads_frames = item.format >= FIRST_FORMAT_WITH_WRENCH_FRAMES
         pipeline.session.set_clock(item.clock)

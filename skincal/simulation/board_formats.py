@@ -37,6 +37,8 @@ class Encoder:
         """`None`: headers."""
         self.joint_names: tuple[str, ...] = ()
         """Names of the scene's columns of joint angles; empty if it has none."""
+        self.skin_factor = 1.0
+        """Value that a maker's device sends for each raw value of the skin."""
 
     def header(self, t_us: int, fields: str, width: int) -> bytes:
         """Encode the header: `key=value,...` and the number of values in a reading. A maker's device has none."""

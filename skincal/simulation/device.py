@@ -364,6 +364,8 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
             # TCP damages nothing, and UDP no delivered datagram.
             damage = errors if maker.serial else replace(errors, corrupted=0.0, dropped=0.0)
             encoder, link, hz = maker.encoder(), LossyLink(latency, damage, own), maker.hz or hz
+            if stream is Stream.SKIN:
+                encoder.skin_factor = maker.skin_factor(rig.scene, top)
             encoder.joint_names = () if rig.scene.robot is None else rig.scene.robot.columns
         else:
             encoder = board_encoder(settings.format, stream, top, header.width)

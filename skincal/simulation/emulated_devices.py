@@ -7,6 +7,7 @@ Written from the formats' descriptions without any code of the decoders, so that
 from __future__ import annotations
 
 import json
+import math
 import re
 import struct
 from collections.abc import Callable, Mapping
@@ -18,6 +19,8 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import SENSOR_STREAMS, Stream
+from skincal.model.scene import Scene
+from skincal.model.skin import RESPONSE_MIN_OF_UNIT
 from skincal.simulation.board_formats import Encoder
 from skincal.simulation.ros_outlets import Ros2Encoder
 
@@ -129,7 +132,7 @@ class PapillArrayEncoder(Encoder):
         block = struct.pack("<H", len(sensors)) + bytes(2 * len(sensors))
         for sensor in sensors:
             block += struct.pack("<H", len(sensor)) + bytes(2 * len(sensor))
-            block += b"".join(struct.pack("<H6f", 2, 0, 0, -value, 0, 0, 0) for value in sensor)
+            block += b"".join(struct.pack("<H6f", 2, 0, 0, -value * self.skin_factor, 0, 0, 0) for value in sensor)
         hub = struct.pack("<IQ", self._number(stream) + 1, t_us)
         data = struct.pack("<BHHHH", 2, 1, 9, 3, 9 + len(hub)) + hub + block
         return bytes.fromhex("55667788") + data + struct.pack("<H", sum(data) & 0xFFFF) + bytes.fromhex("aabbccdd")
@@ -379,6 +382,25 @@ class Maker:
     """Readings per second; 0: the rate of boards."""
     serial: bool = False
     """It has a serial line, which can damage bytes."""
+    skin_unit: str = ""
+    """Unit of its skin's values; empty for raw values."""
+    skin_max: float = math.inf
+    """Largest value of its skin, in that unit."""
+
+    def skin_factor(self, scene: Scene, top: float) -> float:
+        """Return its value for each raw value of the simulated skin, whose largest is `top`.
+
+        A threshold in the scene is in the unit of the skin; without one the default thresholds of both are one answer. Raises
+        InputError: the scene's values do not fit the device.
+        """
+        defaults, given = RESPONSE_MIN_OF_UNIT, scene.contacts.response_min
+        factor = 1.0 if scene.states_response_min else defaults.get(self.skin_unit, given) / given
+        if top * factor > self.skin_max:
+            raise InputError(
+                f"The skin of {scene.name} has values up to {top * factor:g}, and the device of --as sends up to "
+                f"{self.skin_max:g}; take another device, or a scene with a smaller range."
+            )
+        return factor
 
 
 MAKERS: Mapping[str, Maker] = MappingProxyType(
@@ -390,7 +412,7 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
         "rtde": Maker((Stream.WRENCH, Stream.JOINTS), RtdeEncoder, 125.0),
         "yarp": Maker(SENSOR_STREAMS, YarpEncoder, 0.0),
         "xela": Maker((Stream.SKIN,), XelaEncoder, 100.0),
-        "papillarray": Maker((Stream.SKIN,), PapillArrayEncoder, 100.0, serial=True),
+        "papillarray": Maker((Stream.SKIN,), PapillArrayEncoder, 100.0, serial=True, skin_unit="N"),
         "ros2": Maker(SENSOR_STREAMS, Ros2Encoder, 0.0),
     }
 )

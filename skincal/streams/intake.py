@@ -79,6 +79,11 @@ class Intake:
         return tuple(name for link in self._links.values() for name in link.frames.names)
 
     @property
+    def skin_unit(self) -> str:
+        """Unit that the skin's device names; empty for raw values."""
+        return next((link.skin_unit for link in self._links.values() if Stream.SKIN in link.spec.carries), "")
+
+    @property
     def unpaired(self) -> int:
         """Skin frames that found no wrench, LATE or UNPAIRED; the losses of the skin's link count them by reason."""
         return self._pairing.counts.total()
@@ -285,6 +290,7 @@ class LinkIntake:
             beside=self.side_readings(),
             frames=self.frames.names,
             units="; ".join(words for stream, words in decoder.units.items() if stream in spec.carries),
+            skin_unit=self.skin_unit,
             verdict=self.monitor.diagnose(now_ns),
             address=spec.address,
             freezes=self.monitor.freezes,
@@ -293,6 +299,11 @@ class LinkIntake:
             mixed=self.monitor.mixed_readings,
             outages=self._outages_until(now_ns),
         )
+
+    @property
+    def skin_unit(self) -> str:
+        """Unit that the device names for the skin's values; empty for raw values."""
+        return self._decoder.current.skin_unit
 
     def side_readings(self) -> Mapping[str, SideReading]:
         """Return the other quantities that the device measured."""

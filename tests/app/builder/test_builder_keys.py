@@ -175,6 +175,27 @@ def test_a_touch_marks_the_channels_that_answer_and_tells_the_polarity(bench, tu
         assert skin.answered is None
 
 
+def test_a_first_touch_of_a_skin_with_small_values_proposes_a_threshold_for_the_scene(bench, tube):  # noqa: F811
+    build = Builder(bench, tube)
+    skin = build.open_step("skin")
+    choose(skin.layout_kind, "modules")
+    build.settle()
+    rest = np.full(48, 0.5)
+    with closing(Lines(rest)) as device:
+        skin.live.row.set_address(device.address, agreed=True)
+        skin.live.row.agreed.emit()
+        bench.until(lambda: "No channel" in skin.touched.text(), OPEN_MS)
+        pressed = rest.copy()
+        pressed[24:26] += 8.0
+        device.values = pressed
+        bench.until(skin.use_threshold.isVisible, OPEN_MS)
+        assert "no taxel would answer" in skin.threshold.text()
+        skin.use_threshold.click()
+        assert build.draft.response_min == 0.8  # a tenth of the touch: this device has no noise and no step
+        bench.until(lambda: not skin.use_threshold.isVisible(), OPEN_MS)
+        assert "the threshold of 0.8 raw units fits" in skin.threshold.text()
+
+
 def test_the_arm_follows_the_joint_stream_and_wrong_columns_are_reported(bench):
     pytest.importorskip("icub_models")
     from tools.first_part import FRAME, SENSOR, find_icub
