@@ -136,9 +136,9 @@ class RigPanel(Panel):
         self.asked.setText("; ".join(filter(None, asked)))
         self.asked.setVisible(bool(asked))
         self.said.setText("\n".join([*self._setup.sentences, _words(state)]))
-        frame = state.snapshot.tip_frame
-        self.tip.setVisible(frame is not None)
-        self.tip.setText("" if frame is None else tip_sentence(frame))
+        tip = _tip_words(state)
+        self.tip.setVisible(bool(tip))
+        self.tip.setText(tip)
         offer = f"{offer_text(state.offers[0])}  (C)" if state.offers else ""
         drop = "Remove this correction" if state.snapshot.decisions.corrections else ""
         for button, text in ((self.offer, offer), (self.drop, drop)):
@@ -168,3 +168,15 @@ def _words(state: ViewState) -> str:
     return "\n".join(
         review_words(state.review, state.snapshot, state.method, state.estimates, has_arm=state.scene.arm is not None)
     )
+
+
+def _tip_words(state: ViewState) -> str:
+    """Describe the tip's positions, or the tip of a tool and the part's pose in the base; empty without them."""
+    snapshot = state.snapshot
+    if state.scene.tool is not None:
+        from skincal.words.part_words import tool_rig_sentences
+
+        return "\n".join(
+            tool_rig_sentences(snapshot.tip_frame, snapshot.part_pose, snapshot.typed_pose_error, snapshot.at_landmarks)
+        )
+    return "" if snapshot.tip_frame is None else tip_sentence(snapshot.tip_frame)

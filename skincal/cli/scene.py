@@ -216,7 +216,7 @@ def _scene_findings(part: Part, pose: FloatArray) -> list[str]:
     # Without [sensor] its place is not known.
     is_placed = robot is not None or scene.arm is not None or not np.array_equal(pose, np.eye(4))
     if scene.tool is not None:
-        findings += tool_findings(scene.tool, scene.wrench_sign)
+        findings += tool_findings(scene.tool, scene.wrench_sign, finds_part_pose=scene.finds_part_pose)
     elif not is_placed:
         findings.append("the sensor is taken at the origin of the link, with the link's axes; [sensor] gives another pose")
     if robot is not None:

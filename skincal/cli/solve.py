@@ -124,7 +124,7 @@ def solve(
     methods = _method_summaries(results, known, per_pose=per_pose)
     rig, rig_lines = _rig_result(results)
     setup = (*frame_sentences(results.session.wrench_frames, snapshot.contacts), *setup_sentences(results.setup))
-    tip, tip_lines = _tip_result(snapshot.tip_frame)
+    tip, tip_lines = _tip_result(snapshot.tip_frame) if pipeline.scene.tool is None else _tool_result(results)
     leads = None if results.leading is None else results.leading.value
     verdict = None if results.leading is None else output.verdict_words(results.verdict(results.leading))
     unchecked = results.verdict(results.choose_method(None)).unchecked
@@ -255,6 +255,24 @@ def _tip_result(frame: TipFrame | None) -> tuple[dict[str, Any], list[str]]:
         summary |= {"tip_sd_mm": frame.tip_sd * 1e3, "base_sd_mm": frame.shift_sd * 1e3}
         summary["base_sd_deg"] = math.degrees(frame.turn_sd)
     return summary | {"words": words}, [words]
+
+
+def _tool_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
+    """Summarise the tip of a tool and the part's pose in the base, as JSON and in lines."""
+    frame, part = results.snapshot.tip_frame, results.snapshot.part_pose
+    summary: dict[str, Any] = {"words": results.tool}
+    if frame is not None:
+        summary |= {"state": frame.state.value, "pokes": frame.pokes}
+    if part is not None:
+        summary["part"] = {
+            "state": part.state.value,
+            "sd_mm": part.sd * 1e3,
+            "base_from_link": part.base_from_link.tolist(),
+            "landmarks": part.landmarks,
+            "taxels": part.taxels,
+            "points": part.points,
+        }
+    return summary, list(results.tool)
 
 
 def _rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import error_words
+
+if TYPE_CHECKING:
+    from skincal.rig.part_pose import PartPose
 
 DEFAULT_FOOTPRINT_RADIUS_M = 0.002
 """m. Radius of a pad of iCub's skin: for skins whose spacing is not known."""
@@ -68,6 +72,8 @@ class Calibration:
     """Sentences on the mesh."""
     part_size: float = inf
     """m, see `Snapshot.part_size`."""
+    part_pose: PartPose | None = None
+    """Pose of the part in the base of a tool's poses; `None` unless it was found from the pokes."""
 
     def estimates_by(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
@@ -91,8 +97,13 @@ class Calibration:
         return self.scene.arm is not None
 
     def correction_comments(self) -> tuple[str, ...]:
-        """Describe the corrections in use, for a file's comments."""
-        return tuple(correction_words(used, has_arm=self.has_arm) for used in self.corrections)
+        """Describe the corrections in use, and a part's pose that was found, for a file's comments."""
+        used = tuple(correction_words(used, has_arm=self.has_arm) for used in self.corrections)
+        if self.part_pose is None:
+            return used
+        from skincal.words.part_words import part_pose_sentence
+
+        return part_pose_sentence(self.part_pose).removesuffix("."), *used
 
     def verdict_comments(self, method: Method) -> tuple[str, ...]:
         """Verdict, predicted error and the part that it leaves out, for a file's comments; empty without a verdict."""

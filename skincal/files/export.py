@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 
@@ -47,6 +47,9 @@ from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.taxel_words import STATE_WORDS, state_count_words, state_lines, state_sentence
 from skincal.words.units import millimetres
+
+if TYPE_CHECKING:
+    from skincal.rig.part_pose import PartPose
 
 PART_BOX_MARGIN_M = 0.020
 """m. Taxels are on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
@@ -302,6 +305,7 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
         "channels": [int(channel) for channel in calibration.channels],
         "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
         "corrections": [_correction(used) for used in calibration.corrections],
+        **_part_pose(calibration.part_pose),
         "verdicts": {method.value: words for method, words in calibration.verdicts.items()},
         "predicted_errors": {method.value: _error(calibration, method) for method in calibration.verdicts},
         "landmark_check": _landmark_check(calibration.rig),
@@ -325,6 +329,19 @@ def _error(calibration: Calibration, method: Method) -> dict[str, float | None] 
     found = calibration.predicted_error(method)
     unmodelled = calibration.unmodelled_rig_error_m.get(method)
     return None if found is None else {**_written(found, ERROR_KEYS), "unchecked_rig_m": unmodelled}
+
+
+def _part_pose(pose: PartPose | None) -> dict[str, Any]:
+    """Write the part's pose in the base of a tool's poses, if it was found from the pokes."""
+    if pose is None:
+        return {}
+    values = {
+        "state": pose.state.value,
+        "base_from_link": pose.base_from_link,
+        "centre": pose.centre,
+        "covariance": pose.covariance,
+    }
+    return {"part_pose": {key: _plain(value) for key, value in values.items()}}
 
 
 def _landmark_check(rig: RigAnswer | None) -> dict[str, Any] | None:

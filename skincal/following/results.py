@@ -84,8 +84,22 @@ class SessionResults:
     @cached_property
     def setup(self) -> SetupDiagnosis | None:
         """Mistakes of the scene that pokes on the skin show; `None` without a laid layout or with too few pokes."""
-        session = self.session
-        return check_setup(self.snapshot.contacts, session.scene, self.part.laid, session.surface, session.wrench_frames)
+        session, snapshot = self.session, self.snapshot
+        if not snapshot.is_placed:
+            return None
+        scene = snapshot.placed_scene(session.scene)
+        return check_setup(snapshot.contacts, scene, self.part.laid, session.surface, session.wrench_frames)
+
+    @cached_property
+    def tool(self) -> tuple[str, ...]:
+        """Sentences on the tip of a tool and the part's pose in the base of its poses; empty for other rigs."""
+        if self.session.scene.tool is None:
+            return ()
+        from skincal.words.part_words import tool_rig_sentences
+
+        return tool_rig_sentences(
+            self.snapshot.tip_frame, self.snapshot.part_pose, self.snapshot.typed_pose_error, self.snapshot.at_landmarks
+        )
 
     @cached_property
     def skin(self) -> tuple[str, ...]:

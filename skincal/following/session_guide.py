@@ -149,6 +149,7 @@ class SessionGuide:
 
     def _ask(self, guide: Guide, snapshot: Snapshot) -> Guidance:
         """Let a guide of one method follow a snapshot, and choose the next target on the skin."""
+        snapshot = snapshot.on_part
         guide.robot, method = self.robot, guide.method
         for skip in snapshot.decisions.skips[guide.session_skips :]:
             # A place without a known taxel is skipped for all methods.

@@ -77,18 +77,18 @@ class SetupFollower:
             self._corrections, self._is_due = corrections, True
             self._replace_finding((), None)
         enough = self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]
-        if part.laid is None or self._job.is_busy or not (enough or self._is_due):
+        if part.laid is None or not snapshot.is_placed or self._job.is_busy or not (enough or self._is_due):
             return
         self._is_due = False
         while self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]:
             self._next += 1
-        contacts = snapshot.contacts
+        contacts, scene = snapshot.contacts, snapshot.placed_scene(part.scene)
 
         def finish(diagnosis: SetupDiagnosis | None) -> None:
             if corrections == self._corrections:
                 self._finish(diagnosis)
 
-        self._job.start(lambda: check_setup(contacts, part.scene, part.laid, part.surface, frames), finish)
+        self._job.start(lambda: check_setup(contacts, scene, part.laid, part.surface, frames), finish)
 
     def _finish(self, diagnosis: SetupDiagnosis | None) -> None:
         first = diagnosis.mistakes[0] if diagnosis is not None and diagnosis.mistakes else None

@@ -203,9 +203,19 @@ class Scene:
     wrench_place: WrenchPlace = field(default_factory=WrenchPlace)
     """Frame of the wrench that the scene names in place of the messages."""
     tool: ToolSpec | None = None
-    """The tool that carries the sensor; `None` if the sensor is below the part."""
+    """The tool that carries the sensor, or that pokes without one; `None` if the sensor is below the part."""
     states_response_min: bool = True
     """Whether `response_min` is written in the scene; if it is not, the unit of the skin may set it."""
+
+    @property
+    def has_sensor(self) -> bool:
+        """Whether the rig has a force/torque sensor, below the part or on the tool."""
+        return self.tool is None or self.tool.has_sensor
+
+    @property
+    def finds_part_pose(self) -> bool:
+        """Whether the part's pose in the base of a tool's poses is to be found from pokes."""
+        return self.tool is not None and not self.tool.has_part_pose and self.link != BASE_LINK
 
     def wrench_frame(self, name: str) -> WrenchFrame:
         """Find the frame that messages name for a wrench; empty: they name none."""
@@ -401,7 +411,7 @@ def _usual_sign(robot: RobotSpec | None, tool: ToolSpec | None) -> int:
 
 
 def _check_tool(scene: Scene) -> None:
-    """Refuse a part without a pose in the tool's base if something of it has a place in the part's own frame."""
+    """Refuse a link whose pose in the tool's base is neither given nor shown by anything in the part's own frame."""
     if scene.tool is None or scene.tool.has_part_pose:
         return
     layout = scene.skin.layout
@@ -412,15 +422,15 @@ def _check_tool(scene: Scene) -> None:
         "an anchor of the layout": layout is not None and any(module.anchor is not None for module in layout.modules),
     }
     named = [name for name, has in in_part.items() if has]
-    if named:
+    if named and scene.link == BASE_LINK:
         raise InputError(
-            f"{scene.path}: base_from_link is missing in [tool], and {named[0]} lies in the part's frame; expected the part's "
-            "pose in the base of the tool's poses, or no such place."
+            f'{scene.path}: link is "base", and {named[0]} lies in the part\'s frame; expected the name of that frame as link: '
+            "pokes then show its pose in the base. Or leave the part's places out."
         )
-    if scene.link != BASE_LINK:
+    if not named and scene.link != BASE_LINK:
         raise InputError(
             f'{scene.path}: base_from_link is missing in [tool], so every position is in the base; expected link = "base", not '
-            f"{scene.link!r}, or the part's pose."
+            f"{scene.link!r}, the part's pose, or something that shows it: [[landmarks]], [surface] or [skin.anchor]."
         )
 
 

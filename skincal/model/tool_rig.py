@@ -1,11 +1,12 @@
-"""A rig whose force/torque sensor sits on the poking tool: `[tool]` of a scene, and the sensor's pose at each pose of the tool.
+"""A rig whose force/torque sensor sits on the poking tool, or that has none: `[tool]` of a scene, and the poses that follow.
 
 The part does not move, and the tool's pose is streamed in a frame that does not move either, such as a robot's base. So the
 sensor's pose in the part's link is
 
     link_from_sensor = link_from_base base_from_tool tool_from_sensor,
 
-another one at each poke. Without the part's pose in the base the link is the base itself.
+another one at each poke. Without the part's pose in the base the link is the base itself. Without a sensor its frame has the
+axes of the tool and the origin at the tip: a poke is then written as a unit force through it (docs/decisions/pose-rows.md).
 """
 
 from __future__ import annotations
@@ -26,12 +27,18 @@ TOOL_ARM_POSE = "tool"
 """Name of the arm pose of all pokes: the tool has another pose at each, and no two share an error of their own."""
 DEFAULT_TOOL_TURN_MAX_DEG = 1.0
 """Degrees. Largest turn of the tool between its tare and the poke: a tool of 0.5 kg then changes the force by 0.09 N."""
+TIP_SD_DEFAULT_MM = 0.5
+"""mm, sd of one place of the tip, each direction: a cobot's smooth position error over its workspace (issue 41)."""
+TIP_SD_RANGE_MM = (0.01, 10.0)
+TIP_RADIUS_MAX_MM = 50.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolSpec:
     """The tool of a scene, and how its poses are written."""
 
+    has_sensor: bool
+    """Whether the tool carries a force/torque sensor; without one the rig has none."""
     form: PoseForm | None
     """Form of the numbers; `None` if the stream must define it."""
     metres_per_unit: float | None
@@ -43,7 +50,11 @@ class ToolSpec:
     has_part_pose: bool
     """Whether the scene gives the part's pose in the base."""
     tip: FloatArray | None
-    """(3,) float, metres, tool frame: the end of the tip; `None` if not given."""
+    """(3,) float, metres, tool frame: centre of the tip's ball, or its end with a radius of 0; `None` if not given."""
+    tip_radius: float
+    """m, of the ball."""
+    tip_sd: float
+    """m, sd of one place of the tip by the tool's poses, each direction."""
     turn_max: float
     """rad, largest turn of the tool between its tare and the end of the poke."""
 
@@ -51,6 +62,11 @@ class ToolSpec:
     def streamed_form(self) -> tuple[PoseForm, float] | None:
         """Form of the numbers of a pose, and metres per unit of its lengths; `None` if the stream must define them."""
         return None if self.form is None or self.metres_per_unit is None else (self.form, self.metres_per_unit)
+
+    @property
+    def tip_in_sensor(self) -> FloatArray | None:
+        """(3,) float, metres, sensor frame: `tip`; `None` if the scene has none."""
+        return None if self.tip is None else inverse_pose(self.tool_from_sensor)[:3] @ np.append(self.tip, 1.0)
 
     def link_from_sensor(self, base_from_tool: FloatArray) -> FloatArray:
         """Compute the sensor's pose (4, 4) in the link at a pose of the tool, metres."""
@@ -63,18 +79,57 @@ class ToolSpec:
 
 def read_tool(table: Table) -> ToolSpec:
     """Read `[tool]`. Raises InputError with the key, the value found and what was expected."""
-    table.choice("sensor", {"tool": True})
+    has_sensor = table.choice("sensor", {"tool": True, "none": False})
     form, unit = _read_form(table)
     has_part_pose = "base_from_link" in table.keys
     base_from_link = table.pose("base_from_link", np.eye(4))
-    tool_from_sensor = table.pose("flange", np.eye(4))
     tip = table.lengths_mm("tip_mm", (3,)) if "tip_mm" in table.keys else None
+    if not has_sensor:
+        _refuse_keys_of_a_sensor(table, tip)
+    tool_from_sensor = table.pose("flange", np.eye(4)) if has_sensor else _shift(tip)
     tolerance = table.take("tolerance_deg", float, DEFAULT_TOOL_TURN_MAX_DEG)
     if not 0 < tolerance <= 90:
         raise InputError(f"{table.where}: tolerance_deg is {tolerance:g}; expected a number above 0, up to 90.")
+    radius = _read_length(table, "tip_radius_mm", 0.0, (0.0, TIP_RADIUS_MAX_MM))
+    tip_sd = _read_length(table, "tip_sd_mm", TIP_SD_DEFAULT_MM, TIP_SD_RANGE_MM)
     table.refuse_unknown_keys()
-    link_from_base = inverse_pose(base_from_link) if has_part_pose else np.eye(4)
-    return ToolSpec(form, unit, tool_from_sensor, link_from_base, has_part_pose, tip, float(np.radians(tolerance)))
+    return ToolSpec(
+        has_sensor=has_sensor,
+        form=form,
+        metres_per_unit=unit,
+        tool_from_sensor=tool_from_sensor,
+        link_from_base=inverse_pose(base_from_link) if has_part_pose else np.eye(4),
+        has_part_pose=has_part_pose,
+        tip=tip,
+        tip_radius=radius,
+        tip_sd=tip_sd,
+        turn_max=float(np.radians(tolerance)),
+    )
+
+
+def _refuse_keys_of_a_sensor(table: Table, tip: FloatArray | None) -> None:
+    named = [key for key in ("flange", "tolerance_deg") if key in table.keys]
+    if named:
+        raise InputError(f'{table.where}: {named[0]} is of a sensor on the tool, and sensor is "none"; leave {named[0]} out.')
+    if tip is None:
+        raise InputError(
+            f"{table.where}: tip_mm is missing; without a sensor the tip alone says where a poke is: "
+            "find it by skincal tool (docs/tool.md)."
+        )
+
+
+def _read_length(table: Table, key: str, default: float, limits: tuple[float, float]) -> float:
+    """Read a length in millimetres within limits, as metres."""
+    length = table.take(key, float, default)
+    if not limits[0] <= length <= limits[1]:
+        raise InputError(f"{table.where}: {key} is {length:g}; expected {limits[0]:g} to {limits[1]:g}.")
+    return length * 1e-3
+
+
+def _shift(tip: FloatArray | None) -> FloatArray:
+    pose = np.eye(4)
+    pose[:3, 3] = 0.0 if tip is None else tip
+    return pose
 
 
 def _read_form(table: Table) -> tuple[PoseForm | None, float | None]:

@@ -14,6 +14,9 @@ Three kinds of equations give it, in one weighted least squares.
   over the mesh is one unknown for all touches, with the scene's `skin` as its sd. A poke of a taxel then uses the layout only
   across n.
 
+An error d of the tip moves all touched points by T_k d, with the tool's rotation T_k: three more unknowns with a prior. Touches
+from all sides show it.
+
 A small motion of the part turns by w about the centre c of the touched points and shifts by s: p' = p + w x (p - c) + s. With
 W = B'B the equation of a point that should lie at y is B (x + R'(t - y)) = 0, and its derivative B R' [-S(y - c), I]: exact for
 a force axis, too, whose point x may be far from y. Gauss-Newton steps from many starts (`part_pose_starts`) with Huber's
@@ -27,7 +30,7 @@ Poses that differ and fit as well are rivals: a box fits turned by half a turn.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -61,6 +64,8 @@ DISAGREES_ABOVE_SDS = 5.0
 RIVAL_MIN_DISTANCE_M, RIVAL_MAX_CHI2_INCREASE = 0.010, 16.0
 """m, rms over the part, between two poses that are rivals; a rival fits no worse than by 4 standard deviations."""
 FIT_STEPS = 40
+TIP_MIN_SD_M = 1e-6
+"""m, added to the error of a tip, so that an exact one has an inverse."""
 CONVERGED_STEP_SDS = 1e-6
 """Steps smaller than this share of the standard deviations end a fit."""
 
@@ -87,14 +92,16 @@ class PartPose:
     """(4, 4) float, metres; the identity with few touches."""
     centre: FloatArray
     """(3,) float, metres, link frame: c."""
-    covariance: FloatArray
-    """(6, 6) float: of the turn w (rad) about the centre, and of the shift s (m), link frame."""
+    with_tip: FloatArray
+    """(9, 9) float: covariance of the turn w (rad) about the centre, of the shift s (m), link frame, and of `tip_shift`."""
     landmarks: int
     """Touches at landmarks that it was fitted to..."""
     taxels: int
     """...touches at taxels with a planned place..."""
     points: int
     """...and touches on the mesh."""
+    tip_shift: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,) float, metres: error of the tip that the touches show, in the frame of `PartShape.tip_covariance`."""
     ratio: float = 1.0
     """Misses over the expected ones: the root of chi-square over its degrees of freedom."""
     worst_landmark: int = 0
@@ -113,18 +120,37 @@ class PartPose:
         """(4, 4) float, metres: the pose as a scene writes it."""
         return inverse_pose(self.link_from_base)
 
+    def motion_to(self, link_from_base: FloatArray) -> FloatArray:
+        """Compute the motion (6,) from this pose to another, (4, 4) float: a turn (rad) about `centre` and a shift (m)."""
+        from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs] - slow to import
+
+        between = link_from_base @ self.base_from_link
+        turn: FloatArray = Rotation.from_matrix(between[:3, :3]).as_rotvec()
+        return np.concatenate([turn, between[:3] @ np.append(self.centre, 1.0) - self.centre])
+
     @property
     def is_known(self) -> bool:
         """Whether it may carry estimates into the part's frame."""
         return self.state is PartPoseState.KNOWN
 
-    def moves(self, points: FloatArray) -> FloatArray:
-        """Compute the shifts (n, 3, 6), metres, of points (n, 3) of the link by independent errors of unit variance."""
-        values, axes = np.linalg.eigh(self.covariance)
-        return motion_rows(points - self.centre) @ (axes * np.sqrt(np.maximum(values, 0.0)))
+    @property
+    def covariance(self) -> FloatArray:
+        """(6, 6) float: of the turn w (rad) about the centre, and of the shift s (m), link frame."""
+        return self.with_tip[:6, :6]
+
+    def moves(self, point: FloatArray, tool_turn: FloatArray) -> FloatArray:
+        """Compute the shifts (3, 9), metres, of a point (3,) of the link by independent errors of unit variance.
+
+        Parameters
+        ----------
+        tool_turn : (3, 3) float: mean rotation of the tip's frame into the link, at the pokes that measured the point
+        """
+        values, axes = np.linalg.eigh(self.with_tip)
+        rows = np.concatenate([motion_rows(point - self.centre), tool_turn], axis=1)
+        return rows @ (axes * np.sqrt(np.maximum(values, 0.0)))
 
 
-NO_PART_POSE = PartPose(PartPoseState.FEW_TOUCHES, np.eye(4), np.zeros(3), np.eye(6), 0, 0, 0)
+NO_PART_POSE = PartPose(PartPoseState.FEW_TOUCHES, np.eye(4), np.zeros(3), np.eye(9), 0, 0, 0)
 
 
 def _huber_cost(sizes: FloatArray) -> FloatArray:
@@ -139,28 +165,28 @@ class _Fit:
     shift: FloatArray
     centre: FloatArray
     covariance: FloatArray
-    """(6, 6) float, not yet enlarged."""
+    """(9, 9) float, not yet enlarged: with the tip."""
+    tip_shift: FloatArray
+    """(3,) float, metres: error of the tip."""
     step: FloatArray
     """(6,) float: the Gauss-Newton step."""
     cost: float
     """Huber's cost, with the priors of the plan's shift and the height."""
     chi2: float
     """Sum of the trusted squares."""
-    target_misses: FloatArray
-    """(k,) float: sizes in standard deviations."""
 
     @classmethod
     def at(cls, touches: PartTouches, shape: PartShape, turn: FloatArray, shift: FloatArray) -> _Fit:
         rows = pose_rows(touches, shape, turn[None], shift[None], is_start=False)
         modules, module = np.unique(touches.module[touches.on_plan], return_inverse=True)
         landmarks, targets, points = len(touches.at_landmark), rows.of_targets.shape[1], rows.of_mesh.shape[1]
-        # Columns: turn and shift, the height, the plan's shift, the shift of each module.
-        own = np.zeros((targets, 3, 4 + 3 * len(modules)))
-        own[:, :, 1:4] = rows.plan_slopes[0]
+        # Columns: turn and shift; then the tip, the height, the plan's shift, the shift of each module.
+        own = np.zeros((targets, 3, 7 + 3 * len(modules)))
+        own[:, :, :3], own[:, :, 4:7] = rows.tip_slopes[0], rows.plan_slopes[0]
         for row, index in enumerate(module.tolist(), start=landmarks):
-            own[row, :, 4 + 3 * index : 7 + 3 * index] = rows.plan_slopes[0, row]
+            own[row, :, 7 + 3 * index : 10 + 3 * index] = rows.plan_slopes[0, row]
         of_mesh = np.zeros((points, own.shape[2]))
-        of_mesh[:, 0] = rows.height_slopes[0]
+        of_mesh[:, :3], of_mesh[:, 3] = rows.mesh_tip_slopes[0], rows.height_slopes[0]
         slopes = np.concatenate(
             [
                 np.concatenate([rows.target_slopes[0], own], axis=2).reshape(-1, 6 + own.shape[2]),
@@ -170,24 +196,26 @@ class _Fit:
         misses = np.concatenate([rows.of_targets[0].ravel(), rows.of_mesh[0]])
         height = max(shape.noise.skin, 1e-5)
         sds = np.concatenate([[height], np.repeat([PLAN_SHIFT_SD_M, MODULE_SHIFT_SD_M], [3, 3 * len(modules)])])
-        prior = np.concatenate([np.repeat([TURN_PRIOR_SD_RAD, SHIFT_PRIOR_SD_M], 3), sds]) ** -2.0
+        prior = np.diag(np.concatenate([np.repeat([TURN_PRIOR_SD_RAD, SHIFT_PRIOR_SD_M, TIP_MIN_SD_M], 3), sds]) ** -2.0)
+        prior[6:9, 6:9] = np.linalg.inv(shape.tip_covariance + TIP_MIN_SD_M**2 * np.eye(3))
         trust, left, rest = np.ones(len(misses)), misses, np.zeros(own.shape[2])
         for _ in range(3):  # the shifts and the height are found at each pose, with the weights
             weighted = slopes * trust[:, None]
             normal = weighted.T @ slopes
-            rest = np.asarray(np.linalg.solve(normal[6:, 6:] + np.diag(prior[6:]), -(weighted.T @ misses)[6:]), np.float64)
+            rest = np.asarray(np.linalg.solve(normal[6:, 6:] + prior[6:, 6:], -(weighted.T @ misses)[6:]), np.float64)
             left = misses + slopes[:, 6:] @ rest
             trust = trust_of(_sizes(left, targets))
         weighted = slopes * trust[:, None]
-        normal = weighted.T @ slopes + np.diag(prior)
+        normal = weighted.T @ slopes + prior
         inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         gradient = weighted.T @ left
-        gradient[6:] += prior[6:] * rest
+        gradient[6:] += prior[6:, 6:] @ rest
         step = -(inverse @ gradient)[:6]
         sizes = _size_of_each(left, targets)
-        cost = float(np.sum(_huber_cost(sizes)) + np.sum(prior[6:] * rest**2))
-        chi2 = float(np.sum(trust * left**2) + np.sum(prior[6:] * rest**2))
-        return cls(turn, shift, rows.centres[0], inverse[:6, :6], step, cost, chi2, sizes[:targets])
+        of_prior = float(rest @ prior[6:, 6:] @ rest)
+        cost = float(np.sum(_huber_cost(sizes))) + of_prior
+        chi2 = float(np.sum(trust * left**2)) + of_prior
+        return cls(turn, shift, rows.centres[0], inverse[:9, :9], rest[:3], step, cost, chi2)
 
     def next(self, touches: PartTouches, shape: PartShape) -> _Fit:
         turn, shift = moved_pose(self.turn[None], self.shift[None], self.centre[None], self.step[None])
@@ -195,7 +223,7 @@ class _Fit:
 
     @property
     def is_converged(self) -> bool:
-        return float(self.step @ np.linalg.solve(self.covariance, self.step)) < CONVERGED_STEP_SDS**2
+        return float(self.step @ np.linalg.solve(self.covariance[:6, :6], self.step)) < CONVERGED_STEP_SDS**2
 
     @property
     def link_from_base(self) -> FloatArray:
@@ -216,17 +244,24 @@ def _sizes(misses: FloatArray, targets: int) -> FloatArray:
     return np.concatenate([np.repeat(sizes[:targets], 3), sizes[targets:]])
 
 
-def fit_part_pose(touches: PartTouches, shape: PartShape) -> PartPose:
-    """Fit the pose of a part to touches of it, from scratch.
+def start_at(link_from_base: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Make the starts of a fit from one pose, (4, 4) float, metres."""
+    return link_from_base[None, :3, :3], link_from_base[None, :3, 3]
 
-    The same touches give the same pose to the last bit.
+
+def fit_part_pose(touches: PartTouches, shape: PartShape, starts: tuple[FloatArray, FloatArray] | None = None) -> PartPose:
+    """Fit the pose of a part to touches of it. The same touches give the same pose to the last bit.
+
+    Parameters
+    ----------
+    starts : rotations (S, 3, 3) and shifts (S, 3), metres; `None` to search for them
     """
     counts = len(touches.at_landmark), len(touches.on_plan), len(touches.on_mesh) if shape.surface is not None else 0
     used = sum(counts[:2]) + counts[2]
     if max(counts) < MIN_TOUCHES and used < 2 * MIN_TOUCHES:
         return replace(NO_PART_POSE, landmarks=counts[0], taxels=counts[1], points=counts[2])
     fits: list[_Fit] = []
-    for turn, shift in zip(*start_poses(touches, shape), strict=True):
+    for turn, shift in zip(*(start_poses(touches, shape) if starts is None else starts), strict=True):
         fit = _Fit.at(touches, shape, turn, shift)
         for _ in range(FIT_STEPS):
             if fit.is_converged:
@@ -244,7 +279,7 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
         equations -= int(np.isin(touches.on_plan, touches.on_mesh).sum())
     ratio = float(np.sqrt(best.chi2 / max(equations - 6, 1)))
     covariance = best.covariance * max(1.0, ratio) ** 2
-    open_motions, sd = find_open_motions(covariance, best.centre, shape.corners)
+    open_motions, sd = find_open_motions(covariance[:6, :6], best.centre, shape.corners)
     rival = _find_rival(best, fits, shape.corners, max(1.0, ratio) ** 2)
     worst_landmark, worst_miss = _worst_landmark(best, touches)
     state = PartPoseState.KNOWN
@@ -255,7 +290,20 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
     if equations > 6 and ratio > DISAGREES_ABOVE_SDS:
         state = PartPoseState.DISAGREES
     return PartPose(
-        state, best.link_from_base, best.centre, covariance, *counts, ratio, worst_landmark, worst_miss, sd, open_motions, rival
+        state=state,
+        link_from_base=best.link_from_base,
+        centre=best.centre,
+        with_tip=covariance,
+        landmarks=counts[0],
+        taxels=counts[1],
+        points=counts[2],
+        tip_shift=best.tip_shift,
+        ratio=ratio,
+        worst_landmark=worst_landmark,
+        worst_miss=worst_miss,
+        sd=sd,
+        open_motions=open_motions,
+        rival=rival,
     )
 
 

@@ -5,7 +5,7 @@ The derivation: `part_pose`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +43,8 @@ class PartTouches:
     """(n, 3, 3) float, 1/m^2, base: W."""
     push: FloatArray
     """(n, 3) float, unit, base: into the part."""
+    tool_turn: FloatArray
+    """(n, 3, 3) float: rotation that carries an error of the tip, in the frame of `PartShape.tip_covariance`, into the base."""
     landmark: FloatArray
     """(n, 3) float, metres, link: NaN without a landmark."""
     planned: FloatArray
@@ -85,6 +87,8 @@ class PartShape:
     """(m, 3) float, metres, link: points all over the part, at which an error of its pose is measured; one or more."""
     noise: NoiseSettings
     """Of the scene: `contact` and `skin` are used."""
+    tip_covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) float, m^2: error of the tip that all touches share, in the tool's or the sensor's frame; zero for force axes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,12 +131,16 @@ class PoseRows:
     """(S, k, 3, 6) float: derivatives by turn (rad) and shift (m)."""
     plan_slopes: FloatArray
     """(S, k, 3, 3) float, 1/m: derivatives by the shift of the planned place, link frame; zero for landmarks."""
+    tip_slopes: FloatArray
+    """(S, k, 3, 3) float, 1/m: derivatives by an error of the tip."""
     of_mesh: FloatArray
     """(S, m) float: misses in standard deviations."""
     mesh_slopes: FloatArray
     """(S, m, 6) float."""
     height_slopes: FloatArray
     """(S, m) float, 1/m: derivatives by the height h."""
+    mesh_tip_slopes: FloatArray
+    """(S, m, 3) float, 1/m: derivatives by an error of the tip."""
     centres: FloatArray
     """(S, 3) float, metres, link: c."""
 
@@ -170,7 +178,8 @@ def pose_rows(
     slopes = by_link @ motion_rows(goals - centres[:, None])
     is_planned = np.repeat([0.0, 1.0], [len(landmarks), len(planned)])
     mesh = _mesh_rows(touches.rows(on_mesh), shape, (turns, shifts, centres), added_sd, is_start=is_start)
-    return PoseRows(misses, slopes, -by_link * is_planned[:, None, None], *mesh, centres)
+    of_plan = -by_link * is_planned[:, None, None]
+    return PoseRows(misses, slopes, of_plan, roots @ touches.tool_turn[rows], *mesh, centres)
 
 
 def _mesh_rows(
@@ -180,10 +189,11 @@ def _mesh_rows(
     added_sd: float,
     *,
     is_start: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     (turns, shifts, centres), count = poses, len(touches)
     if shape.surface is None or not count:
-        return np.empty((len(turns), 0)), np.empty((len(turns), 0, 6)), np.empty((len(turns), 0))
+        none = np.empty((len(turns), 0))
+        return none, np.empty((len(turns), 0, 6)), none, np.empty((len(turns), 0, 3))
     from skincal.mesh.search import nearest_pushed_points  # a part without a mesh does without
 
     there = touches.place @ turns.transpose(0, 2, 1) + shifts[:, None]
@@ -198,7 +208,8 @@ def _mesh_rows(
     weights = 1.0 / np.sqrt(variance)
     misses = np.sum(normals * (there - near), axis=2) * weights
     slopes = (normals[:, :, None] @ motion_rows(there - centres[:, None]))[:, :, 0] * weights[:, :, None]
-    return misses, slopes, -weights
+    of_tip = (in_base[:, :, None] @ touches.tool_turn)[:, :, 0] * weights[:, :, None]
+    return misses, slopes, -weights, of_tip
 
 
 def trust_of(sizes: FloatArray) -> FloatArray:

@@ -22,6 +22,7 @@ from skincal.journal.documents import WallClock
 from skincal.model.actions import Action, AskPoke, FoundAtLandmark, Redo, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.model.tool_rig import BASE_LINK
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import FRAME, RIG, Correction, CorrectionErrors, UsedCorrection
@@ -29,7 +30,7 @@ from skincal.rig.correction_fit import RigRequest
 from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fit
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions, apply_action, is_undoable, take_back, with_excluded
-from skincal.session.landmark_pokes import landmark_pokes
+from skincal.session.landmark_pokes import can_be_at_landmark, landmark_pokes
 from skincal.session.snapshot import ChangePlace, PokeRecord, Snapshot, without_excluded
 from skincal.session.solving import Solving
 from skincal.session.undo import ActionEntry, History
@@ -40,6 +41,7 @@ from skincal.version import __version__
 if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
     from skincal.mesh.surface import Surface
+    from skincal.session.tool_findings import ToolFindings
 
 MARKED_DEAD = "marked by the operator"
 """Reason of a channel that the operator left out."""
@@ -87,6 +89,15 @@ class Session:
         """Frames that the messages of the wrench named, in their order."""
         self.tip_frame: TipFrame | None = None
         """Frame of the tip positions; `None` before the first contact with one."""
+        self.tool: ToolFindings | None = None
+        """Tip and part's pose by the pokes; `None` without `[tool]` in the scene."""
+        if scene.tool is not None:
+            from skincal.session.tool_findings import ToolFindings  # other scenes load nothing of it
+
+            self.tool = ToolFindings(scene, surface)
+            self._solving.is_placed = self.tool.is_placed
+            self._use_tool_tip(self.tool)
+        self._is_tool_current = True
         self._has_tips = False
         self._tips_fitted: tuple[Contact, ...] = ()
         self._assumed: Correction | None = None
@@ -122,6 +133,7 @@ class Session:
     @property
     def landmark_pokes(self) -> LandmarkPokes:
         """The landmark pokes that count, in the order of their numbers, after the frame's correction only."""
+        self._update_tool()
         pokes, used = without_excluded(self._reported_landmark_pokes(), self.decisions), self.decisions.corrections.get(FRAME)
         return pokes if used is None else used.correction.corrected_pokes(pokes)
 
@@ -129,7 +141,7 @@ class Session:
         """Collect the landmark pokes, excluded ones, too, in the order of their numbers, as the rig reported them."""
         if self._landmark_pokes is None:
             named = self.decisions.landmark_of_poke
-            outcomes = (self._reported[poke] for poke in sorted(named) if poke in self._reported)
+            outcomes = (self._placed(poke) for poke in sorted(named) if poke in self._reported)
             self._landmark_pokes = landmark_pokes(outcomes, self.decisions.landmarks, named)
         return self._landmark_pokes
 
@@ -142,23 +154,61 @@ class Session:
         """Gather the input of a rig's correction."""
         counting = (poke for poke, record in self._records.items() if not record.excluded)
         contacts = [outcome for outcome in self.frame_corrected(counting) if isinstance(outcome, Contact)]
-        return RigRequest(self.scene, self.surface, contacts, self.landmark_pokes, self.dead)
+        scene, pokes = self.scene, self.landmark_pokes
+        if self.tool is not None:
+            if not self.tool.is_placed or not scene.has_sensor:
+                pokes = pokes[:0]
+            scene = self.snapshot().placed_scene(scene)
+        return RigRequest(scene, self.surface, contacts, pokes, self.dead)
 
     def frame_corrected(self, pokes: Iterable[int]) -> list[Outcome]:
         """Return pokes with the correction of the sensor's frame, without the correction of the rig's small errors."""
+        self._update_tool()
+        return self._frame_corrected(pokes)
+
+    def _frame_corrected(self, pokes: Iterable[int]) -> list[Outcome]:
         used = self.decisions.corrections.get(FRAME)
         if used is None:
-            return [self._reported[poke] for poke in pokes]
+            return [self._placed(poke) for poke in pokes]
         if used is not self._frame:
             self._frame, self._framed = used, {}
         found: list[Outcome] = []
         for poke in pokes:
             reported, corrected = self._framed.get(poke, (None, None))
-            if corrected is None or reported is not self._reported[poke]:
-                corrected = used.correction.corrected(self._reported[poke])
-                self._framed[poke] = self._reported[poke], corrected
+            placed = self._placed(poke)
+            if corrected is None or reported is not placed:
+                corrected = used.correction.corrected(placed)
+                self._framed[poke] = placed, corrected
             found.append(corrected)
         return found
+
+    def _placed(self, poke: int) -> Outcome:
+        """Find a poke's outcome as reported, in the part's frame if a tool's poses are in the base."""
+        reported = self._reported[poke]
+        return reported if self.tool is None else self.tool.placed(reported)
+
+    def _update_tool(self) -> None:
+        """Find tip and part's pose again if pokes changed, and carry all pokes with them."""
+        if self.tool is None or self._is_tool_current:
+            return
+        self._is_tool_current = True
+        excluded, named = self.decisions.excluded, self.decisions.landmark_of_poke
+        counting = [poke for poke in self._records if poke not in excluded]
+        known = {landmark.name: landmark for landmark in self.decisions.landmarks}
+        marked = {poke: self._reported[poke] for poke in counting if named.get(poke) in known}
+        marked = {poke: outcome for poke, outcome in marked.items() if can_be_at_landmark(outcome)}
+        contacts = [outcome for poke in counting if isinstance(outcome := self._reported[poke], Contact)]
+        if not self.tool.update(contacts, marked, {poke: known[named[poke]] for poke in marked}):
+            return
+        self._solving.is_placed = self.tool.is_placed
+        self._use_tool_tip(self.tool)
+        self._landmark_pokes = None
+        self._correct_all()
+        self._changed()
+
+    def _use_tool_tip(self, tool: ToolFindings) -> None:
+        self.tip_frame = tip = tool.used_tip
+        self._solving.tips = TipFusion(tip, self.scene.noise) if tip.state is TipState.USED else None
 
     def add(self, outcome: Outcome) -> None:
         """Add a poke's outcome, in place of an earlier one with its number."""
@@ -295,6 +345,7 @@ class Session:
         """
         if self._snapshot is not None:
             return self._snapshot
+        self._update_tool()
         channels = self.channels
         self._fit_tips()
         self._solving.solve(
@@ -307,6 +358,8 @@ class Session:
         if len(fresh) and self._generation:
             self._touched = fresh
         pokes, estimates = self._reported_landmark_pokes(), self._solving.estimates(channels)
+        if self.tool is not None:
+            estimates = self.tool.with_pose_error(estimates, self.contacts)
         self._last = self._snapshot = Snapshot(
             generation=self._generation,
             pokes=tuple(self._records.values()),
@@ -320,6 +373,8 @@ class Session:
             tried_distances=self._solving.tried_distances,
             clocks=self._clocks,
             tip_frame=self.tip_frame,
+            part_pose=None if self.tool is None else self.tool.part,
+            typed_pose_error=None if self.tool is None else self.tool.typed_error,
             wrench_frames=self.wrench_frames,
             part_size=self._part_size(estimates),
             noise=self.scene.noise,
@@ -340,7 +395,7 @@ class Session:
 
     def _fit_tips(self) -> None:
         """Fit the frame of the tip positions again when enough pokes came, or one of its pokes changed."""
-        if not self._has_tips:
+        if not self._has_tips or self.tool is not None:
             return
         contacts = [contact for contact in self.contacts if contact.tip is not None]
         used = tuple(contacts[: pokes_of_fit(len(contacts))])
@@ -359,9 +414,10 @@ class Session:
         from skincal.session.closing_pokes import closings_of
 
         snapshot, decisions = self.snapshot(), self.decisions
-        outcomes = [self._reported[poke] for poke in self._records]
+        outcomes = [self._placed(poke) for poke in self._records]
+        scene = self.scene if snapshot.is_placed else replace(self.scene, link=BASE_LINK)
         return Calibration(
-            scene=replace(self.scene, contacts=decisions.thresholds),
+            scene=replace(scene, contacts=decisions.thresholds),
             channels=self.channels,
             estimates=SmoothedEstimates(snapshot.estimates, self.surface, self.scene.skin.layout),
             contacts=tuple(outcome for outcome in outcomes if isinstance(outcome, Contact)),
@@ -373,6 +429,7 @@ class Session:
             landmark_pokes=snapshot.landmark_pokes,
             closings=closings_of(snapshot, self.scene.noise),
             part_size=snapshot.part_size,
+            part_pose=snapshot.part_pose,
         )
 
     def _counting(self, pokes: Iterable[int]) -> list[Contact]:
@@ -381,7 +438,7 @@ class Session:
         return [record.outcome for record in records if isinstance(record.outcome, Contact) and not record.excluded]
 
     def _corrected(self, poke: int) -> Outcome:
-        (outcome,) = self.frame_corrected([poke])
+        (outcome,) = self._frame_corrected([poke])
         used = self.decisions.corrections.get(RIG)
         return outcome if used is None else used.correction.corrected(outcome)
 
@@ -434,6 +491,7 @@ class Session:
         self._changed()
 
     def _changed(self) -> None:
+        self._is_tool_current = False
         # All changes between two snapshots are one generation.
         if self._snapshot is not None:
             self._generation += 1

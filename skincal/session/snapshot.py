@@ -18,7 +18,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import AskPoke
 from skincal.model.readings import LinkHealth
-from skincal.model.scene import NoiseSettings
+from skincal.model.scene import NoiseSettings, Scene
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes
 from skincal.rig.correction import FRAME, RIG
@@ -27,10 +27,14 @@ from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions
 from skincal.session.undo import History, describe_entry
 from skincal.taxels.contact_table import ContactTable, Evidence, TableState
-from skincal.taxels.result import Estimate, Method
+from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
+    from skincal.rig.part_pose import PartPose
+
+UNPLACED = StateReason(Cause.PART_UNPLACED)
+"""Reason of a taxel whose place on the part is unknown, since that of the part is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +99,10 @@ class Snapshot:
     """For each part of the session the last poke before it, and its clock; `None` if the recording does not say."""
     tip_frame: TipFrame | None = None
     """Frame of the tip positions; `None` without a tip stream."""
+    part_pose: PartPose | None = None
+    """Pose of the part in the base of a tool's poses; `None` unless it is found from the pokes."""
+    typed_pose_error: PartPose | None = None
+    """Pose of the part that the pokes show in place of a given one; `None` if they agree with it."""
     wrench_frames: tuple[WrenchFrame, ...] = ()
     """Frames that the messages of the wrench name; empty without such messages."""
     part_size: float = inf
@@ -107,6 +115,33 @@ class Snapshot:
     """Columns of `pokes` if the session keeps them; see `columns`."""
     changes: ChangePlace | None = None
     """Place in the session's list of changes; `None` if it has none."""
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether positions are in the part's frame; else they are in the base of the tool's poses."""
+        return self.part_pose is None or self.part_pose.is_known
+
+    def placed_scene(self, scene: Scene) -> Scene:
+        """Give the scene the part's pose in the base if pokes showed it."""
+        if scene.tool is None or self.part_pose is None or not self.part_pose.is_known:
+            return scene
+        return replace(scene, tool=replace(scene.tool, link_from_base=self.part_pose.link_from_base))
+
+    @property
+    def on_part(self) -> Snapshot:
+        """The snapshot without positions that are in another frame than the part's; itself once these are known."""
+        return self if self.is_placed else self._without_positions
+
+    @cached_property
+    def _without_positions(self) -> Snapshot:
+        estimates = {
+            method: tuple(
+                each if each.position is None else Estimate(each.channel, method, State.BLIND, each.contacts, reason=UNPLACED)
+                for each in of
+            )
+            for method, of in self.estimates.items()
+        }
+        return replace(self, estimates=estimates)
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

@@ -19,7 +19,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.rig.tip_fusion import TipFusion
 from skincal.taxels.contact_table import ContactTable, TableState
 from skincal.taxels.exchanged import withdraw_claimed
-from skincal.taxels.result import PER_TAXEL, Estimate, Method
+from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason
 from skincal.taxels.shared_errors import SharedRows, add_shared_errors
 
 if TYPE_CHECKING:
@@ -63,6 +63,8 @@ class Solving:
         """Errors shared by all pokes, which the covariances include."""
         self.tips: TipFusion | None = None
         """Positions of the tip; `None` while they are not used."""
+        self.is_placed = True
+        """Whether the contacts are in the part's frame; in the base of a tool's poses only the free method knows a taxel."""
         self._alone = [method for method in self.methods if method in PER_TAXEL]
         self._table = self._shown = ContactTable()
         """Input of the next solution, and of the shown one; they differ only while taxels wait."""
@@ -194,14 +196,17 @@ class Solving:
     def _solve(self, channels: Sequence[int], dead: Mapping[int, str]) -> None:
         last = self._alike.get(Method.SURFACE, {})
         evidence = self._table.evidence([channel for channel in channels if channel not in dead])
-        solved = estimate_from(evidence, channels, self._alone, self._noise, self._surface, dead, last)
+        alone = self._alone if self.is_placed else [method for method in self._alone if method is Method.FREE]
+        solved = estimate_from(evidence, channels, alone, self._noise, self._surface, dead, last)
         for method, estimates in solved.items():
             self._alike[method].update(estimates)
             moved = add_shared_errors(evidence, list(estimates.values()), self._noise, self.shared)
             if self.tips is not None and method is Method.FREE:
                 moved = self.tips.with_depth(moved, evidence)
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
-        if self.module_model is not None:
+        if not self.is_placed:
+            self._leave_unplaced(channels, dead)
+        elif self.module_model is not None:
             modules = self.module_model.modules_of(channels)
             # The surface method's first, if any: the search for a module starts from the best.
             others = [self._alike[method] for method in reversed(self._alone)]
@@ -212,3 +217,21 @@ class Solving:
             self._update_placed(found)
             if kept is not None:
                 self._apart.update(found)
+
+    def _leave_unplaced(self, channels: Sequence[int], dead: Mapping[int, str]) -> None:
+        """Give no estimates by methods that need the part's place."""
+        for method in self.methods:
+            if method is Method.FREE:
+                continue
+            found = {channel: _unplaced(channel, method, dead) for channel in channels}
+            self._estimates[method].update(found)
+            if method in self._alike:
+                self._alike[method].update(found)
+            if method is Method.MODULES and self._fitted is not None:
+                self._apart.update(found)
+
+
+def _unplaced(channel: int, method: Method, dead: Mapping[int, str]) -> Estimate:
+    if channel in dead:
+        return Estimate(channel, method, State.DEAD, 0, reason=StateReason(Cause.EXTERNAL_TEXT, text=dead[channel]))
+    return Estimate(channel, method, State.BLIND, 0, reason=StateReason(Cause.PART_UNPLACED))

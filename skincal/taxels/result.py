@@ -84,6 +84,7 @@ class Cause(Enum):
     CONTRADICTED = "contradicted"
     CLAIMED = "claimed"
     SHARED_ERRORS = "shared errors"
+    PART_UNPLACED = "part unplaced"
     MEAN_OF_POSES = "mean of poses"
     BLIND_IN_POSES = "blind in poses"
     EXTERNAL_TEXT = "external text"

@@ -61,6 +61,7 @@ STATE_SENTENCES = {
     Cause.CLAIMED: (
         "Channel {count} answers at its place, and it does not: the two channels may be exchanged. Check the layout."
     ),
+    Cause.PART_UNPLACED: "The part's pose in the base of the tool's poses is not known yet.",
     Cause.SHARED_ERRORS: (
         "With the errors of the rig included, its position {depth} (limit {sd_max}). Press again, leaning other ways, and "
         "press more landmarks."

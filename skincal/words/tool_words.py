@@ -117,15 +117,25 @@ def repeated_pose_sentence(contacts: Sequence[Contact]) -> str:
     )
 
 
-def tool_findings(tool: ToolSpec, wrench_sign: int) -> list[str]:
-    """Describe the rig of a scene whose sensor sits on the tool, in sentences without a full stop."""
-    acts = "the force on the tool: its opposite acts on the part" if wrench_sign < 0 else "the force of the tool on the part"
-    frame = "the part's frame" if tool.has_part_pose else "the base of the tool's poses: base_from_link of [tool] is not given"
-    found = [
-        "the sensor sits on the tool: --tool names the stream of its poses",
-        f"by [wrench] sign = {wrench_sign} the sensor reports {acts}",
-        f"all positions are in {frame}",
-    ]
+def tool_findings(tool: ToolSpec, wrench_sign: int, *, finds_part_pose: bool) -> list[str]:
+    """Describe the rig of a scene with a tool, in sentences without a full stop."""
+    if tool.has_sensor:
+        acts = (
+            "the force on the tool: its opposite acts on the part" if wrench_sign < 0 else "the force of the tool on the part"
+        )
+        found = [
+            "the sensor sits on the tool: --tool names the stream of its poses",
+            f"by [wrench] sign = {wrench_sign} the sensor reports {acts}",
+        ]
+    else:
+        found = ["there is no force sensor: a poke is the place of the tip, and --tool names the stream of the tool's poses"]
+    if finds_part_pose:
+        found.append("pokes show the part's pose in the base of the tool's poses: all positions are in the base until then")
+    else:
+        frame = (
+            "the part's frame" if tool.has_part_pose else "the base of the tool's poses: base_from_link of [tool] is not given"
+        )
+        found.append(f"all positions are in {frame}")
     if tool.form is None:
         found.append(
             "rotation of [tool] is not given: the stream must define the form of its poses, as `P` records of SKT/1 do"

@@ -112,6 +112,7 @@ STATES = (
     (StateReason(Cause.CONTRADICTED, 2, size=0.0362), approved("taxel.contradicted", count=2, mm=36)),
     (StateReason(Cause.CLAIMED, 8), approved("taxel.claimed", channel=8)),
     (StateReason(Cause.SHARED_ERRORS, size=0.0351), approved("taxel.shared_errors", depth="35 mm")),
+    (StateReason(Cause.PART_UNPLACED), approved("taxel.part_unplaced")),
     (StateReason(Cause.MEAN_OF_POSES, 3), "Mean of 3 arm poses."),
     (StateReason(Cause.MEAN_OF_POSES, 2, blind=1), approved("taxel.mean_of_poses_without", count=2, blind=1)),
     (

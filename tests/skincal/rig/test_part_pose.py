@@ -36,6 +36,7 @@ def touches(places, *, landmark=None, planned=None, normal=None, push=None, prec
         in_base(places),
         np.tile(np.eye(3) / TIP_SD**2, (count, 1, 1)) if precision is None else precision,
         np.tile([0.0, 0.0, -1.0], (count, 1)) if push is None else push @ TRUE[:3, :3],
+        np.tile(np.eye(3), (count, 1, 1)),
         nowhere if landmark is None else landmark,
         nowhere if planned is None else planned,
         nowhere if normal is None else normal,
@@ -149,7 +150,7 @@ def touch_mesh(rng, surface, count, height=0.001, sd=TIP_SD):
 
 
 def join(*parts):
-    fields = ("number", "place", "precision", "push", "landmark", "planned", "normal", "module")
+    fields = ("number", "place", "precision", "push", "tool_turn", "landmark", "planned", "normal", "module")
     joined = PartTouches(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
     return replace(joined, number=np.arange(1, len(joined) + 1))
 
@@ -266,6 +267,7 @@ def test_another_base_changes_the_pose_by_its_motion_alone():
         place=made.place @ turn.T + motion[:3, 3],
         push=made.push @ turn.T,
         precision=turn @ made.precision @ turn.T,
+        tool_turn=turn @ made.tool_turn,
     )
     one, other = (fit_part_pose(each, shape(wedge())) for each in (made, moved))
     np.testing.assert_allclose(other.link_from_base @ motion, one.link_from_base, atol=1e-7)

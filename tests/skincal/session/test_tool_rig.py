@@ -346,7 +346,12 @@ def test_plain_lines_without_a_form_ask_for_it(tmp_path):
         (lambda text: text.replace("base_from_link", "rotation = 'rpy'\nunit = 'm'\nbase_from_link"), "degrees is missing"),
         (lambda text: text.replace("base_from_link", "unit = 'm'\nbase_from_link"), "rotation is missing"),
         (lambda text: text.replace("base_from_link", "tolerance_deg = 0\nbase_from_link"), "expected a number above 0"),
-        (lambda text: "\n".join(s for s in text.splitlines() if "base_from" not in s), r"\[surface\] lies in the part's frame"),
+        (
+            lambda text: "\n".join(s for s in text.splitlines() if "base_from" not in s).replace(
+                'link = "plate"', 'link = "base"'
+            ),
+            r"\[surface\] lies in the part's frame; expected the name of that frame as link",
+        ),
     ],
 )
 def test_a_scene_with_a_wrong_tool_is_refused(tmp_path, change, says):

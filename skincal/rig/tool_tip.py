@@ -1,0 +1,160 @@
+"""Tip of a tool that carries the sensor: the point of the sensor's frame that all force axes pass.
+
+The part moves under the tool, and the tip does not. So equation (5) of the paper, for one point and with all pokes, gives the
+tip t in the sensor's frame:
+
+    E_k (t - a_k) = 0,   noise D_k + sigma^2 I,
+
+with a_k a point of the force axis of poke k in that frame, E_k two unit directions across its push, and D_k the sensor's noise
+at t. sigma, found from the residuals, is the rolling of the ball on the part. Huber's weights leave out slips. Pushes that all
+keep one direction of the tool leave the tip open along it; the covariance says so.
+
+A tip that the scene gives is compared with it: one that is off by more than both errors is of another tool centre point, or the
+axes are not those of the tool's sensor. Axes that do not meet at all come from a wrench in another frame than the tool's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.geometry import FloatArray, axis_point, orthonormal_pair
+from skincal.model.scene import NoiseSettings
+from skincal.rig.pivot import KNOWN_TIP_SD_M, TIP_MAX_CHI2
+from skincal.rig.tip_frame import TIP_FRAME_MIN_POKES, TIP_SD_MIN_M, TipFrame, TipPokes, TipState
+from skincal.taxels.noise import row_precision
+
+TIP_SPREAD_MAX_M = 0.010
+"""m, sigma above which the axes do not meet at one tip: a ball of 5 mm that leans by 40 degrees rolls by 3 mm."""
+TOOL_TIP_MAX_SD_M = 0.005
+"""m, largest sd of a found tip in any direction with which it is used."""
+MISMATCH_MIN_M = 0.003
+"""m. A smaller distance from the scene's tip is never named."""
+TIP_PRIOR_SD_M = 0.5
+"""m, of the tip from the sensor: no poking tool is longer."""
+FIT_STEPS = 20
+HUBER_THRESHOLD_SDS = 2.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxesTip:
+    """Point that the force axes pass, in the sensor's frame."""
+
+    pokes: int
+    place: FloatArray
+    """(3,) float, metres: t."""
+    covariance: FloatArray
+    """(3, 3) float, m^2."""
+    spread: float
+    """m, each direction: sigma, the sd of an axis from it without the sensor's noise."""
+
+    @property
+    def sd(self) -> float:
+        """m, in the worst direction."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance)[2]))
+
+    @property
+    def open_direction(self) -> FloatArray:
+        """(3,) float, unit, sensor frame: the worst direction."""
+        return np.linalg.eigh(self.covariance)[1][:, 2]
+
+    @property
+    def meets(self) -> bool:
+        """Whether the axes meet at one tip."""
+        return self.spread <= TIP_SPREAD_MAX_M
+
+    def disagrees_with(self, place: FloatArray) -> bool:
+        """Whether a known tip (3,), metres, sensor frame, lies off by more than both errors."""
+        off = self.place - place
+        error = self.covariance + KNOWN_TIP_SD_M**2 * np.eye(3)
+        return float(np.linalg.norm(off)) > MISMATCH_MIN_M and float(off @ np.linalg.solve(error, off)) > TIP_MAX_CHI2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolTip(TipFrame):
+    """Tip of a tool, as the methods use it: a shift in the sensor's frame, without a rotation.
+
+    `shift` is the tip. `covariance` has its error in its last three rows.
+    """
+
+    axes: AxesTip | None = None
+    """Where the force axes meet; `None` with few pokes, and without a sensor."""
+    known: FloatArray | None = None
+    """(3,) float, metres, sensor frame: the scene's tip; `None` if it gives none."""
+
+    def places(self, pokes: TipPokes) -> tuple[FloatArray, FloatArray]:
+        """Give the tips that pokes have, (n, 3), metres, link frame, and (n, 3, 6) their gradients by the error of `shift`."""
+        turns = pokes.link_from_sensor[:, :3, :3]
+        return np.array(pokes.tip), np.concatenate([np.zeros_like(turns), turns], axis=2)
+
+    @property
+    def is_given_alone(self) -> bool:
+        """Whether nothing but the scene says where the tip is."""
+        return self.axes is None and self.known is not None
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the scene's tip is not where the force axes meet."""
+        return self.known is not None and self.axes is not None and self.axes.meets and self.axes.disagrees_with(self.known)
+
+
+def fit_axes_tip(contacts: Sequence[Contact], noise: NoiseSettings) -> AxesTip | None:
+    """Fit the tip to the force axes of contacts; `None` below `TIP_FRAME_MIN_POKES`."""
+    count = len(contacts)
+    if count < TIP_FRAME_MIN_POKES:
+        return None
+    force = np.array([contact.force for contact in contacts])
+    points = axis_point(force, np.array([contact.moment for contact in contacts]))
+    sizes = np.linalg.norm(force, axis=1)
+    pairs = orthonormal_pair(force / sizes[:, None])
+    place, variance, trust = np.zeros(3), TIP_SPREAD_MAX_M**2, np.ones(count)
+    covariance = np.eye(3)
+    for _ in range(FIT_STEPS):
+        lever = np.broadcast_to(place, (count, 3))
+        weights = row_precision(pairs, lever, sizes, np.full(count, variance), noise) * trust[:, None, None]
+        pulls = pairs.transpose(0, 2, 1) @ weights
+        information = np.sum(pulls @ pairs, axis=0) + np.eye(3) / TIP_PRIOR_SD_M**2
+        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        place = covariance @ np.sum(pulls @ (pairs @ points[:, :, None]), axis=0)[:, 0]
+        misses = (pairs @ (place - points)[:, :, None])[:, :, 0]
+        precision = row_precision(pairs, np.broadcast_to(place, (count, 3)), sizes, np.full(count, variance), noise)
+        squares = np.einsum("ni,nij,nj->n", misses, precision, misses)
+        trust = np.minimum(1.0, HUBER_THRESHOLD_SDS / np.sqrt(np.maximum(squares, 1e-12)))
+        sensor = np.linalg.inv(row_precision(pairs, np.broadcast_to(place, (count, 3)), sizes, np.zeros(count), noise))
+        freedom = (2.0 * count - 3.0) / (2.0 * count)
+        seen = np.sum(misses**2, axis=1) / freedom - np.trace(sensor, axis1=1, axis2=2)
+        variance = max(float(trust @ seen / trust.sum()) / 2.0, TIP_SD_MIN_M**2)
+    return AxesTip(count, place, covariance, float(np.sqrt(variance)))
+
+
+def find_tool_tip(contacts: Sequence[Contact], noise: NoiseSettings, known: FloatArray | None, place_sd: float) -> ToolTip:
+    """Find the tip of a tool that carries the sensor.
+
+    Parameters
+    ----------
+    contacts : accepted and not excluded, in the order of their numbers; wrenches in the sensor's frame
+    known : (3,) float, metres, sensor frame: the scene's tip; `None` if it gives none
+    place_sd : m, each direction: sd of one place of the tip, by the poses of the tool
+    """
+    axes = fit_axes_tip(contacts, noise)
+    none, eye = np.zeros(3), np.eye(3)
+    tip = ToolTip(TipState.FEW_POKES, len(contacts), eye, none, none, np.zeros((6, 6)), place_sd, axes=axes, known=known)
+    if axes is not None and (not axes.meets or tip.is_mismatch):
+        return replace(tip, state=TipState.DISAGREES, tip_sd=axes.spread)
+    if known is not None:
+        return used_tip(tip, known, KNOWN_TIP_SD_M**2 * eye)
+    if axes is None:
+        return tip
+    if axes.sd > TOOL_TIP_MAX_SD_M:
+        return replace(tip, state=TipState.AMBIGUOUS)
+    return used_tip(tip, axes.place, axes.covariance)
+
+
+def used_tip(tip: ToolTip, place: FloatArray, covariance: FloatArray) -> ToolTip:
+    """Use a tip at a place (3,) with its covariance (3, 3), metres, sensor frame."""
+    both = 1e-12 * np.eye(6)  # nothing turns, and its root must exist
+    both[3:, 3:] += covariance
+    return replace(tip, state=TipState.USED, shift=place, centre=place, covariance=both)

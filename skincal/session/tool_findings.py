@@ -1,0 +1,307 @@
+"""What the pokes of a session show of a tool's rig: the tip in the sensor's frame, and the part's pose in the base.
+
+Both follow from the pokes that count, in the order of their numbers, and from nothing else. They are fitted again when a
+landmark poke changes, and when the number of pokes on the skin grows by a quarter: each fit moves every taxel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Outcome
+from skincal.geometry import FloatArray, IntArray, orthonormal_pair
+from skincal.mesh.lay import PlacedLayout, place_layout
+from skincal.model.scene import Landmark, Scene
+from skincal.pokes import Pokes
+from skincal.rig.part_pose import NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
+from skincal.rig.part_touches import PartShape, PartTouches, motion_rows
+from skincal.rig.tip_frame import REFIT_AT_POKE_COUNT_RATIO, TipState, pokes_of_fit
+from skincal.rig.tip_fusion import CHI2_2DOF_QUANTILE_9999
+from skincal.rig.tool_tip import ToolTip, find_tool_tip, used_tip
+from skincal.taxels.noise import row_precision
+from skincal.taxels.result import Estimate, Method
+
+if TYPE_CHECKING:
+    from skincal.mesh.surface import Surface
+
+FIRST_FIT_POKES = 6
+TOUCHES_MAX = 150
+"""Pokes on the skin in a fit; of more an even selection is used."""
+CORNERS_MAX = 200
+"""Vertices of the mesh at which an error of the part's pose is measured."""
+PART_POSE_MISMATCH_CHI2 = 27.9
+"""A given pose of the part disagrees with the touches above it: one in 10,000 (chi-square, six degrees of freedom)."""
+PART_POSE_MISMATCH_MIN_M = 0.003
+"""m, rms over the part. A smaller error of a given pose is never named."""
+ROBOT_SCALE_SD = 0.002
+"""sd of the scale of a robot's lengths: issue 41 counts 0.2 % among a cobot's usual errors."""
+
+
+class ToolFindings:
+    """Tip and part's pose of a session whose scene has `[tool]`.
+
+    Parameters
+    ----------
+    surface : the scene's mesh; `None` without one
+    """
+
+    def __init__(self, scene: Scene, surface: Surface | None) -> None:
+        assert scene.tool is not None
+        self._scene, self._surface, self._tool = scene, surface, scene.tool
+        self.tip: ToolTip = find_tool_tip((), scene.noise, self._tool.tip_in_sensor, self._tool.tip_sd)
+        self.part: PartPose | None = NO_PART_POSE if scene.finds_part_pose else None
+        """Pose of the part; `None` if the scene gives it, or has none."""
+        self.typed_error: PartPose | None = None
+        """Pose that the touches show, in place of the given one; `None` if they agree, or show nothing."""
+        self._tip_fitted: tuple[Contact, ...] = ()
+        self._part_fitted: tuple[object, ...] = ()
+        self._placed: dict[int, tuple[Outcome, PartPose | None, ToolTip, Outcome]] = {}
+        """By poke: the outcome as reported, the pose and the tip that placed it, and the placed outcome."""
+        self._with_error: dict[tuple[Method, int], tuple[Estimate, Estimate]] = {}
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether positions are in the part's frame, or in the base because the scene wants that."""
+        return self.part is None or self.part.is_known
+
+    @property
+    def version(self) -> tuple[object, ...]:
+        """Findings on which placed outcomes depend: other objects after a change."""
+        return self.tip, self.part
+
+    def update(self, contacts: Sequence[Contact], marked: Mapping[int, Outcome], landmarks: Mapping[int, Landmark]) -> bool:
+        """Fit again what has new pokes; tells whether anything changed.
+
+        Parameters
+        ----------
+        contacts : accepted and not excluded, in the order of their numbers, as reported
+        marked : outcomes of the pokes at landmarks that count, as reported, by number, ascending
+        landmarks : landmark of each of these
+        """
+        before = self.version
+        if self._tool.has_sensor:
+            used = tuple(contacts[: pokes_of_fit(len(contacts))])
+            if list(map(id, used)) != list(map(id, self._tip_fitted)):
+                self._tip_fitted = used
+                self.tip = find_tool_tip(used, self._scene.noise, self._tool.tip_in_sensor, self._tool.tip_sd)
+        self._update_part(contacts, marked, landmarks)
+        return any(one is not other for one, other in zip(before, self.version, strict=True))
+
+    def _update_part(
+        self, contacts: Sequence[Contact], marked: Mapping[int, Outcome], landmarks: Mapping[int, Landmark]
+    ) -> None:
+        if self.part is None and not self._tool.has_part_pose:
+            return
+        skin = [contact for contact in contacts if contact.poke not in marked]
+        used = skin[: _pokes_of_part_fit(len(skin))]
+        key = (self.tip, *used, *marked.values(), *landmarks.values())
+        if list(map(id, key)) == list(map(id, self._part_fitted)):
+            return
+        self._part_fitted = key
+        if len(used) > TOUCHES_MAX:
+            rows: list[int] = np.linspace(0, len(used) - 1, TOUCHES_MAX).round().astype(np.int64).tolist()
+            used = [used[row] for row in rows]
+        touches = self.touches(used, marked, landmarks)
+        corners = self._corners(landmarks.values(), touches)
+        error = self.tip.covariance[3:, 3:] if self.tip.state is TipState.USED else np.zeros((3, 3))
+        shape = PartShape(self._surface, corners, self._scene.noise, error)
+        if self.part is None:
+            self.typed_error = _typed_error(touches, shape)
+            return
+        self.part = fit_part_pose(touches, shape)
+        self._with_error.clear()
+
+    def touches(self, skin: Sequence[Contact], marked: Mapping[int, Outcome], landmarks: Mapping[int, Landmark]) -> PartTouches:
+        """Gather touches of the part: pokes on the skin with the plan of their strongest taxel, then those at landmarks."""
+        outcomes: list[Outcome] = [*skin, *marked.values()]
+        pokes = Pokes.collect(outcomes)
+        places, precision = self._measured(pokes)
+        nowhere = np.full((len(pokes), 3), np.nan)
+        landmark, planned, normal, module = nowhere, nowhere.copy(), nowhere.copy(), np.full(len(pokes), -1)
+        marks = [landmarks[poke].place for poke in marked]
+        landmark[len(skin) :] = np.reshape(marks, (-1, 3))
+        layout, laid = self._scene.skin.layout, self._laid
+        if laid is not None and layout is not None and skin:
+            channels: IntArray = np.array([contact.strongest_channel for contact in skin], np.int64)
+            planned[: len(skin)], normal[: len(skin)] = laid.places[channels], laid.normals[channels]
+            module[: len(skin)] = layout.module_of[channels]
+        turns = pokes.link_from_sensor[:, :3, :3]
+        return PartTouches(pokes.number, places, precision, pokes.direction, turns, landmark, planned, normal, module)
+
+    def _measured(self, pokes: Pokes) -> tuple[FloatArray, FloatArray]:
+        """Compute the place (n, 3) that each poke touched and its precision (n, 3, 3), from the force axis and the tip."""
+        pairs, noise = orthonormal_pair(pokes.direction), self._scene.noise
+        tips, place_sd = self._tips(pokes), self._tool.tip_sd
+        of_tip = np.broadcast_to(np.eye(3) / place_sd**2, (len(pokes), 3, 3))
+        if tips is not None and not self._tool.has_sensor:
+            return tips, np.array(of_tip)
+        # The point of each axis nearest to the tip, or to the sensor.
+        near = pokes.sensor if tips is None else tips
+        along = np.sum((near - pokes.axis_point) * pokes.direction, axis=1, keepdims=True)
+        points = pokes.axis_point + along * pokes.direction
+        across = row_precision(pairs, points - pokes.sensor, pokes.force_size, np.zeros(len(pokes)), noise)
+        of_axis = pairs.transpose(0, 2, 1) @ across @ pairs
+        if tips is None:
+            return points, of_axis
+        off = np.asarray((pairs @ (tips - points)[:, :, None])[:, :, 0], dtype=np.float64)
+        turned = pairs @ pokes.link_from_sensor[:, :3, :3]
+        error = (
+            np.linalg.inv(across) + place_sd**2 * np.eye(2) + turned @ self.tip.covariance[3:, 3:] @ turned.transpose(0, 2, 1)
+        )
+        squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(error), off)
+        agrees = squares < CHI2_2DOF_QUANTILE_9999
+        both = of_axis + np.where(agrees[:, None, None], of_tip, 0.0)
+        pulled = (of_axis @ points[:, :, None] + of_tip @ tips[:, :, None])[:, :, 0]
+        joined = np.asarray(np.linalg.solve(of_axis + of_tip, pulled[:, :, None])[:, :, 0], dtype=np.float64)
+        return np.where(agrees[:, None], joined, points), both
+
+    def _tips(self, pokes: Pokes) -> FloatArray | None:
+        """Compute the contacts (n, 3) at the tip, metres, link frame as of the pokes; `None` while the tip is not used."""
+        if self.tip.state is not TipState.USED:
+            return None
+        centres = (pokes.link_from_sensor[:, :3, :3] @ self.tip.shift) + pokes.sensor
+        return centres + self._tool.tip_radius * pokes.direction
+
+    @cached_property
+    def _laid(self) -> PlacedLayout | None:
+        layout = self._scene.skin.layout
+        return None if layout is None else place_layout(layout, self._scene.skin.anchor, self._surface)
+
+    def _corners(self, landmarks: Iterable[Landmark], touches: PartTouches) -> FloatArray:
+        """Gather points all over the part: of the mesh, else of the layout and the landmarks, else the touches."""
+        if self._surface is not None:
+            vertices = self._surface.vertices
+            return vertices[:: -(-len(vertices) // CORNERS_MAX)]
+        places = [np.reshape([each.place for each in landmarks], (-1, 3))]
+        if self._laid is not None:
+            places.append(self._laid.places[np.isfinite(self._laid.places).all(axis=1)])
+        found = np.concatenate(places)
+        return found if len(found) else touches.place
+
+    def placed(self, outcome: Outcome) -> Outcome:
+        """Carry an outcome into the part's frame once that is known, and give it the place of the tip."""
+        if outcome.link_from_sensor is None or outcome.force is None:
+            return outcome
+        reported, part, tip, found = self._placed.get(outcome.poke, (None, None, None, outcome))
+        if reported is not outcome or part is not self.part or tip is not self.tip:
+            found = self._with_tip(self._carried(outcome))
+            self._placed[outcome.poke] = outcome, self.part, self.tip, found
+        return found
+
+    def _carried(self, outcome: Outcome) -> Outcome:
+        if self.part is None or not self.part.is_known or outcome.link_from_sensor is None:
+            return outcome
+        link_from_sensor = self.part.link_from_base @ outcome.link_from_sensor
+        if not self._tool.has_sensor:
+            # Its origin is the tip.
+            link_from_sensor[:3, 3] += link_from_sensor[:3, :3] @ self.part.tip_shift
+        return replace(outcome, link_from_sensor=link_from_sensor)
+
+    def _with_tip(self, outcome: Outcome) -> Outcome:
+        if not isinstance(outcome, Contact):
+            return outcome
+        pokes = Pokes.collect([outcome])
+        tips = self._tips(pokes)
+        if tips is None:
+            return replace(outcome, tip=None)
+        if self._tool.has_sensor and self.part is not None and self.part.is_known:
+            tips = tips + pokes.link_from_sensor[:, :3, :3] @ self.part.tip_shift
+        return replace(outcome, tip=tips[0])
+
+    @property
+    def used_tip(self) -> ToolTip:
+        """The tip as the methods use it: the error of a part's pose that is found with it contains the tip's."""
+        is_counted = self.part is not None and self.part.is_known and self.tip.state is TipState.USED
+        return used_tip(self.tip, self.tip.shift, np.zeros((3, 3))) if is_counted else self.tip
+
+    def with_pose_error(
+        self, estimates: Mapping[Method, Sequence[Estimate]], contacts: Sequence[Contact]
+    ) -> dict[Method, tuple[Estimate, ...]]:
+        """Add the error of the part's pose, of the tip and of the robot's scale to estimates: all taxels share it.
+
+        Parameters
+        ----------
+        contacts : that count, in the part's frame
+        """
+        part = self.part
+        if part is None or not part.is_known:
+            return {method: tuple(of) for method, of in estimates.items()}
+        turns: dict[int, list[FloatArray]] = {}
+        for contact in contacts:
+            for channel in contact.channels.tolist():
+                turns.setdefault(channel, []).append(self._tip_moves(contact))
+        mean = {channel: np.mean(each, axis=0) for channel, each in turns.items()}
+        every = np.mean(list(mean.values()), axis=0) if mean else np.zeros((3, 3))
+        return {
+            method: tuple(self._added(estimate, part, mean.get(estimate.channel, every)) for estimate in of)
+            for method, of in estimates.items()
+        }
+
+    def _tip_moves(self, contact: Contact) -> FloatArray:
+        """Compute (3, 3) how an error of the tip moves a contact: with a sensor only along the push, which its axis lacks."""
+        turn = contact.link_from_sensor[:3, :3]
+        if not self._tool.has_sensor:
+            return turn
+        if contact.tip is None:
+            return np.zeros((3, 3))
+        along = contact.force / np.linalg.norm(contact.force)
+        return np.outer(turn @ along, along)
+
+    def _added(self, estimate: Estimate, part: PartPose, tip_moves: FloatArray) -> Estimate:
+        key = estimate.method, estimate.channel
+        known, found = self._with_error.get(key, (None, estimate))
+        if known is not estimate:
+            found = add_pose_error(estimate, part, tip_moves)
+            self._with_error[key] = estimate, found
+        return found
+
+
+def add_pose_error(estimate: Estimate, part: PartPose, tip_moves: FloatArray) -> Estimate:
+    """Add the error of the part's pose to an estimate; one without a position is not changed.
+
+    Parameters
+    ----------
+    tip_moves : (3, 3) float: derivative of the place by an error of the tip
+    """
+    if estimate.position is None or estimate.covariance is None:
+        return estimate
+    of_scale = ROBOT_SCALE_SD * (estimate.position - part.centre)
+    moves = np.concatenate([part.moves(estimate.position, tip_moves), of_scale[:, None]], axis=1)
+    if estimate.method is Method.SURFACE and estimate.normal is not None:
+        moves = moves - np.outer(estimate.normal, estimate.normal @ moves)
+    covariance = estimate.covariance + moves @ moves.T
+    values, axes = np.linalg.eigh(covariance)
+    worst = axes[:, -1]
+    return replace(
+        estimate,
+        covariance=covariance,
+        worst_direction=worst * np.copysign(1.0, worst[np.abs(worst).argmax()]),
+        sd=float(np.sqrt(values[-1])),
+        rms=float(np.sqrt(np.trace(covariance))),
+        moved=moves if estimate.moved is None else np.concatenate([estimate.moved, moves], axis=1),
+    )
+
+
+def _pokes_of_part_fit(count: int) -> int:
+    """Count the first pokes on the skin that a fit uses: 0 below `FIRST_FIT_POKES`, then in steps of a quarter."""
+    used = 0 if count < FIRST_FIT_POKES else FIRST_FIT_POKES
+    while used and int(np.ceil(used * REFIT_AT_POKE_COUNT_RATIO)) <= count:
+        used = int(np.ceil(used * REFIT_AT_POKE_COUNT_RATIO))
+    return used
+
+
+def _typed_error(touches: PartTouches, shape: PartShape) -> PartPose | None:
+    """Find the pose that touches show in place of the given one, which is the identity here; `None` if they agree with it."""
+    found = fit_part_pose(touches, shape, start_at(np.eye(4)))
+    if found.state in (PartPoseState.FEW_TOUCHES, PartPoseState.DISAGREES):
+        return None
+    change = found.motion_to(np.eye(4))
+    moves = motion_rows(shape.corners - found.centre) @ change
+    far = float(np.linalg.norm(moves)) / len(moves) ** 0.5
+    chi2 = float(change @ np.linalg.solve(found.covariance, change))
+    return found if far > PART_POSE_MISMATCH_MIN_M and chi2 > PART_POSE_MISMATCH_CHI2 else None

@@ -1,0 +1,134 @@
+"""Sentences on the pose of a part in the base of a tool's poses, and on the tip that pokes show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from skincal.rig.part_pose import MIN_TOUCHES, PartPose, PartPoseState
+from skincal.rig.part_touches import OpenMotion
+from skincal.rig.tip_frame import TIP_FRAME_MIN_POKES, TipFrame, TipState
+from skincal.rig.tool_tip import TIP_SPREAD_MAX_M, ToolTip
+from skincal.words.units import count, degrees, direction, millimetres, point_mm
+
+OPEN_ABOVE_M = 0.05
+"""m. A larger sd of a motion only says that nothing was measured."""
+MOST_OPEN_MOTIONS_NAMED = 2
+
+
+def open_motion_words(motion: OpenMotion) -> str:
+    """Describe a motion of the part that the touches leave open: `"may lie 4 mm farther along (0.00 0.00 1.00)"`."""
+    if motion.is_shift:
+        way = f"along ({direction(motion.shift / np.linalg.norm(motion.shift))})"
+        return f"may lie anywhere {way}" if motion.sd > OPEN_ABOVE_M else f"may lie {millimetres(motion.sd)} farther {way}"
+    angle = float(np.linalg.norm(motion.turn))
+    about = f"about ({direction(motion.turn / angle)})"
+    if motion.sd > OPEN_ABOVE_M or angle > math.pi / 4:
+        return f"may be turned anyhow {about}"
+    return f"may be turned by {degrees(angle, 1)} {about}, {millimetres(motion.sd)} at its ends"
+
+
+def _open_words(pose: PartPose) -> str:
+    named = [open_motion_words(motion) for motion in pose.open_motions[:MOST_OPEN_MOTIONS_NAMED]]
+    return f"The part {', and '.join(named)}: touch one landmark." if named else ""
+
+
+def part_pose_sentence(pose: PartPose, landmark: str = "") -> str:
+    """Describe the pose of the part in the base, and the pokes that it lacks.
+
+    Parameters
+    ----------
+    landmark : name of the landmark of `pose.worst_landmark`
+    """
+    unknown = "Part: its pose in the base is not known yet, so positions are in the base."
+    match pose.state:
+        case PartPoseState.FEW_TOUCHES:
+            return f"{unknown} Press {MIN_TOUCHES} landmarks or more, or places on all sides of the part."
+        case PartPoseState.OPEN:
+            return f"{unknown} {_open_words(pose)}"
+        case PartPoseState.AMBIGUOUS:
+            return f"{unknown} {_rival_words(pose)}"
+        case PartPoseState.DISAGREES:
+            worst = f" Landmark {landmark} misses most, by {millimetres(pose.worst_miss)}." if landmark else ""
+            return (
+                f"{unknown} No pose fits: the touches miss by {pose.ratio:.0f} times the expected error.{worst} "
+                "Check the names of the landmarks, the mesh and the tip, and make the fixed-point test."
+            )
+        case PartPoseState.KNOWN:
+            seen = (
+                (pose.landmarks, "landmark poke", "landmark pokes"),
+                (pose.taxels, "poke at planned taxels", "pokes at planned taxels"),
+                (pose.points, "point on the mesh", "points on the mesh"),
+            )
+            of = ", ".join(count(number, one, many) for number, one, many in seen if number)
+            known = f"Part: its pose in the base is known to {millimetres(pose.sd)} everywhere on it, from {of}."
+            return " ".join(filter(None, (known, _open_words(pose))))
+
+
+def _rival_words(pose: PartPose) -> str:
+    assert pose.rival is not None
+    between = pose.rival @ pose.base_from_link
+    angle = math.acos(min(1.0, max(-1.0, (float(np.trace(between[:3, :3])) - 1.0) / 2.0)))
+    if angle < math.radians(10.0):
+        return f"Another place fits as well, {millimetres(float(np.linalg.norm(between[:3, 3])))} off: touch one landmark."
+    return f"The part fits as well turned by {degrees(angle)}: touch one landmark."
+
+
+def typed_pose_sentence(found: PartPose) -> str:
+    """Describe that the touches show another pose of the part than `base_from_link` of the scene."""
+    change = found.motion_to(np.eye(4))
+    angle = float(np.linalg.norm(change[:3]))
+    turn = "" if angle < math.radians(0.5) else f" and turned by {degrees(angle, 1)}"
+    return (
+        f"The part does not lie where base_from_link of [tool] puts it: by the touches it is moved by "
+        f"({point_mm(change[3:])}) mm{turn}. Leave base_from_link out: pokes show the pose."
+    )
+
+
+def tool_rig_sentences(
+    tip: TipFrame | None, part: PartPose | None, typed_error: PartPose | None, at_landmarks: Mapping[int, str]
+) -> tuple[str, ...]:
+    """Describe the tip of a tool and the part's pose in the base; `at_landmarks` has the landmark of each poke at one."""
+    found = [tool_tip_sentence(tip)] if isinstance(tip, ToolTip) and not tip.is_given_alone else []
+    if part is not None:
+        found.append(part_pose_sentence(part, at_landmarks.get(part.worst_landmark, "")))
+    if typed_error is not None:
+        found.append(typed_pose_sentence(typed_error))
+    return tuple(found)
+
+
+def tool_tip_sentence(tip: ToolTip) -> str:
+    """Describe the tip of a tool, and whether the force axes meet at it."""
+    axes = tip.axes
+    match tip.state:
+        case TipState.DISAGREES if tip.is_mismatch and axes is not None and tip.known is not None:
+            away = millimetres(float(np.linalg.norm(axes.place - tip.known)))
+            return (
+                f"Tip: the force axes of {axes.pokes} pokes meet at ({point_mm(axes.place)}) mm of the sensor's frame, "
+                f"{away} from tip_mm of the scene. The tip is not used. Check that the tool centre point is that of this tool, "
+                "flange, and the point that the moments are about."
+            )
+        case TipState.DISAGREES:
+            spread = millimetres(tip.tip_sd)
+            return (
+                f"Tip: the force axes do not meet at one tip: they scatter by {spread}, more than "
+                f"{millimetres(TIP_SPREAD_MAX_M)}. Check flange, and that the wrench has the axes of the sensor and moments "
+                "about its origin."
+            )
+        case TipState.USED if axes is not None and tip.known is None:
+            return (
+                f"Tip: the force axes of {axes.pokes} pokes meet at ({point_mm(axes.place)}) mm of the sensor's frame, "
+                f"known to {millimetres(axes.sd)}. It is used."
+            )
+        case TipState.USED:
+            agrees = f" The force axes of {count(axes.pokes, 'poke')} agree with it." if axes is not None else ""
+            return f"Tip: tip_mm of the scene is used.{agrees}"
+        case TipState.AMBIGUOUS if axes is not None:
+            return (
+                f"Tip: the force axes leave it open along ({direction(axes.open_direction)}) of the sensor's frame, by "
+                f"{millimetres(axes.sd)}. It is not used. Give tip_mm, or push in other directions of the tool."
+            )
+        case _:
+            return f"Tip: unknown. The force axes show it from {TIP_FRAME_MIN_POKES} pokes on; or give tip_mm."
