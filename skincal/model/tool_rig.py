@@ -1,4 +1,4 @@
-"""A rig whose force/torque sensor sits on the poking tool, or that has none: `[tool]` of a scene, and the poses that follow.
+"""A rig with the force/torque sensor on the poking tool, or without one: `[tool]` of a scene, and the sensor's poses.
 
 The part does not move, and the tool's pose is streamed in a frame that does not move either, such as a robot's base. So the
 sensor's pose in the part's link is

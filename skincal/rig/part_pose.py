@@ -138,7 +138,7 @@ class PartPose:
         """(6, 6) float: of the turn w (rad) about the centre, and of the shift s (m), link frame."""
         return self.with_tip[:6, :6]
 
-    def moves(self, point: FloatArray, tool_turn: FloatArray) -> FloatArray:
+    def error_shifts(self, point: FloatArray, tool_turn: FloatArray) -> FloatArray:
         """Compute the shifts (3, 9), metres, of a point (3,) of the link by independent errors of unit variance.
 
         Parameters

@@ -54,7 +54,7 @@ def start_poses(touches: PartTouches, shape: PartShape) -> tuple[FloatArray, Flo
     turns, shifts = (np.concatenate(each) for each in zip(*starts, strict=True))
     costs = np.zeros(len(turns))
     for step, added_sd in enumerate(ADDED_SDS_M):
-        turns, shifts, costs = _step(some, shape, turns, shifts, added_sd)
+        turns, shifts, costs = _move_starts(some, shape, turns, shifts, added_sd)
         if step == SURVIVORS_AFTER_STEPS:
             best = np.sort(np.argsort(costs, kind="stable")[:SURVIVORS])
             turns, shifts = turns[best], shifts[best]
@@ -79,7 +79,7 @@ def _spread_touches(touches: PartTouches) -> PartTouches:
     return touches.rows(np.sort(np.concatenate([landmarks, others])))
 
 
-def _step(
+def _move_starts(
     touches: PartTouches, shape: PartShape, turns: FloatArray, shifts: FloatArray, added_sd: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Move all starts by one step; also gives their costs (S,) before it."""
@@ -130,7 +130,7 @@ def _targets_suffice(touches: PartTouches, shape: PartShape, starts: list[tuple[
     (turns, shifts), costs = starts[0], np.zeros(0)
     without_mesh = PartShape(None, shape.corners, shape.noise)
     for added_sd in ADDED_SDS_M[:5]:
-        turns, shifts, costs = _step(touches, without_mesh, turns, shifts, added_sd)
+        turns, shifts, costs = _move_starts(touches, without_mesh, turns, shifts, added_sd)
     best = int(np.argmin(costs))
     rows = pose_rows(touches, without_mesh, turns[best : best + 1], shifts[best : best + 1], is_start=True)
     slopes = rows.target_slopes[0].reshape(-1, 6)

@@ -125,7 +125,7 @@ class ToolFindings:
         landmark, planned, normal, module = nowhere, nowhere.copy(), nowhere.copy(), np.full(len(pokes), -1)
         marks = [landmarks[poke].place for poke in marked]
         landmark[len(skin) :] = np.reshape(marks, (-1, 3))
-        layout, laid = self._scene.skin.layout, self._laid
+        layout, laid = self._scene.skin.layout, self._placed_layout
         if laid is not None and layout is not None and skin:
             channels: IntArray = np.array([contact.strongest_channel for contact in skin], np.int64)
             planned[: len(skin)], normal[: len(skin)] = laid.places[channels], laid.normals[channels]
@@ -168,7 +168,7 @@ class ToolFindings:
         return centres + self._tool.tip_radius * pokes.direction
 
     @cached_property
-    def _laid(self) -> PlacedLayout | None:
+    def _placed_layout(self) -> PlacedLayout | None:
         layout = self._scene.skin.layout
         return None if layout is None else place_layout(layout, self._scene.skin.anchor, self._surface)
 
@@ -178,8 +178,8 @@ class ToolFindings:
             vertices = self._surface.vertices
             return vertices[:: -(-len(vertices) // CORNERS_MAX)]
         places = [np.reshape([each.place for each in landmarks], (-1, 3))]
-        if self._laid is not None:
-            places.append(self._laid.places[np.isfinite(self._laid.places).all(axis=1)])
+        if self._placed_layout is not None:
+            places.append(self._placed_layout.places[np.isfinite(self._placed_layout.places).all(axis=1)])
         found = np.concatenate(places)
         return found if len(found) else touches.place
 
@@ -271,7 +271,7 @@ def add_pose_error(estimate: Estimate, part: PartPose, tip_moves: FloatArray) ->
     if estimate.position is None or estimate.covariance is None:
         return estimate
     of_scale = ROBOT_SCALE_SD * (estimate.position - part.centre)
-    moves = np.concatenate([part.moves(estimate.position, tip_moves), of_scale[:, None]], axis=1)
+    moves = np.concatenate([part.error_shifts(estimate.position, tip_moves), of_scale[:, None]], axis=1)
     if estimate.method is Method.SURFACE and estimate.normal is not None:
         moves = moves - np.outer(estimate.normal, estimate.normal @ moves)
     covariance = estimate.covariance + moves @ moves.T
