@@ -53,7 +53,7 @@ from skincal.journal.mcap_writer import McapWriter
 from skincal.journal.ros_messages import MESSAGE_SCHEMAS
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, MAX_TEXT_BYTES, read_regular
-from skincal.model.readings import Chunk, Sample
+from skincal.model.readings import Chunk, Sample, Tick
 from skincal.model.scene import Scene, load_scene
 from skincal.model.tables import read_text
 from skincal.streams.links import LinkSpec
@@ -214,26 +214,43 @@ class JournalWriter:
     @_stops_on_disk_error
     def write(self, item: Item, results: Sequence[Result] = ()) -> None:
         """Append one item and its results."""
-        if self._begun_ns is None:
-            self._begun_ns = item.host_ns
         # The end of a session belongs to its last segment; the next one may be open already.
-        if item.host_ns - self._begun_ns >= SEGMENT_MAX_DURATION_NS and not isinstance(item, SessionClosed):
-            self._continue_in_next(item.host_ns)
+        if not isinstance(item, SessionClosed):
+            self._begin_segment_if_due(item.host_ns)
         if isinstance(item, Chunk):
-            data = ros_messages.encode_chunk(item.host_ns, item.data)
-            self._add(RAW_TOPIC + item.link, self.unix_ns(item.host_ns), data, self._items)
-            self._items += 1
+            self._add_chunk(item)
         else:
             self._add_event(event_to_json(item))
         for result in results:
             self._lines_due.append((self._items, key_of(result), _json_bytes(result_to_json(result))))
         if self._lines_due and not self._copy:
             self._flush()
-        self.tick(item.host_ns)
+        self._flush_if_due(item.host_ns)
 
     @_stops_on_disk_error
-    def write_sample(self, sample: Sample) -> None:
-        """Append a decoded skin frame, and its joint angles, for other programs."""
+    def write_run(self, entries: Sequence[Chunk | Tick | Sample]) -> None:
+        """Append chunks without results, and decoded skin frames with their joint angles, for other programs."""
+        for entry in entries:
+            if isinstance(entry, Sample):
+                self._add_sample(entry)
+                continue
+            if isinstance(entry, Chunk):
+                self._begin_segment_if_due(entry.host_ns)
+                self._add_chunk(entry)
+            self._flush_if_due(entry.host_ns)
+
+    def _begin_segment_if_due(self, host_ns: int) -> None:
+        if self._begun_ns is None:
+            self._begun_ns = host_ns
+        if host_ns - self._begun_ns >= SEGMENT_MAX_DURATION_NS:
+            self._continue_in_next(host_ns)
+
+    def _add_chunk(self, chunk: Chunk) -> None:
+        data = ros_messages.encode_chunk(chunk.host_ns, chunk.data)
+        self._add(RAW_TOPIC + chunk.link, self.unix_ns(chunk.host_ns), data, self._items)
+        self._items += 1
+
+    def _add_sample(self, sample: Sample) -> None:
         at, frame = self.unix_ns(round(sample.host_s * 1e9)), self._scene.link
         self._add("/taxels", at, ros_messages.encode_taxels(at, frame, self._frames, sample.skin))
         self._frames += 1
@@ -257,6 +274,9 @@ class JournalWriter:
     @_stops_on_disk_error
     def tick(self, now_ns: int) -> None:
         """Write the buffer if half a second passed since the last time; call it at any rate."""
+        self._flush_if_due(now_ns)
+
+    def _flush_if_due(self, now_ns: int) -> None:
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
         if self._buffered and now_ns - self._flushed_ns >= self._flush_ns:

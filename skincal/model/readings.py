@@ -6,10 +6,9 @@ All values are frozen and in SI units. A batch holds one or more readings of one
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -94,6 +93,14 @@ class LinkEvent:
     """Baud rates tried so far on a serial port, if they are searched."""
 
 
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """An instant between two items at which the journal writes its buffers if they are due."""
+
+    host_ns: int
+    """Host's monotonic clock, ns."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
     """Readings of one stream, in the order in which the device sent them."""
@@ -112,12 +119,12 @@ class Batch:
     invalid: NDArray[np.bool_]
     """(n,) the device says that a wrench is not valid; never used."""
 
-    def cut(self, ends: Sequence[int]) -> list[Batch]:
-        """Cut the readings into parts; each part ends before one of `ends`, which ascend to their number."""
-        return [
-            Batch(self.stream, self.seq[a:b], self.device_s[a:b], self.values[a:b], self.saturated[a:b], self.invalid[a:b])
-            for a, b in pairwise([0, *ends])
-        ]
+    def rows(self, begin: int, end: int) -> Batch:
+        """Return the readings from `begin` on and before `end`."""
+        part = slice(begin, end)
+        return Batch(
+            self.stream, self.seq[part], self.device_s[part], self.values[part], self.saturated[part], self.invalid[part]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

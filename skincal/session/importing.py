@@ -6,6 +6,7 @@ import contextlib
 import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 from skincal.contacts.outcome import Contact, Rejection
@@ -19,16 +20,13 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.part.part import anchor_findings, load_scene_surface
-from skincal.session.pipeline import Pipeline
+from skincal.session.pipeline import ITEMS_AT_ONCE, Pipeline
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import sheet_findings
 from skincal.words.link_words import silent_links
 from skincal.words.poke_words import late_angles_sentence, no_poke_sentence, too_short_sentence
-
-CHUNKS_PER_PROGRESS_REPORT = 20
-"""Chunks between two progress reports: a second of a recording, some 0.01 s of work."""
 
 
 class KeptError(InputError):
@@ -106,14 +104,11 @@ def play_recording(
         if pose:
             pipeline.act(SetPose(pose), SESSION_START_TIME_NS)
         span_ns = max(recording.span_ns, 1)
-        for count, chunk in enumerate(pipeline.ahead(recording.chunks())):
-            if count % CHUNKS_PER_PROGRESS_REPORT == 0 and not go_on(
-                min(1.0, (chunk.host_ns - SESSION_START_TIME_NS) / span_ns)
-            ):
+        chunks = iter(recording.chunks())
+        while not pipeline.journal_failure and (block := list(islice(chunks, ITEMS_AT_ONCE))):
+            if not go_on(min(1.0, (block[0].host_ns - SESSION_START_TIME_NS) / span_ns)):
                 raise StoppedError
-            pipeline.feed(chunk)
-            if pipeline.journal_failure:
-                break
+            pipeline.feed_many(block)
     finally:
         pipeline.close()
 

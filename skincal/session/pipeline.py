@@ -9,11 +9,11 @@ After a request for a landmark (`AskLandmark`) the pipeline finds which poke was
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import groupby, islice
-from typing import TYPE_CHECKING, TypeVar
+from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from skincal.journal.documents import DetectorResult, Item, Result, SessionClose
 from skincal.journal.writer import JournalFailure, JournalWriter
 from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, TimedAction, UseSkinUnit
 from skincal.model.errors import InputError
-from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, is_silent
+from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, Tick, is_silent
 from skincal.model.scene import Scene
 from skincal.model.skin import RESPONSE_MIN_OF_UNIT
 from skincal.model.tool_rig import TOOL_ARM_POSE
@@ -44,9 +44,8 @@ if TYPE_CHECKING:
     from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
 
-T = TypeVar("T")
-READ_AHEAD_ITEMS = 256
-"""Items of a recording that are read ahead: some four seconds."""
+ITEMS_AT_ONCE = 256
+"""Items of a recording that are fed together: some four seconds, and 0.05 s of work."""
 WRENCH_RECORD_PERIOD_NS = 500_000_000
 """ns between decoded wrenches in the journal."""
 READING_COUNTS_RECORD_PERIOD_NS = 5_000_000_000
@@ -90,6 +89,8 @@ class Pipeline:
         self.finds_skin_unit = True
         """The default of `response_min` follows the unit of the skin. A replay has the recorded action in its place."""
         self._now_ns = 0
+        self._unwritten: list[Chunk | Tick | Sample] = []
+        """Entries of the journal without results, which are written together."""
         self._found_dead = False
         self.poses = ArmPoses(scene)
         self.session.set_clock(None if journal is None else journal.clock)
@@ -114,11 +115,7 @@ class Pipeline:
         outcomes: list[Outcome] = []
         try:
             samples = self._intake.feed(item)
-            if self._intake.has_new_frames:
-                self._intake.has_new_frames = False
-                self._note_frames()
-            if self.finds_skin_unit and (unit := self._intake.skin_unit):
-                self._use_skin_unit(unit, item.host_ns)
+            self._note_devices(item.host_ns)
             for sample in samples:
                 outcomes += self._process_sample(sample)
             if self._interrupts_samples(item):
@@ -128,19 +125,80 @@ class Pipeline:
             self._commit(item, outcomes)  # also where the work fails: these bytes are worth keeping
         self._decoded_wrenches(item.host_ns)
 
-    def ahead(self, items: Iterable[T]) -> Iterator[T]:
-        """Decode many chunks at a time and yield the items; feed each before asking for the next."""
-        items = iter(items)
-        while block := list(islice(items, READ_AHEAD_ITEMS)):
-            for are_bytes, run in groupby(block, lambda item: isinstance(item, Chunk)):
-                found = list(run)
-                if are_bytes:
-                    self.read_ahead([item for item in found if isinstance(item, Chunk)])
-                yield from found
+    def feed_many(self, items: Sequence[Chunk | LinkEvent | Tick]) -> None:
+        """Process successive items together. The results are those of `feed` and `tick` for each, to the last bit."""
+        at = 0
+        while at < len(items):
+            run = self._run_from(items, at)
+            if len(run) > 1:
+                self._feed_run(run)
+                at += len(run)
+                continue
+            item = items[at]
+            at += 1
+            if isinstance(item, Tick):
+                self.tick(item.host_ns)
+            else:
+                self.feed(item)
 
-    def read_ahead(self, chunks: Sequence[Chunk]) -> None:
-        """Decode the chunks that are fed next, in this order, many at a time. The results stay the same."""
-        self._intake.read_ahead(chunks)
+    def _run_from(self, items: Sequence[Chunk | LinkEvent | Tick], begin: int) -> list[Chunk | Tick]:
+        """Return the ticks and chunks of known links from `begin` on at which the journal counts no readings."""
+        totals_due_ns = np.inf if self.journal is None else -np.inf
+        if self.journal is not None and self._totals_ns is not None:
+            totals_due_ns = self._totals_ns + READING_COUNTS_RECORD_PERIOD_NS
+        run: list[Chunk | Tick] = []
+        for item in islice(items, begin, None):
+            if isinstance(item, LinkEvent):
+                break
+            if isinstance(item, Chunk) and (item.host_ns >= totals_due_ns or not self._intake.knows(item.link)):
+                break
+            run.append(item)
+        return run
+
+    def _feed_run(self, items: Sequence[Chunk | Tick]) -> None:
+        """Process chunks of known links at which the journal counts no readings."""
+        self._begin_ns = self._begin_ns or items[0].host_ns
+        unwritten, decoded_due_ns = self._unwritten, self._decoded_due_ns
+        fed = self._intake.feed_many([item for item in items if isinstance(item, Chunk)])
+        try:
+            for item in items:
+                if isinstance(item, Tick):
+                    unwritten.append(item)
+                    continue
+                samples, changes_frozen = next(fed)
+                has_news = self._intake.has_new_frames or (self.finds_skin_unit and self._intake.skin_unit)
+                if samples or changes_frozen or has_news:
+                    self._process_decoded(item, samples, changes_frozen=changes_frozen)
+                else:
+                    unwritten.append(item)
+                if item.host_ns >= decoded_due_ns:
+                    self._write_waiting()
+                    self._decoded_wrenches(item.host_ns)
+                    decoded_due_ns = self._decoded_due_ns
+        finally:
+            self._now_ns = max(self._now_ns, *(item.host_ns for item in items if isinstance(item, Chunk)))
+            self._write_waiting()
+
+    def _process_decoded(self, chunk: Chunk, samples: Sequence[Sample], *, changes_frozen: bool) -> None:
+        """Process the samples of a chunk of a run."""
+        outcomes: list[Outcome] = []
+        try:
+            self._note_devices(chunk.host_ns)
+            for sample in samples:
+                outcomes += self._process_sample(sample)
+            if changes_frozen:
+                self._frozen = self._intake.frozen
+                outcomes += self._detector.reset(chunk.host_ns * 1e-9)
+        finally:
+            if outcomes or self._found_dead:
+                self._commit(chunk, outcomes)
+            else:
+                self._unwritten.append(chunk)
+
+    @property
+    def _decoded_due_ns(self) -> float:
+        """Time of the next item after which decoded wrenches are written; infinite if none are."""
+        return self._decoded_ns + WRENCH_RECORD_PERIOD_NS if self._wants_decoded else np.inf
 
     def apply_note(self, note: Result) -> None:
         """Apply what a detector made of an item: outcomes and dead channels, or counts of readings."""
@@ -165,6 +223,14 @@ class Pipeline:
     def _find_frame(self, name: str) -> WrenchFrame:
         is_named = self.scene.wrench_place != WrenchPlace()
         return self.scene.wrench_frame(name) if self.reads_frames or is_named else WrenchFrame(name, FrameKind.SAME)
+
+    def _note_devices(self, host_ns: int) -> None:
+        """Note new frames of the wrench, and the unit of the skin."""
+        if self._intake.has_new_frames:
+            self._intake.has_new_frames = False
+            self._note_frames()
+        if self.finds_skin_unit and (unit := self._intake.skin_unit):
+            self._use_skin_unit(unit, host_ns)
 
     def _note_frames(self) -> None:
         """Find new frames of the wrench in the scene's robot."""
@@ -329,7 +395,7 @@ class Pipeline:
 
     def _process_sample(self, sample: Sample) -> list[Outcome]:
         if self._wants_decoded:
-            self._record(lambda journal: journal.write_sample(sample))
+            self._unwritten.append(sample)
         if self.scene.wrench_sign < 0:
             sample = replace(sample, wrench=-sample.wrench)
         if sample.has_late_angles and self.session.decisions.pose:
@@ -385,6 +451,7 @@ class Pipeline:
             return
         if self._totals_due(item):
             notes.append(self.totals())
+        self._write_waiting()
         self._record(lambda journal: journal.write(item, notes))
         if any(isinstance(outcome, Contact) for outcome in outcomes):
             self._record(lambda journal: journal.sync())
@@ -430,7 +497,7 @@ class Pipeline:
 
     def _decoded_wrenches(self, host_ns: int) -> None:
         """Write the wrenches of the last half second and the temperature to the journal, for other programs."""
-        if not self._wants_decoded or host_ns - self._decoded_ns < WRENCH_RECORD_PERIOD_NS:
+        if host_ns < self._decoded_due_ns:
             return
         self._decoded_ns = host_ns
         times, wrenches = self._intake.recent_wrench(self._decoded_s)
@@ -444,6 +511,12 @@ class Pipeline:
     @property
     def _wants_decoded(self) -> bool:
         return self.journal is not None and self.journal.wants_decoded
+
+    def _write_waiting(self) -> None:
+        """Write the entries of the journal that wait."""
+        if self._unwritten:
+            self._record(lambda journal: journal.write_run(self._unwritten))
+            self._unwritten.clear()
 
     def sync(self) -> None:
         """Flush the journal to the disk; on failure recording ends and `journal_failure` says why."""

@@ -6,8 +6,9 @@ nor the detector has changed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from itertools import groupby, islice
 from pathlib import Path
 
 from skincal.journal.documents import (
@@ -23,9 +24,10 @@ from skincal.journal.reader import LogItem, LogState, SessionLog, recover_sessio
 from skincal.journal.writer import open_segment
 from skincal.model.actions import FoundAtLandmark, MissedLandmark, TimedAction
 from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent
 from skincal.model.scene import ships, with_layout
 from skincal.part.part import load_scene_surface
-from skincal.session.pipeline import Pipeline
+from skincal.session.pipeline import ITEMS_AT_ONCE, Pipeline
 from skincal.streams.links import LinkSpec
 
 _ACTION_MISFIT = "An action of the operator no longer fits and is left out"
@@ -132,16 +134,27 @@ def apply_item(pipeline: Pipeline, item: LogItem) -> None:
         pipeline.feed(item)
 
 
+def _feed(pipeline: Pipeline, items: Iterator[LogItem]) -> None:
+    """Feed chunks and events, many at a time."""
+    from_links = (item for item in items if isinstance(item, Chunk | LinkEvent))
+    while block := list(islice(from_links, ITEMS_AT_ONCE)):
+        pipeline.feed_many(block)
+
+
 def _played(log: SessionLog, layout: Path | None) -> Pipeline:
     pipeline = _new_pipeline(log, layout)
     misfits: list[str] = []
-    for item in pipeline.ahead(log.items()):
-        try:
-            apply_item(pipeline, item)
-        except InputError as error:
-            if not isinstance(item, TimedAction):
-                raise
-            # With changed thresholds of the scene a poke may have another outcome.
-            misfits.append(f"{_ACTION_MISFIT}: {error}")
+    for are_from_links, run in groupby(log.items(), lambda item: isinstance(item, Chunk | LinkEvent)):
+        if are_from_links:
+            _feed(pipeline, run)
+            continue
+        for item in run:
+            try:
+                apply_item(pipeline, item)
+            except InputError as error:
+                if not isinstance(item, TimedAction):
+                    raise
+                # With changed thresholds of the scene a poke may have another outcome.
+                misfits.append(f"{_ACTION_MISFIT}: {error}")
     pipeline.findings = (*log.findings, *misfits)
     return pipeline

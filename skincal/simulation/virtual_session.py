@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from skincal.files.reference import TRUTH_NAME
 from skincal.journal.writer import create_session
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
-from skincal.model.readings import SESSION_START_TIME_NS, Chunk, LinkEvent, LinkState
+from skincal.model.readings import SESSION_START_TIME_NS, Chunk, LinkEvent, LinkState, Tick
 from skincal.model.scene import Scene
 from skincal.session.pipeline import Pipeline
 from skincal.simulation.device import DeviceSettings, DeviceTimeline
@@ -80,12 +79,11 @@ def simulate_session(
     begun = 0
     while not line.finished:
         blocks = line.advance_many(BLOCKS_AT_ONCE)
-        chunks = [[Chunk(link, SESSION_START_TIME_NS + at_ns, data) for at_ns, link, data in arrived] for _, arrived in blocks]
-        pipeline.read_ahead(list(chain.from_iterable(chunks)))
-        for (end_s, _), arrived in zip(blocks, chunks, strict=True):
-            for chunk in arrived:
-                pipeline.feed(chunk)
-            pipeline.tick(SESSION_START_TIME_NS + round(end_s * 1e9))
+        items: list[Chunk | LinkEvent | Tick] = []
+        for end_s, arrived in blocks:
+            items += [Chunk(link, SESSION_START_TIME_NS + at_ns, data) for at_ns, link, data in arrived]
+            items.append(Tick(SESSION_START_TIME_NS + round(end_s * 1e9)))
+        pipeline.feed_many(items)
         if progress is not None and operator.begun != begun:
             begun = operator.begun
             progress(begun)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -54,7 +55,9 @@ class ExpectedReadings:
 
     def has_angles(self, values: FloatArray) -> bool:
         """Whether a reading of joints has enough columns, and numbers in those that are used."""
-        return len(values) >= self.joints and bool(np.isfinite(values.take(self._used) if self.used_joints else values).all())
+        if len(values) < self.joints:
+            return False
+        return all(map(math.isfinite, (values.take(self._used) if self.used_joints else values).tolist()))
 
     def count_numberless(self, batch: Batch) -> int:
         """Count the readings that are no use for want of numbers: one channel is enough for a skin."""

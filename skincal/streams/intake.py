@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
@@ -36,7 +36,7 @@ from skincal.model.wrench_frames import FindFrame, WrenchFrames, unchecked_frame
 from skincal.streams.clocks import Timestamper
 from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class
 from skincal.streams.expected_readings import TIP_WIDTH, ExpectedReadings
-from skincal.streams.link_diagnosis import Differences, LinkMonitor
+from skincal.streams.link_diagnosis import LinkMonitor
 from skincal.streams.links import LinkSpec, format_of, make_link_decoder
 from skincal.streams.pairing import Pairing
 
@@ -64,6 +64,7 @@ class Intake:
         """Names of the links on which a stream that always has noise repeats one reading."""
         self.has_new_frames = True
         """Whether a message named a new frame of the wrench; reset by who looks at `wrench_frames`."""
+        self._has_one_wrench = sum(not each.carries or Stream.WRENCH in each.carries for each in links) == 1
         self._pairing = Pairing()
         self._now_s = -np.inf
 
@@ -99,35 +100,88 @@ class Intake:
         link = self._links[item.link]
         for arrived in link.feed(item):
             self._add_to_pairing(arrived)
-        if link.frames.count != link.frames_noted:
-            link.frames_noted, self.has_new_frames = link.frames.count, True
+        self._note_frames_of(link)
         if link.monitor.is_frozen != (item.link in self.frozen):
             self.frozen ^= {item.link}
         # Two readers stamp their bytes before they queue them, so items may be out of order by a little.
         self._now_s = max(self._now_s, item.host_ns * 1e-9)
         return self._pairing.pop_paired(self._now_s)
 
-    def read_ahead(self, chunks: Sequence[Chunk]) -> None:
-        """Decode the chunks that are fed next, in this order, many at a time. The samples stay the same."""
-        for name, link in self._links.items():
-            link.read_ahead([chunk for chunk in chunks if chunk.link == name])
+    def knows(self, link: str) -> bool:
+        """Whether a link has this name."""
+        return link in self._links
+
+    def feed_many(self, chunks: Sequence[Chunk]) -> Iterator[tuple[Sequence[Sample], bool]]:
+        """Process the next chunks of known links together, with the effect of `feed` for each.
+
+        Yields after each chunk its samples, and whether its link froze or works again. Until the last one, `health` is ahead.
+        """
+        parts = {
+            name: self._feed_parts(self._links[name], [each for each in chunks if each.link == name])
+            for name in dict.fromkeys(chunk.link for chunk in chunks)
+        }
+        pairing = self._pairing
+        for chunk in chunks:
+            name = chunk.link
+            is_frozen = next(parts[name])
+            changes_frozen = is_frozen != (name in self.frozen)
+            if changes_frozen:
+                self.frozen ^= {name}
+            self._now_s = max(self._now_s, chunk.host_ns * 1e-9)
+            yield pairing.pop_paired(self._now_s) if pairing.is_waiting else (), changes_frozen
+
+    def _feed_parts(self, link: LinkIntake, chunks: Sequence[Chunk]) -> Iterator[bool]:
+        """Add the readings of a link's chunks to the pairing, a chunk at a time; yield whether the link is frozen after it."""
+        run = link.feed_many(chunks)
+        self._note_frames_of(link)
+        if run is None:
+            for chunk in chunks:
+                for arrived in link.feed(chunk):
+                    self._add_to_pairing(arrived)
+                self._note_frames_of(link)
+                yield link.monitor.is_frozen
+            return
+        whole, ends = run.whole, [0, *run.ends]
+        # Wrenches of two links would be stored in another order.
+        if (
+            whole.batch.stream is Stream.WRENCH
+            and self._has_one_wrench
+            and self._pairing.hold_wrench(whole.stamps, whole.batch)
+        ):
+            for (begin, end), is_frozen in zip(pairwise(ends), run.frozen, strict=True):
+                self._pairing.ring.release(end - begin)
+                yield is_frozen
+            return
+        parts = zip(pairwise(ends), run.arrivals, run.frozen, strict=True)
+        for (begin, end), arrival_s, is_frozen in parts:
+            self._add_to_pairing(TimestampedBatch(whole.batch.rows(begin, end), whole.stamps[begin:end], arrival_s))
+            yield is_frozen
+
+    def _note_frames_of(self, link: LinkIntake) -> None:
+        if link.frames.count != link.frames_noted:
+            link.frames_noted, self.has_new_frames = link.frames.count, True
 
     def _add_to_pairing(self, arrived: TimestampedBatch) -> None:
-        batch, stamps = arrived.batch, arrived.stamps
+        batch, stamps, values = arrived.batch, arrived.stamps.tolist(), arrived.batch.values
         if batch.stream is Stream.WRENCH:
-            self._pairing.add_wrench(stamps, batch)
-            return
-        for stamp, values in zip(stamps.tolist(), batch.values, strict=True):
-            if batch.stream is Stream.SKIN:
-                self._pairing.add_frame(stamp, arrived.arrival_s, values)
-            elif batch.stream is Stream.TIP:
-                if len(values) >= TIP_WIDTH and all(map(math.isfinite, values.tolist())):
-                    self._pairing.add_tip(stamp, values[:TIP_WIDTH])
-            elif batch.stream is Stream.TOOL:
-                if math.isfinite(values[0]):
-                    self._pairing.add_tool(stamp, values)
-            elif self._expected.has_angles(values):
-                self._pairing.add_joints(stamp, values)
+            self._pairing.add_wrench(arrived.stamps, batch)
+        elif batch.stream is Stream.SKIN:
+            for stamp, frame in zip(stamps, values, strict=True):
+                self._pairing.add_frame(stamp, arrived.arrival_s, frame)
+        else:
+            for stamp, reading in zip(stamps, values, strict=True):
+                self._add_reading(batch.stream, stamp, reading)
+
+    def _add_reading(self, stream: Stream, stamp_s: float, values: FloatArray) -> None:
+        """Add a reading of joints, tip or tool to the pairing, unless it is no use."""
+        if stream is Stream.TIP:
+            if len(values) >= TIP_WIDTH and all(map(math.isfinite, values.tolist())):
+                self._pairing.add_tip(stamp_s, values[:TIP_WIDTH])
+        elif stream is Stream.TOOL:
+            if math.isfinite(values[0]):
+                self._pairing.add_tool(stamp_s, values)
+        elif self._expected.has_angles(values):
+            self._pairing.add_joints(stamp_s, values)
 
     def recent_wrench(self, after_s: float = -math.inf) -> tuple[FloatArray, FloatArray]:
         """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds that are later than `after_s`, as sent."""
@@ -154,8 +208,18 @@ class TimestampedBatch(NamedTuple):
     stamps: FloatArray
     """(n,) host's clock at each reading, seconds."""
     arrival_s: float
-    change: Differences | None = None
-    """Differences between the readings, if they were read ahead."""
+
+
+class LinkRun(NamedTuple):
+    """Readings of successive chunks of a link, decoded together."""
+
+    whole: TimestampedBatch
+    ends: list[int]
+    """Row after the readings of each chunk."""
+    arrivals: list[float]
+    """Arrival of each chunk, seconds."""
+    frozen: list[bool]
+    """Whether the link is frozen after each chunk."""
 
 
 class LinkIntake:
@@ -176,8 +240,6 @@ class LinkIntake:
         look = None if kind is not None and kind.needs_recipe else lambda: LinkDecoder(self._format, None, streams)
         self.monitor = LinkMonitor(spec.carries, expected.widths, look)
         self._decoder = self._new_decoder()
-        self._ahead: deque[tuple[Chunk, TimestampedBatch]] = deque()
-        """Chunks that are decoded and dated already."""
         self._losses_before: Counter[Loss] = Counter()
         """Losses of the decoders that the link had before it was last opened."""
         self._side_readings_before: Mapping[str, SideReading] = {}
@@ -195,17 +257,21 @@ class LinkIntake:
         decoder.use_scene(self._expected, self.frames)
         return decoder
 
-    def read_ahead(self, chunks: Sequence[Chunk]) -> None:
-        """Decode and date the next chunks of this link at once, if their format allows it."""
-        found = self._decoder.feed_many([chunk.data for chunk in chunks])
+    def feed_many(self, chunks: Sequence[Chunk]) -> LinkRun | None:
+        """Process the next chunks together if link and format allow it, with the effect of `feed` for each; else do nothing."""
+        is_steady = self._last_ns and not self._outage_began_ns and len(self.spec.carries) == 1
+        found = self._decoder.feed_many([chunk.data for chunk in chunks]) if is_steady else None
         if found is None:
-            return
+            return None
         whole, ends = found
-        arrivals = [chunk.host_ns * 1e-9 for chunk in chunks]
-        stamps = self._stamper.stamp(whole, np.repeat(arrivals, np.diff(ends, prepend=0)))
-        parts = (stamps[begin:end] for begin, end in pairwise([0, *ends]))
-        dated = map(TimestampedBatch, whole.cut(ends), parts, arrivals, self.monitor.compare_ahead(whole, ends))
-        self._ahead.extend(zip(chunks, dated, strict=True))
+        times_ns, counts = [chunk.host_ns for chunk in chunks], np.diff(ends, prepend=0)
+        arrivals = [host_ns * 1e-9 for host_ns in times_ns]
+        stamps = self._stamper.stamp(whole, np.repeat(arrivals, counts))
+        self._last_ns = times_ns[-1]
+        for host_ns, count in zip(times_ns, counts.tolist(), strict=True):
+            self._count_readings(host_ns, count)
+        frozen = self.monitor.on_run(whole, ends, times_ns)
+        return LinkRun(TimestampedBatch(whole, stamps, arrivals[-1]), ends, arrivals, frozen)
 
     def feed(self, item: Chunk | LinkEvent) -> list[TimestampedBatch]:
         """Return the readings that bytes, or the end of a link, complete: the format may not have been sure before."""
@@ -217,19 +283,12 @@ class LinkIntake:
         if self._outage_began_ns:
             self._outages, self._outage_began_ns = self._outages_until(chunk.host_ns), 0
         self._last_ns = chunk.host_ns
-        if self._ahead:
-            ahead, dated = self._ahead.popleft()
-            assert ahead is chunk, "chunks come in the order in which they were read ahead"
-            self._count_readings([(chunk.host_ns, dated.batch)])
-            self.monitor.on_data(chunk.data, chunk.host_ns, [dated.batch], dated.change)
-            return [dated]
         # Counted before the batches are dated: after a loss a count of readings no longer gives the time.
         before = self._uncountable_losses()
         batches = self._decoder.feed(chunk.data, chunk.host_ns)
         if self._uncountable_losses() > before:
             self._stamper.note_loss()
-        self._count_readings(batches)
-        self._numberless += sum(self._expected.count_numberless(batch) for _, batch in batches)
+        self._count_batches(batches)
         self.monitor.on_data(chunk.data, chunk.host_ns, [batch for _, batch in batches])
         return self._dated(batches)
 
@@ -238,8 +297,7 @@ class LinkIntake:
         self.monitor.on_event(event)
         if event.state is LinkState.ENDED:
             batches = self._decoder.finish()
-            self._count_readings(batches)
-            self._numberless += sum(self._expected.count_numberless(batch) for _, batch in batches)
+            self._count_batches(batches)
         elif event.state is LinkState.OPEN and self._last_ns:
             # A new decoder: half a record from before the break must not be joined to the first one after it.
             self._losses_before += self._decoder.current.counts
@@ -266,13 +324,17 @@ class LinkIntake:
         counts = self._decoder.current.counts
         return sum(counts[loss] for loss in LOSSES_THAT_BREAK_COUNTING) if counts else 0
 
-    def _count_readings(self, batches: list[tuple[int, Batch]]) -> None:
+    def _count_batches(self, batches: Sequence[tuple[int, Batch]]) -> None:
         for arrival_ns, batch in batches:
-            self._readings += len(batch.seq)
-            step_ns, count = arrival_ns - arrival_ns % RATE_COUNTING_STEP_NS, len(batch.seq)
-            if self._rate and self._rate[-1][0] == step_ns:
-                count += self._rate.pop()[1]
-            self._rate.append((step_ns, count))
+            self._count_readings(arrival_ns, len(batch.seq))
+            self._numberless += self._expected.count_numberless(batch)
+
+    def _count_readings(self, arrival_ns: int, count: int) -> None:
+        self._readings += count
+        step_ns = arrival_ns - arrival_ns % RATE_COUNTING_STEP_NS
+        if self._rate and self._rate[-1][0] == step_ns:
+            count += self._rate.pop()[1]
+        self._rate.append((step_ns, count))
 
     def health(self, now_ns: int, pairing: Mapping[Loss, int] = MappingProxyType({})) -> LinkHealth:
         """Return the state and figures of the link; `pairing` holds losses of the pairing, which count for the skin's link."""

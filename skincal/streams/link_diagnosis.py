@@ -63,8 +63,6 @@ class Differences(NamedTuple):
     """Index of the last of these; 0 if there is none."""
     last: NDArray[np.uint64]
     """(1, width) bits of the last reading."""
-    alternates: list[bool]
-    """Of wrenches that were read ahead: see `LinkMonitor.find_alternations`."""
 
 
 class _StreamHistory:
@@ -91,6 +89,39 @@ class _StreamHistory:
             self._changes, self._changed_ns, self._equal = self._changes + change.changes, host_ns, -change.newest
         self._equal += change.readings
         self.last_ns, self.last = host_ns, change.last
+
+    def add_parts(
+        self, changed: NDArray[np.bool_], ends: Sequence[int], host_ns: Sequence[int], last: NDArray[np.uint64]
+    ) -> list[bool]:
+        """Add readings that came in parts; return after each part whether the stream is frozen.
+
+        Parameters
+        ----------
+        changed : (n,) whether each reading differs from the one before it
+        ends : rows after each part, ascending
+        host_ns : arrival of each part
+        last : (1, width) bits of the last reading
+        """
+        count, rows, times = len(changed), changed.nonzero()[0], np.array(host_ns)
+        changed_ns = times[np.searchsorted(ends, rows, side="right")]
+        unchanged_ns = np.diff(changed_ns, prepend=self._changed_ns, append=times[-1])
+        if self.is_frozen or unchanged_ns.max() >= FROZEN_IF_UNCHANGED_FOR_NS or (times[1:] < times[:-1]).any():
+            return self._add_each_part(changed, ends, host_ns, last)
+        equal = count - int(rows[-1]) if len(rows) else self._equal + count
+        self._earlier += self._equal + count - equal
+        self._changes, self._equal = self._changes + len(rows), equal
+        self._changed_ns = int(changed_ns[-1]) if len(rows) else self._changed_ns
+        self.last_ns, self.last = host_ns[-1], last
+        return [False] * len(ends)
+
+    def _add_each_part(
+        self, changed: NDArray[np.bool_], ends: Sequence[int], host_ns: Sequence[int], last: NDArray[np.uint64]
+    ) -> list[bool]:
+        found: list[bool] = []
+        for (begin, end), at_ns in zip(pairwise([0, *ends]), host_ns, strict=True):
+            self.add(_differences(changed[begin:end], last), at_ns)
+            found.append(self.is_frozen)
+        return found
 
     @property
     def width(self) -> int:
@@ -132,6 +163,12 @@ def _add_levels(levels: set[float], values: FloatArray) -> set[float] | None:
         if len(levels) > MAX_SKIN_LEVELS:
             return None
     return levels
+
+
+def _differences(changed: NDArray[np.bool_], last: NDArray[np.uint64]) -> Differences:
+    """Count the readings (n,) that changed; `last` is (1, width), the bits of the last one."""
+    rows = changed.nonzero()[0]
+    return Differences(len(changed), len(rows), int(rows[-1]) if len(rows) else 0, last)
 
 
 def _bits(values: FloatArray) -> NDArray[np.uint64]:
@@ -198,59 +235,65 @@ class LinkMonitor:
         else:
             self._forget_data(event.host_ns)
 
-    def compare(self, batch: Batch, ends: Sequence[int]) -> list[Differences]:
-        """Compare each reading with the one before it, part by part. `ends` are the ascending rows after each part."""
+    def _find_changes(self, batch: Batch) -> tuple[NDArray[np.bool_], NDArray[np.uint64]]:
+        """Find the (n,) readings that differ from the one before them; return also the bits of the last one, (1, width)."""
         known, bits = self._streams.get(batch.stream), _bits(batch.values)
-        if len(bits) == 1:  # the usual frame of a skin
-            differs = known is not None and known.width == bits.shape[1] and not np.array_equal(bits, known.last)
-            return [Differences(1, int(differs), 0, bits, [])]
-        changed = np.zeros(len(bits), np.int64)
-        changed[1:] = (bits[1:] != bits[:-1]).any(axis=1)
+        changed = np.zeros(len(bits), np.bool_)
+        if len(bits) > 1:
+            changed[1:] = (bits[1:] != bits[:-1]).any(axis=1)
         if known is not None and known.width == bits.shape[1]:
-            changed[0] = (bits[:1] != known.last).any()
-        begins = np.array([0, *ends[:-1]])
-        changes = np.add.reduceat(changed, begins)
-        newest = np.maximum(np.maximum.reduceat(changed * np.arange(len(bits)), begins) - begins, 0)
-        parts = zip(pairwise([0, *ends]), changes.tolist(), newest.tolist(), strict=True)
-        return [Differences(end - begin, count, at, bits[end - 1 : end], []) for (begin, end), count, at in parts]
+            changed[0] = not np.array_equal(bits[:1], known.last)
+        return changed, bits[-1:]
 
-    def compare_ahead(self, batch: Batch, ends: Sequence[int]) -> list[Differences]:
-        """Compare the readings of the next parts as `compare` does, and wrenches with the one before the last, too."""
-        found = self.compare(batch, ends)
-        if batch.stream is not Stream.WRENCH:
-            return found
-        alternates = self.find_alternations(batch.values)
-        unknown = len(batch.values) - len(alternates)  # the first readings of a link
-        parts = pairwise([0, *ends])
-        return [
-            each._replace(alternates=alternates[max(begin - unknown, 0) : max(end - unknown, 0)])
-            for each, (begin, end) in zip(found, parts, strict=True)
-        ]
+    def _history(self, stream: Stream, last: NDArray[np.uint64], host_ns: int) -> _StreamHistory:
+        """Find the history of a stream; begin a new one for another width."""
+        known = self._streams.get(stream)
+        if known is None or known.width != last.shape[1]:
+            known = self._streams[stream] = _StreamHistory(stream, last, host_ns)
+        return known
 
-    def on_data(self, data: bytes, host_ns: int, batches: Sequence[Batch], change: Differences | None = None) -> None:
-        """Process bytes, and the readings that a decoder of the wanted streams made of them.
-
-        `change` is the comparison of the only batch, if that has been made already; then all its values are finite.
-        """
+    def on_data(self, data: bytes, host_ns: int, batches: Sequence[Batch]) -> None:
+        """Process bytes, and the readings that a decoder of the wanted streams made of them."""
         self._last_ns = host_ns
         self._opened_ns = self._opened_ns or host_ns
         for batch in batches:
-            if change is not None or np.isfinite(batch.values[-1]).any():
-                news = change or self.compare(batch, [len(batch.seq)])[0]
-                known = self._streams.get(batch.stream)
-                if known is None or known.width != news.last.shape[1]:
-                    known = self._streams[batch.stream] = _StreamHistory(batch.stream, news.last, host_ns)
-                known.add(news, host_ns)
-            if batch.stream is Stream.WRENCH:
-                self._count_alternations(self.find_alternations(batch.values) if change is None else change.alternates)
-            if batch.stream is Stream.SKIN and self._levels is not None:
-                self._levels = _add_levels(self._levels, batch.values)
+            if np.isfinite(batch.values[-1]).any():
+                changed, last = self._find_changes(batch)
+                self._history(batch.stream, last, host_ns).add(_differences(changed, last), host_ns)
+            self._look_at_values(batch)
         if self._wanted_streams and not self._missing(host_ns):
-            self._missing_since_ns, self._fallback, self._tail = None, None, b""
-            self._unexpected.clear()
+            self._note_nothing_missing()
         else:
             self._missing_since_ns = self._missing_since_ns or host_ns
             self._count_unexpected(data, host_ns)
+
+    def on_run(self, batch: Batch, ends: Sequence[int], host_ns: Sequence[int]) -> list[bool]:
+        """Process finite readings of the only wanted stream, which came in parts of one reading or more.
+
+        The effect is that of `on_data` for each part. Returns after each part whether the link is frozen.
+
+        Parameters
+        ----------
+        ends : rows after each part, ascending
+        host_ns : arrival of each part
+        """
+        self._last_ns = host_ns[-1]
+        self._opened_ns = self._opened_ns or host_ns[0]
+        changed, last = self._find_changes(batch)
+        frozen = self._history(batch.stream, last, host_ns[0]).add_parts(changed, ends, host_ns, last)
+        self._look_at_values(batch)
+        self._note_nothing_missing()
+        return frozen if batch.stream in self._noisy else [False] * len(ends)
+
+    def _look_at_values(self, batch: Batch) -> None:
+        if batch.stream is Stream.WRENCH:
+            self._count_alternations(self.find_alternations(batch.values))
+        if batch.stream is Stream.SKIN and self._levels is not None:
+            self._levels = _add_levels(self._levels, batch.values)
+
+    def _note_nothing_missing(self) -> None:
+        self._missing_since_ns, self._fallback, self._tail = None, None, b""
+        self._unexpected.clear()
 
     def find_alternations(self, values: FloatArray) -> list[bool]:
         """Find the next (n, 6) wrenches that differ from the one before them, but not from the one before that.

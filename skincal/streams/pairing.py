@@ -64,21 +64,27 @@ class Pairing:
         self._joints: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_STORED_JOINT_READINGS)
         self._joint_intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
         self._last_joints_s: float | None = None
-        self._angles_max_age_s = LATE_ANGLES_MIN_S
         self._tools: deque[ToolReading] = deque(maxlen=MAX_STORED_JOINT_READINGS)
         self._tool_intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
         self._tips: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_STORED_JOINT_READINGS)
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a frame waits for its wrench."""
+        return bool(self._waiting)
+
     def add_wrench(self, host_s: FloatArray, batch: Batch) -> None:
         """Add wrench readings. Readings that are not finite or not valid enter no mean."""
-        usable = np.isfinite(batch.values).all(axis=1) & ~batch.invalid
-        self.ring.append(host_s, batch.values, usable, batch.saturated | batch.invalid)
+        self.ring.append(host_s, *_wrench_columns(batch))
+
+    def hold_wrench(self, host_s: FloatArray, batch: Batch) -> bool:
+        """Store wrench readings that `WrenchRing.release` adds part by part; return whether there is room."""
+        return self.ring.hold(host_s, *_wrench_columns(batch))
 
     def add_joints(self, host_s: float, angles: FloatArray) -> None:
         """Add joint angles, radians."""
         if self._last_joints_s is not None:
             self._joint_intervals.append(host_s - self._last_joints_s)
-            self._angles_max_age_s = max(LATE_ANGLES_MIN_S, LATE_ANGLES_MIN_PERIODS * median(self._joint_intervals))
         self._last_joints_s = host_s
         self._joints.append((host_s, angles))
 
@@ -142,7 +148,9 @@ class Pairing:
         if joints is None:
             return Sample(frame.host_s, frame.values, wrench, readings, flagged, None, position, tool=tool)
         angles_s, angles = joints
-        age_s = self._angles_max_age_s
+        age_s = LATE_ANGLES_MIN_S
+        if self._joint_intervals:
+            age_s = max(age_s, LATE_ANGLES_MIN_PERIODS * median(self._joint_intervals))
         return Sample(frame.host_s, frame.values, wrench, readings, flagged, angles, position, angles_s, age_s, tool)
 
     def _tool_at(self, host_s: float) -> ToolReading | None:
@@ -150,6 +158,12 @@ class Pairing:
         while len(self._tools) > 1 and self._tools[1].host_s <= host_s:
             self._tools.popleft()
         return self._tools[0] if self._tools[0].host_s <= host_s else None
+
+
+def _wrench_columns(batch: Batch) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return wrenches (n, 6), and which of them are usable and flagged, (n,) each: see `WrenchRing.append`."""
+    usable = np.isfinite(batch.values).all(axis=1) & ~batch.invalid
+    return batch.values, usable, batch.saturated | batch.invalid
 
 
 def _last_at(
@@ -193,11 +207,22 @@ class WrenchRing:
             self._end = 0
         if self._end + count > len(self._host_s):
             self._move_to_front()
-        into = slice(self._end, self._end + count)
-        self._host_s[into] = host_s[kept]
-        self._wrench[into] = wrench[kept]
-        self._usable[into] = usable[kept]
-        self._flagged[into] = flagged[kept]
+        self.hold(host_s[kept], wrench[kept], usable[kept], flagged[kept])
+        self.release(count)
+
+    def hold(self, host_s: FloatArray, wrench: FloatArray, usable: NDArray[np.bool_], flagged: NDArray[np.bool_]) -> bool:
+        """Store n readings behind the last one, for `release`; return whether there is room for them."""
+        into = slice(self._end, self._end + len(host_s))
+        if into.stop > len(self._host_s):
+            return False
+        self._host_s[into] = host_s
+        self._wrench[into] = wrench
+        self._usable[into] = usable
+        self._flagged[into] = flagged
+        return True
+
+    def release(self, count: int) -> None:
+        """Add the next `count` of the stored readings."""
         self._end += count
 
     def _move_to_front(self) -> None:

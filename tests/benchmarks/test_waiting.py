@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ import skincal
 from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
 from skincal.model.readings import Stream
-from skincal.session.pipeline import Pipeline
+from skincal.session.pipeline import ITEMS_AT_ONCE, Pipeline
 from skincal.simulation.device import DeviceTimeline
 from skincal.simulation.example_parts import ExamplePart
 from skincal.simulation.operator import AutoOperator, Habits
@@ -86,9 +87,9 @@ def test_an_import_costs_5_5_times_what_reading_its_numbers_does(forearm, tmp_pa
     links, chunks, _ = read_recording("yarp", *places)
     writer = create_session(tmp_path / "session", forearm.scene, links, copy=True)
     pipeline = Pipeline(forearm.scene, links, forearm.surface, writer)
-    for chunk in pipeline.ahead(chunks):
-        pipeline.feed(chunk)
-        pipeline.tick(chunk.host_ns)
+    chunks = iter(chunks)
+    while block := list(islice(chunks, ITEMS_AT_ONCE)):
+        pipeline.feed_many(block)
     pipeline.close()
     imported = time.process_time()
     for place in places:

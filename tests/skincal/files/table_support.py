@@ -123,8 +123,7 @@ def positions_of(opened: OpenRecording, channels: int = CHANNELS) -> Imported:
     """Play a recording to positions."""
     scene = small_scene(channels=channels, layout=False)
     pipeline = Pipeline(scene, opened.links, None)
-    for chunk in pipeline.ahead(opened.chunks()):
-        pipeline.feed(chunk)
+    pipeline.feed_many(list(opened.chunks()))
     pipeline.close()
     snapshot = pipeline.snapshot()
     errors = np.full(CHANNELS, np.nan)

@@ -151,7 +151,7 @@ def test_other_programs_read_the_decoded_readings(scene, tmp_path):
 def test_joint_states_and_raw_chunks_decode_too(scene, tmp_path):
     journal = create_session(tmp_path / "s", scene, LINKS)
     angles = np.array([0.1, -0.2, 0.3])
-    journal.write_sample(Sample(12.5, np.array([1.0, np.nan]), np.zeros(6), 1, saturated=False, angles=angles))
+    journal.write_run([Sample(12.5, np.array([1.0, np.nan]), np.zeros(6), 1, saturated=False, angles=angles)])
     journal.write(Chunk("skin", 123, b"\x01\x02\x03"))
     journal.close()
     found = {topic: content for topic, _, content in decoded(tmp_path / "s", "/joints", "/taxels", "/raw/skin")}

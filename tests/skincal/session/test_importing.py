@@ -98,8 +98,7 @@ def test_what_is_decoded_many_at_a_time_is_what_is_decoded_one_by_one(request_of
         spoilt(request.files.skin.path)
     scene, recording = load_scene(request.scene), request.files.open()
     many, alone = (Pipeline(scene, recording.links, None) for _ in range(2))
-    for chunk in many.ahead(recording.chunks()):
-        many.feed(chunk)
+    many.feed_many(list(recording.chunks()))
     for chunk in recording.chunks():
         alone.feed(chunk)
     for pipeline in (many, alone):

@@ -43,7 +43,7 @@ def decoded(decoder, chunks, blocks):
             assert len(ends) == len(part)
             for begin, end in pairwise([0, *ends]):
                 assert end > begin
-            batches[batch.stream] += batch.cut(ends)
+            batches[batch.stream] += [batch.rows(begin, end) for begin, end in pairwise([0, *ends])]
             continue
         for chunk in part:
             for batch in decoder.feed(chunk):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -196,21 +197,19 @@ def test_how_the_bytes_are_cut_changes_no_verdict():
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=40))
 def test_readings_are_compared_together_as_part_by_part(steps):
-    """Each differs from the one before it or not, and ends a part or not."""
+    """Each differs from the one before it or not, and ends a part or not; parts are half a second apart."""
     values = np.cumsum([differs for differs, _ in steps])[:, None] * np.ones((1, 6))
     ends = sorted({index for index, (_, last) in enumerate(steps, start=1) if last} | {len(steps)})
     batch = Batch(Stream.WRENCH, *np.zeros((2, len(steps))), values, *np.zeros((2, len(steps)), bool))
     together, alone = (LinkMonitor((Stream.WRENCH,), {}, None) for _ in range(2))
     for ear in (together, alone):
         ear.on_data(b"", 5, [replace(batch, seq=np.zeros(1), values=np.zeros((1, 6)))])
-    changes = together.compare(batch, ends)
-    parts = batch.cut(ends)
-    for index, (part, change) in enumerate(zip(parts, changes, strict=True)):
-        (expected,) = alone.compare(part, [len(part.seq)])
-        assert change[:3] == expected[:3]
-        assert change.last.tolist() == expected.last.tolist()
-        differing = np.flatnonzero([differs for differs, _ in steps[ends[index] - len(part.seq) : ends[index]]])
-        assert (change.changes, change.newest) == (len(differing), differing.max(initial=0))
-        alone.on_data(b"", index + 6, [part])
-        together.on_data(b"", index + 6, [part], change)
-        assert together.diagnose(index + 6) == alone.diagnose(index + 6)
+    times = [500_000_000 * index for index in range(1, len(ends) + 1)]
+    frozen: list[bool] = []
+    for (begin, end), at_ns in zip(pairwise([0, *ends]), times, strict=True):
+        alone.on_data(b"", at_ns, [batch.rows(begin, end)])
+        frozen.append(alone.is_frozen)
+    assert together.on_run(batch, ends, times) == frozen
+    assert vars(together._streams[Stream.WRENCH]) == vars(alone._streams[Stream.WRENCH])
+    assert together.diagnose(times[-1]) == alone.diagnose(times[-1])
+    assert together.freezes == alone.freezes

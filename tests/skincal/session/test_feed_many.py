@@ -1,0 +1,274 @@
+"""Items that are fed together leave the session, and the journal, that they leave one by one, to the last bit."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from skincal.geometry import Arm, DhLink
+from skincal.journal import writer
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream, Tick
+from skincal.model.scene import ArmSpec
+from skincal.session import pipeline as pipeline_module
+from skincal.session.pipeline import Pipeline
+from skincal.session.replay import replay
+from skincal.simulation.board_formats import SkbEncoder
+from skincal.streams.links import LinkSpec
+from tests.skincal.poke_script import ANSWERS, PERIOD_S, SPOTS, outcome_key, same_estimates, some_pokes, write_scene
+
+LINKS = tuple(LinkSpec(stream.value, "simulated:x", (stream,), "skb") for stream in (Stream.WRENCH, Stream.SKIN, Stream.JOINTS))
+WRENCHES_PER_CHUNK, CHUNKS_PER_FRAME = 3, 2
+START_NS = 5_000_000_000
+MS = 1_000_000
+
+
+def an_arm(scene):
+    """The scene with an arm of one joint."""
+    return dataclasses.replace(scene, arm=ArmSpec(Arm((0,), (DhLink(0.0, 0.1, 0.0, 0.0),), np.eye(4)), {}))
+
+
+def as_items(script, *, clock_jump_at=-1, frozen=range(0)):
+    """Bytes of three boards in SKB/1: two chunks of wrenches, one of skin and one of joints for each sample, and ticks.
+
+    At the sample `clock_jump_at` the clock of the wrench's board starts again; in the `frozen` samples its values stay.
+    """
+    boards = {link.name: SkbEncoder("f32") for link in LINKS}
+    items: list[Chunk | LinkEvent | Tick] = [LinkEvent(link.name, START_NS - MS, LinkState.OPEN) for link in LINKS]
+    rng, held, count = np.random.default_rng(3), np.zeros(6), WRENCHES_PER_CHUNK * CHUNKS_PER_FRAME
+    first_s = script.samples[0].host_s
+    for k, sample in enumerate(script.samples):
+        now_us = round((sample.host_s - first_s) * 1e6) + 1_000_000
+        host_ns = START_NS + now_us * 1000
+        restart_us = 70_000_000 if 0 <= clock_jump_at <= k else 0
+        for part in range(CHUNKS_PER_FRAME):
+            records = []
+            for j in range(WRENCHES_PER_CHUNK):
+                back_us = round(PERIOD_S * 1e6) // count * (count - 1 - part * WRENCHES_PER_CHUNK - j)
+                held = held if k in frozen else sample.wrench + rng.normal(0.0, 0.01, 6)
+                records.append(boards["wrench"].record(Stream.WRENCH, now_us - back_us + restart_us, held.tolist()))
+            items.append(Chunk("wrench", host_ns + (part - 1) * 10 * MS + int(rng.integers(0, MS)), b"".join(records)))
+        items.append(Chunk("skin", host_ns + 2 * MS, boards["skin"].record(Stream.SKIN, now_us, sample.skin.tolist())))
+        angle = [0.0 if sample.angles is None else float(np.degrees(sample.angles[0]))]
+        items.append(Chunk("joints", host_ns + 3 * MS, boards["joints"].record(Stream.JOINTS, now_us, angle)))
+        items.append(Tick(host_ns + 4 * MS))
+    return items
+
+
+def noisy_script(scene):
+    return some_pokes(scene, 0)
+
+
+def pressed(script, k=0, **how):
+    script.press(np.array([0.3, -0.2, -8.0]), SPOTS[k % 3], ANSWERS[k % 3], **how)
+    return script
+
+
+def turned(scene):
+    """The arm turns between two pokes, and in a third one."""
+    script = noisy_script(scene)
+    for k, angle in enumerate((0.0, 0.5, 0.5)):
+        script.angles = np.array([angle])
+        pressed(script.quiet(), k, hold_s=0.5).quiet()
+    script.angles = np.array([0.9])
+    return pressed(script, hold_s=0.5).quiet()
+
+
+def in_gaps(scene):
+    """Pauses of all boards before, in and after a poke, and one of eleven seconds in quiet."""
+    script = pressed(noisy_script(scene).gap(0.4).quiet(), hold_s=0.3)
+    script.gap(0.3)
+    pressed(script, hold_s=0.3).gap(0.5).quiet()
+    return pressed(script.gap(11.0).quiet(), 1, hold_s=0.5).quiet()
+
+
+def without(items, link, share, seed=7):
+    """Leave out some chunks of a link by chance."""
+    rng = np.random.default_rng(seed)
+    return [item for item in items if not (isinstance(item, Chunk) and item.link == link and rng.random() < share)]
+
+
+def delayed(items, link, by_ns):
+    """Let all chunks of a link arrive later, in the order of arrival."""
+    moved = [
+        dataclasses.replace(item, host_ns=item.host_ns + by_ns) if isinstance(item, Chunk) and item.link == link else item
+        for item in items
+    ]
+    return sorted(moved, key=lambda item: item.host_ns)
+
+
+def cut_anywhere(items):
+    """Cut the bytes of the wrench within its records."""
+    found, rest = [], b""
+    for item in items:
+        if isinstance(item, Chunk) and item.link == "wrench":
+            data = rest + item.data
+            found.append(dataclasses.replace(item, data=data[:-7]))
+            rest = data[-7:]
+        else:
+            found.append(item)
+    return found
+
+
+def damaged(items):
+    """Turn a bit in every fortieth chunk."""
+    return [
+        dataclasses.replace(item, data=item.data[:9] + bytes([item.data[9] ^ 4]) + item.data[10:])
+        if isinstance(item, Chunk) and at % 40 == 11
+        else item
+        for at, item in enumerate(items)
+    ]
+
+
+def lost_and_back(items):
+    """The skin's link is lost in the middle and comes back two seconds later."""
+    half = len(items) // 2
+    at_ns = items[half].host_ns
+    back_ns = at_ns + 2_000_000_000
+    events = [LinkEvent("skin", at_ns, LinkState.LOST, "unplugged"), LinkEvent("skin", back_ns, LinkState.OPEN)]
+    others = [
+        item for item in items if not (isinstance(item, Chunk) and item.link == "skin" and at_ns <= item.host_ns < back_ns)
+    ]
+    return sorted([*others, *events], key=lambda item: item.host_ns)
+
+
+def plain(scene):
+    return some_pokes(scene, 5)
+
+
+RECORDINGS: dict[str, Callable] = {
+    "pokes": lambda scene: as_items(plain(scene)),
+    "arm turns": lambda scene: as_items(turned(scene)),
+    "pauses": lambda scene: as_items(in_gaps(scene)),
+    "lost wrenches": lambda scene: without(as_items(plain(scene)), "wrench", 0.2),
+    "lost frames": lambda scene: without(as_items(plain(scene)), "skin", 0.2),
+    "late wrench": lambda scene: delayed(as_items(plain(scene)), "wrench", 120 * MS),
+    "far too late wrench": lambda scene: delayed(as_items(plain(scene)), "wrench", 300 * MS),
+    "late joints": lambda scene: delayed(as_items(turned(scene)), "joints", 900 * MS),
+    "clock starts again": lambda scene: as_items(plain(scene), clock_jump_at=90),
+    "frozen sensor": lambda scene: as_items(plain(scene), frozen=range(70, 170)),
+    "cut records": lambda scene: cut_anywhere(as_items(plain(scene))),
+    "damaged records": lambda scene: damaged(as_items(plain(scene))),
+    "lost link": lambda scene: lost_and_back(as_items(plain(scene))),
+}
+
+
+@pytest.fixture
+def _fixed_clock(monkeypatch):
+    """Journals that begin at the same time of day."""
+
+    class Clock:
+        monotonic_ns = staticmethod(lambda: START_NS)
+        time_ns = staticmethod(lambda: 1_700_000_000_000_000_000)
+
+    monkeypatch.setattr(writer, "time", Clock)
+
+
+class Observed(Pipeline):
+    """A pipeline that notes when each outcome came, and the events of the journal."""
+
+    def __init__(self, *args) -> None:
+        super().__init__(*args)
+        self.seen: list[tuple[object, ...]] = []
+
+    def _commit(self, item, outcomes):
+        self.seen += [(item, outcome_key(outcome)) for outcome in outcomes]
+        super()._commit(item, outcomes)
+
+
+def fed(scene, items, folder: Path | None, blocks=None):
+    """Feed items one by one, or in blocks of so many; return the closed pipeline."""
+    journal = None if folder is None else writer.create_session(folder, scene, LINKS)
+    pipeline = Observed(scene, LINKS, None, journal)
+    if blocks is None:
+        for item in items:
+            if isinstance(item, Tick):
+                pipeline.tick(item.host_ns)
+            else:
+                pipeline.feed(item)
+    else:
+        at = 0
+        while at < len(items):
+            count = next(blocks)
+            pipeline.feed_many(items[at : at + count])
+            at += count
+    return pipeline
+
+
+def assert_same(many, alone):
+    assert many.seen == alone.seen
+    assert repr(many.totals()) == repr(alone.totals())
+    now_ns = alone._now_ns
+    assert many._now_ns == now_ns
+    one, other = many.live(now_ns), alone.live(now_ns)
+    assert one.links == other.links
+    assert (one.losses_unpaired, one.pose, one.progress.phase) == (other.losses_unpaired, other.pose, other.progress.phase)
+    assert one.wrench.tobytes() == other.wrench.tobytes()
+    assert one.wrench_s.tobytes() == other.wrench_s.tobytes()
+    assert one.skin.tobytes() == other.skin.tobytes()
+    assert many.before_pokes == alone.before_pokes
+    assert many.freeze_findings() == alone.freeze_findings()
+    assert same_estimates(many.snapshot(), alone.snapshot())
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+@pytest.mark.usefixtures("_fixed_clock")
+def test_hard_recordings_fed_in_blocks_leave_the_same_session_and_bytes(name, tmp_path):
+    scene = write_scene(tmp_path / "scene")
+    with_arm = an_arm(scene)
+    items = RECORDINGS[name](with_arm)
+    alone = fed(with_arm, items, tmp_path / "a" / "s")
+    assert alone.seen
+    sizes = (2, 61, 100_000)
+    with contextlib.closing(alone):
+        for size in sizes:
+            with contextlib.closing(fed(with_arm, items, tmp_path / str(size) / "s", itertools.repeat(size))) as many:
+                assert_same(many, alone)
+    for size, kind in itertools.product(sizes, ("mcap", "jsonl")):
+        path = f"s/segment-0001.{kind}"
+        assert (tmp_path / str(size) / path).read_bytes() == (tmp_path / "a" / path).read_bytes(), (size, kind)
+
+
+@given(st.data())
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+def test_random_cuts_change_nothing(tmp_path_factory, data):
+    scene = an_arm(write_scene(tmp_path_factory.mktemp("scene")))
+    items = RECORDINGS[data.draw(st.sampled_from(list(RECORDINGS)))](scene)
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    longest = data.draw(st.sampled_from([3, 20, 200]))
+    alone = fed(scene, items, None)
+    assert_same(fed(scene, items, None, (int(count) for count in rng.integers(1, longest, len(items)))), alone)
+
+
+def test_blocks_are_decoded_together_and_not_chunk_by_chunk(tmp_path, monkeypatch):
+    """Without a journal nothing is due, so only events are fed alone."""
+    scene = an_arm(write_scene(tmp_path / "scene"))
+    items, single = as_items(plain(scene)), []
+    feed = Pipeline.feed
+    monkeypatch.setattr(pipeline_module.Pipeline, "feed", lambda self, item: (single.append(item), feed(self, item))[1])
+    fed(scene, items, None, itertools.repeat(100))
+    assert all(isinstance(item, LinkEvent) for item in single)
+    assert len(single) == len(LINKS)
+
+
+def test_a_recorded_session_in_blocks_is_replayed(tmp_path):
+    scene = write_scene(tmp_path / "scene")
+    many = fed(scene, as_items(plain(scene)), tmp_path / "s", itertools.repeat(97))
+    many.close()
+    assert same_estimates(replay(tmp_path / "s").snapshot(), many.snapshot())
+
+
+def test_items_of_an_unknown_link_are_refused_after_those_before_them(tmp_path):
+    scene = write_scene(tmp_path / "scene")
+    items = as_items(plain(scene))
+    pipeline = Pipeline(scene, LINKS, None)
+    with pytest.raises(pipeline_module.InputError, match="other"):
+        pipeline.feed_many([*items[:50], Chunk("other", START_NS, b"")])
+    assert repr(pipeline.totals()) == repr(fed(scene, items[:50], None).totals())
