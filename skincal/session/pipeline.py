@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
 
-ITEMS_AT_ONCE = 256
-"""Items of a recording that are fed together: some four seconds, and 0.05 s of work."""
+ITEMS_AT_ONCE = 64
+"""Items of a recording that are fed together: a second or some, and 0.01 s of work."""
 WRENCH_RECORD_PERIOD_NS = 500_000_000
 """ns between decoded wrenches in the journal."""
 READING_COUNTS_RECORD_PERIOD_NS = 5_000_000_000
