@@ -83,7 +83,7 @@ class RigReview:
         for offer in self.offers(snapshot):
             frame = offer.frame
             # The same words with another number are not news.
-            words = "" if frame is None else re.sub(r"[\d.]+", "", frame_sentence(frame))
+            words = "" if frame is None else re.sub(r"[\d.]+", "", frame_sentence(frame, has_arm=self._has_arm))
             kind = offer.action.of, offer.replaces, frame is not None and frame.sure, words
             if kind not in self._announced:
                 self._announced.add(kind)

@@ -27,7 +27,7 @@ class LinkWords:
     """Reason and count, worst first."""
 
 
-def link_words(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, connected: bool = True) -> LinkWords:
+def link_texts(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, connected: bool = True) -> LinkWords:
     """Make the texts for a link.
 
     A silent link shows the time of its last bytes rather than their age, so that the screen stays still while nothing streams.
@@ -45,7 +45,7 @@ def link_words(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, co
 
 def link_lines(at: ViewState) -> tuple[LinkWords, ...]:
     """Make the texts for each link of a tick."""
-    return tuple(link_words(link, at.now_ns, at.clock_offset, connected=at.connected) for link in at.live.links)
+    return tuple(link_texts(link, at.now_ns, at.clock_offset, connected=at.connected) for link in at.live.links)
 
 
 def link_detail(link: LinkHealth, at: ViewState) -> str:

@@ -38,6 +38,7 @@ def use_offered(session: Session) -> None:
         raise InputError(
             "--correct needs pokes at landmarks; this session has none. `skincal landmarks` says which pokes were at landmarks."
         )
+    has_arm = session.scene.arm is not None
     frame, rig = diagnose_rig(ReviewRequest.from_session(session))
     # A frame's correction changes the rig's, so both are found again after each.
     while (action := offered(frame, rig, len(session.landmark_pokes), session.decisions.corrections)) is not None:
@@ -45,13 +46,14 @@ def use_offered(session: Session) -> None:
         if action.of in session.decisions.corrections:
             break
         if action.of == FRAME and frame is not None and not frame.sure:
-            raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
+            unsure = "Another mistake is nearly as likely; expected pokes at more landmarks."
+            raise InputError(f"{frame_sentence(frame, has_arm=has_arm)} {unsure}")
         session.act(action)
         frame, rig = diagnose_rig(ReviewRequest.from_session(session))
     if not session.decisions.corrections:
         if frame is not None and frame.wrench_frame and not frame.right:
-            raise InputError(f"{frame_sentence(frame)} Leave out --correct until then.")
-        raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
+            raise InputError(f"{frame_sentence(frame, has_arm=has_arm)} Leave out --correct until then.")
+        raise InputError(f"{rig_sentences(rig, has_arm=has_arm)[0]} Leave out --correct.")
 
 
 class SessionResults:

@@ -25,7 +25,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer, RigRequest, correct_rig
-from skincal.rig.frame_check import FrameDiagnosis, diagnose
+from skincal.rig.frame_check import FrameDiagnosis, check_frame
 from skincal.rig.scene_mistakes import Mistake, MistakeKind
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.session import Session
@@ -110,7 +110,7 @@ def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: N
     `between` is called every tenth of a second or so, and may raise to give up.
     """
     pokes, known = request.landmarks, {landmark.name: landmark for landmark in request.known_landmarks}
-    frame = diagnose(pokes, landmark_normals([known[name] for name in pokes.name.tolist()], request.surface))
+    frame = check_frame(pokes, landmark_normals([known[name] for name in pokes.name.tolist()], request.surface))
     if frame is not None:
         frame = replace(frame, wrench_frame=request.frame_in_question)
     between()

@@ -11,7 +11,7 @@ from skincal.model.wrench_frames import WrenchFrame
 from skincal.part.part import Part
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.scene_mistakes import MistakeKind
-from skincal.rig.setup_check import SetupDiagnosis, check_setup
+from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, SetupDiagnosis, check_setup
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
 from skincal.words.frame_words import frame_sentences
@@ -19,7 +19,7 @@ from skincal.words.mistake_words import setup_sentences
 
 SKIN_CHECK_EACH_POKES = 6
 """New pokes from which the skin is judged again."""
-CHECK_AT_POKES = (6, 8, 10, 13, 16, 20, 26, 32, 40)
+CHECK_AT_POKES = (SETUP_CHECK_MIN_POKES, 8, 10, 13, 16, 20, 26, 32, 40)
 """Numbers of accepted pokes on the skin."""
 
 

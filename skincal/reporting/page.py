@@ -164,7 +164,7 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     said = AGREES if check.agrees else AGAINST
     yield "Test pokes", check_words(facts.verdict), said if check.has_enough or not check.believed else OPEN
     said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
-    yield "Landmarks", agreement_words(landmarks), said
+    yield "Landmarks", agreement_words(landmarks, has_arm=facts.verdict.has_arm), said
     closings = facts.verdict.closings
     yield "Final check", closing_words(closings), AGAINST if facts.verdict.has_moved else AGREES if closings else OPEN
     frame = facts.results.frame

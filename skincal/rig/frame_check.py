@@ -116,7 +116,7 @@ def _miss(distances: FloatArray, beside: int | None) -> float:
     return float(np.sqrt(np.mean(left * left)))
 
 
-def diagnose(
+def check_frame(
     pokes: LandmarkPokes, normals: Sequence[FloatArray | None], prior: RigPrior | None = None
 ) -> FrameDiagnosis | None:
     """Tell a wrong sensor frame from a right one; `None` with fewer than `FRAME_CHECK_MIN_POKES` pokes.

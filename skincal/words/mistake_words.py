@@ -145,7 +145,7 @@ def _layout_words(mistake: Mistake) -> tuple[str, str]:
     return f"the layout of the skin is {what}", ", and ".join(filter(None, (flip, turn)))
 
 
-def frame_sentence(found: FrameDiagnosis, *, has_arm: bool = True) -> str:
+def frame_sentence(found: FrameDiagnosis, *, has_arm: bool) -> str:
     """Say whether the sensor frame is right, with the error at landmarks as reported and as corrected."""
     reported = millimetres(found.miss, 0)
     if found.wrench_frame and not found.right:

@@ -52,7 +52,7 @@ def _judged(closing: Closing) -> str:
     return " (moved)" if closing.has_moved else ""
 
 
-def correction_words(used: UsedCorrection, *, has_arm: bool = True) -> str:
+def correction_words(used: UsedCorrection, *, has_arm: bool) -> str:
     """Describe a correction, with the error before and after; without a full stop, since files use it in comments."""
     after, before = millimetres(used.after), millimetres(used.before)
     if used.of == FRAME:
@@ -65,13 +65,13 @@ def correction_words(used: UsedCorrection, *, has_arm: bool = True) -> str:
     return f"{rig_name(has_arm)} {verb} corrected from {used.pokes} landmark pokes: {errors}"
 
 
-def correction_sentence(used: UsedCorrection, *, has_arm: bool = True) -> str:
+def correction_sentence(used: UsedCorrection, *, has_arm: bool) -> str:
     """Make a sentence of `correction_words`."""
     words = correction_words(used, has_arm=has_arm)
     return f"{words[0].upper()}{words[1:]}."
 
 
-def rig_sentences(answer: RigAnswer, *, has_arm: bool = True) -> tuple[str, ...]:
+def rig_sentences(answer: RigAnswer, *, has_arm: bool) -> tuple[str, ...]:
     """Say whether sensor and arm can be corrected, then which landmark pokes count less."""
     if answer.correction is None:
         needs = f"it needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} different landmarks"

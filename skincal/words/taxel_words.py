@@ -154,7 +154,7 @@ def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
     )
 
 
-def error_words(found: PredictedError | None, off: float | None, *, has_arm: bool = True) -> str:
+def error_words(found: PredictedError | None, off: float | None, *, has_arm: bool) -> str:
     """Format the expected error of a skin and what it leaves out; without a full stop, since files use it in comments.
 
     Parameters
@@ -174,7 +174,7 @@ def rig_name(has_arm: bool) -> str:
     return "sensor and arm" if has_arm else "the sensor"
 
 
-def unchecked_sentence(off: float, landmark_pokes: int, *, has_arm: bool = True) -> str:
+def unchecked_sentence(off: float, landmark_pokes: int, *, has_arm: bool) -> str:
     """Format the possible shift of the taxels by an uncorrected sensor and arm: `off` metres, root mean square."""
     advice = "Press landmarks to measure them."
     if landmark_pokes:

@@ -210,7 +210,7 @@ def check_words(verdict: Verdict) -> str:
     return f"{words}: errors are larger than expected. Check whether the part or the sensor moved, and the frames in the scene."
 
 
-def agreement_words(landmarks: LandmarkAgreement | None, *, has_arm: bool = True) -> str:
+def agreement_words(landmarks: LandmarkAgreement | None, *, has_arm: bool) -> str:
     """Compare the errors at landmarks with their expected size."""
     if landmarks is None:
         return f"not checked: needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} landmarks"

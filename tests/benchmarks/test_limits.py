@@ -15,7 +15,7 @@ from skincal.model.skin import KINDS, Layout, Module
 from skincal.modules.health import neighbours_of
 from skincal.pokes import NO_LANDMARK_POKES
 from skincal.rig.correction_fit import correct_rig
-from skincal.rig.frame_check import diagnose
+from skincal.rig.frame_check import check_frame
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.differences import compare_modules, differences, summarise, worst_rows
@@ -73,7 +73,7 @@ def test_the_gain_for_four_thousand_taxels_takes_no_longer_than_for_84(least_tim
 
 def test_many_pokes_take_no_longer_than_a_window_may_stand(least_time):
     pokes, normals, _ = on_bad_rigs(21)[0]
-    assert least_time(lambda: diagnose(pokes, normals), below=0.04) < 0.04
+    assert least_time(lambda: check_frame(pokes, normals), below=0.04) < 0.04
 
 
 def test_ten_thousand_contacts_are_packed_in_milliseconds(least_time):

@@ -184,19 +184,19 @@ def test_what_no_layout_puts_right_is_explained(left, sentence):
 def test_a_correction_in_use_says_its_misses():
     rig = UsedCorrection(RIG, Correction(np.eye(6)), 0.0074, 0.0012, 21)
     words = approved("rig.corrected", pokes=21, with_mm=1.2, without_mm=7.4)
-    assert correction_words(rig) == f"sensor and arm {words}"
-    assert correction_sentence(rig) == f"Sensor and arm {words}."
+    assert correction_words(rig, has_arm=True) == f"sensor and arm {words}"
+    assert correction_sentence(rig, has_arm=True) == f"Sensor and arm {words}."
     frame = replace(rig, of=FRAME)
-    assert correction_words(frame) == approved("rig.frame_corrected", pokes=21, with_mm=1.2, without_mm=7.4)
+    assert correction_words(frame, has_arm=True) == approved("rig.frame_corrected", pokes=21, with_mm=1.2, without_mm=7.4)
     sign = replace(frame, before=0.0012)
-    assert correction_words(sign) == approved("rig.sign_corrected", pokes=21, miss_mm=1.2)
+    assert correction_words(sign, has_arm=True) == approved("rig.sign_corrected", pokes=21, miss_mm=1.2)
 
 
 def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_doubted():
     trust = {1: 1.0, 2: 0.0, 3: 0.5}
     few = RigAnswer(None, False, np.nan, np.nan, 2, trust, {}, NEITHER, NEITHER)
     needs = approved("rig.pokes_needed", pokes=6, landmarks=4)
-    assert rig_sentences(few) == (approved("rig.too_few", needs=needs, pokes=3, landmarks=2),)
+    assert rig_sentences(few, has_arm=True) == (approved("rig.too_few", needs=needs, pokes=3, landmarks=2),)
     distances = {1: 0.001, 2: 0.014, 3: 0.006}
     good = RigAnswer(Correction(np.eye(6)), True, 0.0074, 0.0012, 6, trust, distances, NEITHER, NEITHER)
     misses = approved("rig.held_out_misses", with_mm=1.2, without_mm=7.4)
@@ -204,9 +204,9 @@ def test_an_answer_on_the_rig_says_what_it_needs_or_found_and_which_pokes_are_do
         approved("rig.poke_not_counted", poke=2, miss_mm=14),
         approved("rig.poke_half_counted", poke=3, miss_mm=6, percent=50),
     )
-    assert rig_sentences(good) == (approved("rig.correctable", misses=misses), *doubted)
+    assert rig_sentences(good, has_arm=True) == (approved("rig.correctable", misses=misses), *doubted)
     left = approved("rig.left_as_is", with_mm="6.0", without_mm=7.4, below_mm=5.2)
-    assert rig_sentences(replace(good, used=False, after=0.006)) == (left, *doubted)
+    assert rig_sentences(replace(good, used=False, after=0.006), has_arm=True) == (left, *doubted)
 
 
 def test_a_correction_in_use_takes_the_place_of_the_offered_one_unless_the_pokes_no_longer_support_it():
@@ -245,18 +245,22 @@ def wrong(mistake):
 
 def test_a_landmark_error_that_stays_is_not_the_reason_for_a_sign():
     mistake = Mistake(MistakeKind.AXES, axes=-np.eye(3))
-    said = frame_sentence(replace(wrong(mistake), miss=0.001, corrected_miss=0.001))
+    said = frame_sentence(replace(wrong(mistake), miss=0.001, corrected_miss=0.001), has_arm=True)
     assert said == approved("sensor_frame.wrong_sign", mistake=approved("sensor_frame.reaction"), miss_mm=1)
 
 
 def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
-    assert frame_sentence(RIGHT) == approved("sensor_frame.right", miss_mm=2)
-    assert frame_sentence(replace(RIGHT, sure=False)).startswith(approved("sensor_frame.looks_right_begin"))
-    assert frame_sentence(replace(RIGHT, corrected_miss=0.0074)).endswith(approved("sensor_frame.rig_errors", miss_mm=7))
+    assert frame_sentence(RIGHT, has_arm=True) == approved("sensor_frame.right", miss_mm=2)
+    assert frame_sentence(replace(RIGHT, sure=False), has_arm=True).startswith(approved("sensor_frame.looks_right_begin"))
+    assert frame_sentence(replace(RIGHT, corrected_miss=0.0074), has_arm=True).endswith(
+        approved("sensor_frame.rig_errors", miss_mm=7)
+    )
     slip = replace(RIGHT, other_point=PokeAtOtherPoint(12, "wrist", 0.044))
-    assert frame_sentence(slip).endswith(approved("sensor_frame.slip", miss_mm=2, poke=12, landmark="wrist", slip_mm=44))
+    assert frame_sentence(slip, has_arm=True).endswith(
+        approved("sensor_frame.slip", miss_mm=2, poke=12, landmark="wrist", slip_mm=44)
+    )
     nothing = replace(RIGHT, right=False, explained=False, miss=0.05)
-    assert frame_sentence(nothing).startswith(approved("sensor_frame.unexplained_misses", miss_mm=50))
+    assert frame_sentence(nothing, has_arm=True).startswith(approved("sensor_frame.unexplained_misses", miss_mm=50))
 
 
 @pytest.mark.parametrize(
@@ -281,7 +285,7 @@ def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
 )
 def test_a_wrong_frame_says_its_mistake_and_both_misses(mistake, words):
     said = approved("sensor_frame.wrong", mistake=words, miss_mm=51, then_mm=6)
-    assert frame_sentence(wrong(mistake)) == said
+    assert frame_sentence(wrong(mistake), has_arm=True) == said
 
 
 @pytest.mark.parametrize("degrees", [0.0, 25.0, 100.0, 180.0])
@@ -289,13 +293,13 @@ def test_a_sensor_that_sits_elsewhere_says_by_how_much(degrees):
     motion = np.eye(4)
     motion[:3, :3] = rotations(np.radians(degrees) * np.array([[0.6, 0.0, 0.8]]))[0]
     motion[:3, 3] = [0.0, 0.03, 0.04]
-    said = frame_sentence(wrong(Mistake(MistakeKind.MOUNT, motion=motion)))
+    said = frame_sentence(wrong(Mistake(MistakeKind.MOUNT, motion=motion)), has_arm=True)
     assert approved("sensor_frame.elsewhere", degrees=f"{degrees:.0f}", aside_mm=50) in said
 
 
 def test_landmarks_are_recommended_only_where_none_was_poked():
-    assert unchecked_sentence(0.0075, 0) == approved("rig.unchecked", off_mm=7.5)
-    assert unchecked_sentence(0.0075, 4) == approved("rig.unchecked_poked", off_mm=7.5, pokes=4)
+    assert unchecked_sentence(0.0075, 0, has_arm=True) == approved("rig.unchecked", off_mm=7.5)
+    assert unchecked_sentence(0.0075, 4, has_arm=True) == approved("rig.unchecked_poked", off_mm=7.5, pokes=4)
 
 
 def test_without_an_arm_only_the_sensor_is_named():

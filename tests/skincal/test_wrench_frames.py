@@ -328,7 +328,7 @@ def test_landmarks_offer_no_correction_that_hides_the_frame_of_the_wrench(tmp_pa
     assert not frame.right
     assert frame.wrench_frame == "unheard_of"
     assert offered(frame, rig, len(pipeline.session.landmark_pokes), {}) is None
-    assert "First settle the wrench's frame, unheard_of" in frame_sentence(frame)
+    assert "First settle the wrench's frame, unheard_of" in frame_sentence(frame, has_arm=True)
     with pytest.raises(InputError, match="First settle the wrench's frame, unheard_of"):
         use_offered(pipeline.session)
     # Without the doubt the same pokes do offer one: the frame alone holds it back.

@@ -187,13 +187,15 @@ def test_what_moved_meanwhile_goes_before_all_else():
 
 
 def test_what_landmarks_say_and_what_nobody_checked_is_said():
-    assert agreement_words(None) == approved("verdict.landmarks_none", pokes=MIN_LANDMARK_POKES, landmarks=MIN_LANDMARKS)
-    assert agreement_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
-    assert agreement_words(NOISY) == approved("verdict.landmarks_with_noise", pokes=21, noise="2.8", ratio="0.9")
+    assert agreement_words(None, has_arm=True) == approved(
+        "verdict.landmarks_none", pokes=MIN_LANDMARK_POKES, landmarks=MIN_LANDMARKS
+    )
+    assert agreement_words(MISSED, has_arm=True) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
+    assert agreement_words(NOISY, has_arm=True) == approved("verdict.landmarks_with_noise", pokes=21, noise="2.8", ratio="0.9")
     assert dict(figures(verdict(landmarks=None, unchecked=0.0071)))["Expected error"] == approved(
         "verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="7.1"
     )
-    assert error_words(None, 0.0071) == approved("verdict.predicted_none")
+    assert error_words(None, 0.0071, has_arm=True) == approved("verdict.predicted_none")
     assert "nan" not in " ".join(value for _, value in figures(verdict(used=0, predicted=None, landmarks=None)))
 
 
@@ -339,15 +341,15 @@ def test_what_is_known_of_the_rig_is_said():
     used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
     offer = Offer(correct_action(UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)))
     assert rig_state((offer,), (), None).endswith(approved("verdict.rig_offer", after_mm=5.6))
-    assert rig_state((), (used,), None) == correction_sentence(used)
+    assert rig_state((), (used,), None) == correction_sentence(used, has_arm=True)
     assert rig_state((), (), None).startswith(approved("verdict.rig_unchecked"))
     few = RigAnswer(None, False, np.nan, np.nan, 2, {1: 1.0, 2: 1.0, 3: 1.0}, {}, np.zeros(42), np.ones(42))
     none = np.zeros((3, 3))
     pokes = LandmarkPokes(np.arange(1, 4), none, none, np.tile(np.eye(4), (3, 1, 1)), np.full(3, ""), np.full(3, "wrist"), none)
-    for poked, said in ((pokes, rig_sentences(few)[0]), (NO_LANDMARK_POKES, rig_state((), (), None))):
+    for poked, said in ((pokes, rig_sentences(few, has_arm=True)[0]), (NO_LANDMARK_POKES, rig_state((), (), None))):
         review = Review(poked, {}, None, few, np.arange(24), {}, {})
         assert rig_state((), (), review) == said
-    assert approved("rig.too_few_counts", pokes=3, landmarks=2) in rig_sentences(few)[0]
+    assert approved("rig.too_few_counts", pokes=3, landmarks=2) in rig_sentences(few, has_arm=True)[0]
 
 
 def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):

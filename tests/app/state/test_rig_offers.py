@@ -132,7 +132,7 @@ def test_a_part_without_joints_is_offered_a_correction_of_its_sensor():
 def test_the_frame_goes_first_with_its_misses():
     (offer,) = offers(review(diagnosis=WRONG), at())
     assert offer_text(offer) == approved("rig.offer_frame")
-    assert offer_words(offer) == frame_sentence(WRONG)
+    assert offer_words(offer) == frame_sentence(WRONG, has_arm=True)
     action = offer.action
     assert (action.of, action.before, action.after, action.pokes) == (FRAME, 0.051, 0.006, 6)
     found = correction_of(action)
@@ -200,7 +200,7 @@ def test_an_offer_is_announced_once_and_made_once():
 
 @pytest.mark.parametrize(("of", "what"), [(RIG, "Sensor and arm"), (FRAME, "The sensor frame")])
 def test_what_is_in_use_is_said_with_its_misses(of, what):
-    words = correction_sentence(in_use(of, 21))
+    words = correction_sentence(in_use(of, 21), has_arm=True)
     assert words.startswith(what)
     assert all(each in words for each in ("21", "1.2 mm", "7.4 mm"))
     assert ("left out of the fit" in words) == (of == RIG)
@@ -237,13 +237,13 @@ def test_the_frame_is_said_first_and_what_is_in_use_takes_the_place_of_what_coul
     answer = review(rig(doubted=0.0, distances={6: 0.014}), after={Method.FREE: PLACES})
     moment = at(known=known({3: 0.002}))
     frame_, could, moved, doubt = review_words(answer, moment, Method.FREE, moment.estimates[Method.FREE])
-    assert frame_ == frame_sentence(RIGHT)
-    assert could == rig_sentences(answer.rig)[0]
+    assert frame_ == frame_sentence(RIGHT, has_arm=True)
+    assert could == rig_sentences(answer.rig, has_arm=True)[0]
     assert "would move" in moved
     assert doubt == approved("rig.poke_not_counted", poke=6, miss_mm=14)
     used = at(in_use(FRAME), in_use(RIG))
     assert review_words(answer, used, Method.FREE, ()) == (
-        frame_sentence(RIGHT),
+        frame_sentence(RIGHT, has_arm=True),
         *map(correction_sentence, (in_use(FRAME), in_use(RIG))),
         doubt,
     )

@@ -16,7 +16,7 @@ from app.session.opening import Addresses, dated_folder, link_specs
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
 from app.state.view_state import LinkStatus
-from app.text.link_text import link_words
+from app.text.link_text import link_texts
 from app.text.now_text import (
     IDLE_PHASE_DEBOUNCE_S,
     LAST_ACTION_SHOWN_S,
@@ -139,14 +139,14 @@ def test_the_state_of_a_session_in_words():
 
 
 def test_a_silent_link_says_when_not_how_long_so_that_nothing_moves():
-    early, late = (link_words(link(last_s=100.0), round(now * 1e9)) for now in (103.0, 130.0))
+    early, late = (link_texts(link(last_s=100.0), round(now * 1e9)) for now in (103.0, 130.0))
     assert early.look is LinkStatus.SILENT
     assert early == late
 
 
 def test_looks_of_links():
     def look(health, now_s=100.1):
-        return link_words(health, round(now_s * 1e9)).look
+        return link_texts(health, round(now_s * 1e9)).look
 
     assert look(link()) is LinkStatus.STREAMING
     assert look(link(last_s=100.0), 101.9) is LinkStatus.STREAMING
@@ -155,10 +155,10 @@ def test_looks_of_links():
     assert look(link(state=LinkState.LOST)) is LinkStatus.LOST
     assert look(link(state=LinkState.FAILED, last_host_ns=0)) is LinkStatus.LOST
     assert look(link(state=LinkState.ENDED)) is LinkStatus.ENDED
-    away = link_words(link(state=LinkState.LOST), round(100.1e9), connected=False)
+    away = link_texts(link(state=LinkState.LOST), round(100.1e9), connected=False)
     assert (away.look, away.detail) == (LinkStatus.NOT_READ, "")
-    assert link_words(link(), round(100.1e9)).short == "force/torque sensor 1000 Hz"
-    assert link_words(link(), 0).losses == ((approved("now.checksum"), 3),)
+    assert link_texts(link(), round(100.1e9)).short == "force/torque sensor 1000 Hz"
+    assert link_texts(link(), 0).losses == ((approved("now.checksum"), 3),)
 
 
 def say(memory, at):
@@ -280,7 +280,7 @@ def test_a_link_without_readings_names_the_nearest_form_and_what_the_decoder_say
     ],
 )
 def test_a_light_is_that_of_a_good_link_for_good_readings_alone(answer, look):
-    assert link_words(link(verdict=LinkVerdict(answer, Stream.WRENCH)), round(100.1e9)).look is look
+    assert link_texts(link(verdict=LinkVerdict(answer, Stream.WRENCH)), round(100.1e9)).look is look
 
 
 @pytest.mark.parametrize("phase", [PressPhase.TARING, PressPhase.READY])

@@ -15,7 +15,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import correct_rig
-from skincal.rig.frame_check import diagnose
+from skincal.rig.frame_check import check_frame
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
@@ -71,9 +71,9 @@ def places(session, contacts):
 def assert_is_of(session, answer):
     """Fail unless a review says what the session itself finds."""
     normals = {landmark.name: landmark.normal for landmark in session.decisions.landmarks}
-    frame = diagnose(session.landmark_pokes, [normals[name] for name in session.landmark_pokes.name])
+    frame = check_frame(session.landmark_pokes, [normals[name] for name in session.landmark_pokes.name])
     rig = correct_rig(session.rig_request())
-    assert (answer.frame and frame_sentence(answer.frame)) == (frame and frame_sentence(frame))
+    assert (answer.frame and frame_sentence(answer.frame, has_arm=True)) == (frame and frame_sentence(frame, has_arm=True))
     assert answer.pokes.number.tolist() == list(answer.reported) == session.landmark_pokes.number.tolist()
     assert (answer.rig.used, answer.rig.distances, answer.rig.trust) == (rig.used, rig.distances, rig.trust)
     np.testing.assert_array_equal(answer.rig.unknowns, rig.unknowns)

@@ -28,7 +28,7 @@ from skincal.reporting import session_facts
 from skincal.reporting.drawings import side_frames
 from skincal.reporting.page import DASH, ReportTable, report_page
 from skincal.reporting.session_facts import SessionFacts, errors_of
-from skincal.rig.correction_fit import correct_rig
+from skincal.rig.correction_fit import LandmarkAgreement, correct_rig
 from skincal.session.corrections import offered
 from skincal.session.replay import load, resume
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
@@ -144,7 +144,7 @@ def test_a_method_is_timed_with_the_errors_that_a_correction_shares(imported, mo
 
 def test_a_check_stands_once_and_the_closing_check_is_one_of_them(facts, page):
     closing = next(words for name, words in figures(facts.verdict) if name == "Final check")
-    for words in (check_words(facts.verdict), agreement_words(facts.verdict.landmarks), closing):
+    for words in (check_words(facts.verdict), agreement_words(facts.verdict.landmarks, has_arm=True), closing):
         assert page.text.count(words) == 1
     assert "Final check" in page.text
 
@@ -303,11 +303,20 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
         assert each.spacing == own["spacing_ratio"]
         assert f"{own['predicted_error_mm']['mean']:.2f}" in found
     (used,) = facts.results.snapshot.decisions.corrections.values()
-    assert correction_sentence(used) in found
+    assert correction_sentence(used, has_arm=True) in found
     assert not skincal.Session.load(session).facts().results.snapshot.decisions.corrections, "the recording is as it was"
     assert main(["report", str(SAMPLE), "--correct", "--out", str(tmp_path / "none.html")]) == 2
     assert approved("landmark.needs_landmarks_to_correct") in capsys.readouterr().err
     assert not (tmp_path / "none.html").exists()
+
+
+@pytest.mark.parametrize("has_arm", [True, False])
+def test_the_report_of_a_part_without_joints_speaks_of_the_sensor_alone(facts, has_arm):
+    agreement = LandmarkAgreement(21, 4.2, corrected=False)
+    shown = replace(facts, verdict=replace(facts.verdict, landmarks=agreement, has_arm=has_arm))
+    text = Page(report_page(shown)).text
+    assert ("sensor and arm not corrected" in text) is has_arm
+    assert "not corrected" in text
 
 
 def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
@@ -324,9 +333,9 @@ def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
         assert name in found
         assert ", ".join(f"{miss * 1e3:.1f}" for miss in misses) in found
     (used,) = facts.results.snapshot.decisions.corrections.values()
-    assert correction_sentence(used) in found
-    assert agreement_words(facts.verdict.landmarks) in found
-    assert frame_sentence(facts.results.frame) in found
+    assert correction_sentence(used, has_arm=True) in found
+    assert agreement_words(facts.verdict.landmarks, has_arm=True) in found
+    assert frame_sentence(facts.results.frame, has_arm=True) in found
     # Pokes at landmarks are no rejected pokes, though no taxel answered.
     assert f"{count} at landmarks" in found
 

@@ -146,7 +146,7 @@ def test_too_few_landmark_pokes_or_landmarks_correct_nothing():
         assert (answer.used, answer.correction, answer.points) == (False, None, points)
         assert not answer.unknowns.any()
         assert np.all(answer.known == 1.0)
-        assert f"there are {len(some)} pokes" in rig_sentences(answer)[0]
+        assert f"there are {len(some)} pokes" in rig_sentences(answer, has_arm=True)[0]
 
 
 def test_a_landmark_poked_ten_millimetres_off_is_named_and_does_little_harm():
@@ -158,7 +158,7 @@ def test_a_landmark_poked_ten_millimetres_off_is_named_and_does_little_harm():
         _, _, sure = trial(seed, "paper", 1, 10, (33, 0.010))
         assert sure.trust[10_034] < 0.5
         assert sum(trust < 0.5 for trust in sure.trust.values()) <= 3
-        assert [sentence for sentence in rig_sentences(sure) if "10034" in sentence]
+        assert [sentence for sentence in rig_sentences(sure, has_arm=True) if "10034" in sentence]
 
 
 def test_what_landmarks_do_not_tell_stays_at_the_prior():
@@ -181,7 +181,7 @@ def test_the_answer_follows_from_the_request_alone_and_travels_to_another_proces
     for name in ("matrix", "root", "quadratic"):
         assert getattr(again.correction, name).tobytes() == getattr(answer.correction, name).tobytes()
     assert (again.ratio, again.plain_ratio, again.after) == (answer.ratio, answer.plain_ratio, answer.after)
-    assert rig_sentences(again) == rig_sentences(answer)
+    assert rig_sentences(again, has_arm=True) == rig_sentences(answer, has_arm=True)
     rng = np.random.default_rng(1)
     contacts, landmarks = request.contacts, request.landmarks
     mixed = correct_rig(

@@ -10,7 +10,7 @@ from skincal.geometry import rotations
 from skincal.pokes import LandmarkPokes
 from skincal.rig.correction import FRAME, RIG, Correction, RigPrior
 from skincal.rig.correction_fit import RigAnswer
-from skincal.rig.frame_check import diagnose
+from skincal.rig.frame_check import check_frame
 from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
 from skincal.session.corrections import offered
 from skincal.session.landmark_pokes import landmark_normals
@@ -74,13 +74,13 @@ def said_right(trial):
         lambda pokes: replace(pokes, force=pokes.force / STANDARD_GRAVITY),
         lambda pokes: replace(pokes, link_from_sensor=pokes.link_from_sensor @ motion),
     )[kind]
-    said = diagnose(change(pokes), normals)
+    said = check_frame(change(pokes), normals)
     plain = np.array_equal(said.mistake.axes, np.eye(3))
     return (
         said.right,
         np.array_equal(said.mistake.axes, axes) and said.mistake.moment_scale == 1.0,
-        plain and said.mistake.moment_scale == 1e-3 and "newton millimetres" in frame_sentence(said),
-        plain and said.mistake.force_scale == STANDARD_GRAVITY and "kilogram-force" in frame_sentence(said),
+        plain and said.mistake.moment_scale == 1e-3 and "newton millimetres" in frame_sentence(said, has_arm=True),
+        plain and said.mistake.force_scale == STANDARD_GRAVITY and "kilogram-force" in frame_sentence(said, has_arm=True),
         not np.array_equal(said.mistake.motion, np.eye(4)) and said.corrected_miss < said.miss,
     )[kind]
 
@@ -104,17 +104,17 @@ def on_bad_rigs(count):
 @pytest.mark.parametrize("count", [3, 21])
 def test_what_is_ordinarily_wrong_with_a_rig_is_no_wrong_frame(count):
     # Measured: 100 and 100 of 100; without the prior 43 and 14.
-    said = [diagnose(pokes, normals) for pokes, normals, _ in on_bad_rigs(count)]
+    said = [check_frame(pokes, normals) for pokes, normals, _ in on_bad_rigs(count)]
     assert sum(diagnosis.right for diagnosis in said) >= 0.97 * BAD
     none = RigPrior(matrix=0.0, pose_turn=0.0, pose_shift=0.0)
-    assert sum(diagnose(pokes, normals, none).right for pokes, normals, _ in on_bad_rigs(count)[:20]) < 0.9 * 20
+    assert sum(check_frame(pokes, normals, none).right for pokes, normals, _ in on_bad_rigs(count)[:20]) < 0.9 * 20
 
 
 @pytest.mark.parametrize("count", [3, 21])
 def test_on_such_a_rig_another_order_of_the_axes_is_named(count):
     named = 0
     for pokes, normals, axes in on_bad_rigs(count):
-        said = diagnose(turned_by(pokes, axes), normals)
+        said = check_frame(turned_by(pokes, axes), normals)
         named += np.array_equal(said.mistake.axes, axes) and said.mistake.moment_scale == 1.0
     assert named >= 0.95 * BAD
 
@@ -127,20 +127,20 @@ def same_pokes(pokes, others):
 
 def test_a_right_frame_is_left_and_a_wrong_one_is_corrected_by_what_is_offered():
     pokes, normals, _ = three(0)
-    said = diagnose(pokes, normals)
+    said = check_frame(pokes, normals)
     assert said.right
     assert said.sure
     assert said.miss < 0.01
     assert said.corrected_miss == said.miss
-    assert "right" in frame_sentence(said)
-    reaction = diagnose(replace(pokes, force=-pokes.force, moment=-pokes.moment), normals)
+    assert "right" in frame_sentence(said, has_arm=True)
+    reaction = check_frame(replace(pokes, force=-pokes.force, moment=-pokes.moment), normals)
     # The axis is the same: the side that pushes tells.
     assert reaction.miss == pytest.approx(said.miss)
-    assert "reaction" in frame_sentence(reaction)
+    assert "reaction" in frame_sentence(reaction, has_arm=True)
     turned = replace(pokes, force=pokes.force[:, [1, 0, 2]], moment=pokes.moment[:, [1, 0, 2]])
-    found = diagnose(turned, normals)
-    assert approved("sensor_frame.axes_order_clause", order="y, x, z") in frame_sentence(found)
-    assert f"{found.miss * 1e3:.0f} mm" in frame_sentence(found)
+    found = check_frame(turned, normals)
+    assert approved("sensor_frame.axes_order_clause", order="y, x, z") in frame_sentence(found, has_arm=True)
+    assert f"{found.miss * 1e3:.0f} mm" in frame_sentence(found, has_arm=True)
     same_pokes(found.mistake.correction.corrected_pokes(turned), pokes)
 
 
@@ -162,7 +162,7 @@ def test_a_poke_at_another_landmark_is_no_wrong_frame(count, found):
     right, blamed, named = 0, 0, 0
     for seed in range(1, SLIPS + 1):
         pokes, normals, slip = one_elsewhere(count, seed)
-        said = diagnose(pokes, normals)
+        said = check_frame(pokes, normals)
         right += said.right
         blamed += not said.right and said.sure
         named += said.other_point is not None and (said.other_point.poke, said.other_point.name) == (slip.number, slip.name)
@@ -179,7 +179,7 @@ def test_a_wrong_frame_is_named_beside_a_poke_at_another_landmark():
     for seed in range(1, SLIPS + 1):
         pokes, normals, slip = one_elsewhere(12, seed)
         axes = other_axes(np.random.default_rng([seed, 96]))
-        said = diagnose(turned_by(pokes, axes), normals)
+        said = check_frame(turned_by(pokes, axes), normals)
         named += (
             np.array_equal(said.mistake.axes, axes)
             and said.explained
@@ -196,14 +196,14 @@ def rig_answer(correction):
 
 def test_the_rig_is_offered_before_a_wrong_frame_that_is_not_sure_or_explains_nothing():
     pokes, normals, _ = three(0)
-    turned = diagnose(replace(pokes, force=-pokes.force, moment=-pokes.moment), normals)
+    turned = check_frame(replace(pokes, force=-pokes.force, moment=-pokes.moment), normals)
     rig = rig_answer(Correction(np.eye(6), np.eye(4), {}))
     assert offered(turned, rig, 3, {}).of == FRAME
     assert offered(replace(turned, sure=False), rig, 3, {}).of == RIG
     assert offered(replace(turned, sure=False), rig_answer(None), 3, {}).of == FRAME
     assert offered(replace(turned, explained=False), rig, 3, {}).of == RIG
     assert offered(replace(turned, explained=False), rig_answer(None), 3, {}) is None
-    assert offered(diagnose(pokes, normals), rig, 3, {}).of == RIG
+    assert offered(check_frame(pokes, normals), rig, 3, {}).of == RIG
 
 
 def test_what_no_mistake_of_the_frame_explains_is_said_and_not_offered():
@@ -211,13 +211,13 @@ def test_what_no_mistake_of_the_frame_explains_is_said_and_not_offered():
     for pokes, normals, _ in on_bad_rigs(21)[:SLIPS]:
         # The landmarks' names went round by one.
         places = np.tile(pokes.place[[1, 2, 3, 4, 5, 0]], (4, 1))
-        said = diagnose(replace(pokes, place=places[:21]), normals)
+        said = check_frame(replace(pokes, place=places[:21]), normals)
         assert not (said.sure and said.right)
         unexplained += not said.explained
         if not said.explained:
             misses = approved("sensor_frame.unexplained_misses", miss_mm=f"{said.miss * 1000.0:.0f}")
-            assert frame_sentence(said).startswith(misses)
-            assert approved("sensor_frame.unexplained") in frame_sentence(said)
+            assert frame_sentence(said, has_arm=True).startswith(misses)
+            assert approved("sensor_frame.unexplained") in frame_sentence(said, has_arm=True)
             assert offered(said, rig_answer(None), 21, {}) is None
     assert unexplained >= 0.9 * SLIPS
 
@@ -228,12 +228,12 @@ def test_a_reaction_is_shown_by_the_surface_where_landmarks_have_no_normal():
     pokes, _, _ = three(0)
     reaction = replace(pokes, force=-pokes.force, moment=-pokes.moment)
     normals = landmark_normals(bare, rig.surface)
-    assert "reaction" in frame_sentence(diagnose(reaction, normals))
-    assert diagnose(pokes, normals).right
+    assert "reaction" in frame_sentence(check_frame(reaction, normals), has_arm=True)
+    assert check_frame(pokes, normals).right
     assert landmark_normals(bare, None) == [None] * 3
-    blind = diagnose(reaction, [None] * 3)
+    blind = check_frame(reaction, [None] * 3)
     assert (blind.right, blind.sure) == (True, False), "without normals the reaction cannot be seen"
-    assert diagnose(pokes[:2], normals[:2]) is None
+    assert check_frame(pokes[:2], normals[:2]) is None
     same_pokes(Mistake(MistakeKind.NONE).correction.corrected_pokes(pokes), pokes)
     away = replace(bare[0], place=bare[0].place + 0.05 * normals[0])
     own = replace(away, normal=np.array([0.0, 0.0, 1.0]))

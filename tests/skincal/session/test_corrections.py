@@ -15,7 +15,7 @@ from skincal.model.actions import AtLandmark, Correct, Exclude, Uncorrect, Undo,
 from skincal.model.errors import InputError
 from skincal.rig.correction import FRAME, MAX_ARM_POSES_WITH_UNCERTAINTY, RIG, Correction, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import RigRequest, correct_rig
-from skincal.rig.frame_check import diagnose
+from skincal.rig.frame_check import check_frame
 from skincal.session.corrections import correct_action, corrected_progress, used_of
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
@@ -140,7 +140,7 @@ def test_a_frame_that_is_named_wrong_is_put_right():
     normals = {landmark.name: landmark.normal for landmark in session.decisions.landmarks}
 
     def diagnosis():
-        return diagnose(session.landmark_pokes, [normals[name] for name in session.landmark_pokes.name])
+        return check_frame(session.landmark_pokes, [normals[name] for name in session.landmark_pokes.name])
 
     found = diagnosis()
     assert not found.right
@@ -341,7 +341,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
         assert np.array_equal(getattr(written.correction, name), getattr(used.correction, name))
     for kind in ("icub", "ply"):
         write_calibration(session.calibration(), kind, tmp_path / kind, Method.MODULES)
-        assert correction_words(used) in (tmp_path / kind).read_text(encoding="utf-8")
+        assert correction_words(used, has_arm=True) in (tmp_path / kind).read_text(encoding="utf-8")
 
 
 def test_comments_on_a_part_without_joints_name_its_sensor_alone(bad):
