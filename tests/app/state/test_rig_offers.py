@@ -244,7 +244,7 @@ def test_the_frame_is_said_first_and_what_is_in_use_takes_the_place_of_what_coul
     used = at(in_use(FRAME), in_use(RIG))
     assert review_words(answer, used, Method.FREE, ()) == (
         frame_sentence(RIGHT, has_arm=True),
-        *map(correction_sentence, (in_use(FRAME), in_use(RIG))),
+        *(correction_sentence(in_use(each), has_arm=True) for each in (FRAME, RIG)),
         doubt,
     )
     few = review_words(review(TOO_FEW, None, 2), at(), Method.FREE, ())

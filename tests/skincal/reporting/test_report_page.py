@@ -313,7 +313,8 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
 @pytest.mark.parametrize("has_arm", [True, False])
 def test_the_report_of_a_part_without_joints_speaks_of_the_sensor_alone(facts, has_arm):
     agreement = LandmarkAgreement(21, 4.2, corrected=False)
-    shown = replace(facts, verdict=replace(facts.verdict, landmarks=agreement, has_arm=has_arm))
+    verdict = replace(facts.verdict, landmarks=agreement, has_arm=has_arm)
+    shown = replace(facts, results=other_results(facts, _verdicts={facts.method: verdict}))
     text = Page(report_page(shown)).text
     assert ("sensor and arm not corrected" in text) is has_arm
     assert "not corrected" in text
