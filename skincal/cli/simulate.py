@@ -138,7 +138,7 @@ def simulate(
     pace FACTOR. With --targets it answers as a robot does (docs/wire.md).
     """
     from skincal.files.reference import RIG_KEY
-    from skincal.part.part import load_scene_surface, why_not_simulated
+    from skincal.part.part import load_scene_surface
     from skincal.simulation.device import DeviceSettings, DeviceTimeline
     from skincal.simulation.operator import Habits
     from skincal.simulation.rig_errors import RigErrors
@@ -147,9 +147,9 @@ def simulate(
     from skincal.simulation.virtual_session import simulate_session
 
     loaded = find_scene(scene)
-    if loaded.tool is not None:
-        raise InputError(f"{loaded.path}: {why_not_simulated(loaded)}")
     if physics is not None:
+        if loaded.tool is not None:
+            raise InputError(f"{loaded.path}: the physics engine has no sensor on a tool; leave out --physics.")
         if serve == (out is not None) or (out is not None and targets is not None) or operator is not OperatorKind.AUTO:
             raise InputError("--physics needs --out FOLDER, or --serve and --targets PORT, and no --operator: a robot pokes.")
         others = {
@@ -169,7 +169,8 @@ def simulate(
         raise InputError("--effects is for --physics; --errors are those of a simulated rig.")
     surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
     names = tuple(name.strip() for name in poses.split(",") if name.strip())
-    habits = (Habits.careful() if careful else Habits()).at_pace(pace)
+    habits = Habits.careful() if careful else Habits()
+    habits = (habits if loaded.tool is None else habits.with_tool()).at_pace(pace)
     if out is not None:
         count = pokes or DEFAULT_SESSION_POKES
         _record(

@@ -40,8 +40,6 @@ class Part:
 
 def why_not_simulated(scene: Scene) -> str:
     """Give the reason why no simulated hand can poke a scene's part, with the remedy; empty if one can."""
-    if scene.tool is not None:
-        return "A simulated hand holds no tool with a sensor: give the scene [sensor] in place of [tool] to simulate it."
     layout = scene.skin.layout
     if layout is None:
         return "A simulated hand needs a layout, and this scene has none: name one by layout of [skin]."

@@ -25,7 +25,7 @@ SKB_HEAD = struct.Struct("<BBHI")
 SKB_HEADER_MESSAGE_TYPE = 16
 SKB_TYPES = {Stream.WRENCH: (2, "<f4"), Stream.JOINTS: (5, "<f4")}
 SKB_SKIN_TYPES = {"u16": (1, "<u2"), "u8": (3, "u1"), "f32": (4, "<f4")}
-SKT_LETTERS = {Stream.WRENCH: "F", Stream.SKIN: "T", Stream.JOINTS: "J"}
+SKT_LETTERS = {Stream.WRENCH: "F", Stream.SKIN: "T", Stream.JOINTS: "J", Stream.TOOL: "P"}
 SKT_MAX_LINE_BYTES = 4096
 
 
@@ -46,9 +46,10 @@ class Encoder:
         return b""
 
     def encode(self, stream: Stream, t_us: IntArray, values: FloatArray) -> list[bytes]:
-        """Encode n readings: wrenches (n, 6), N and N m; raw skin frames (n, width); or joint angles (n, width), degrees.
+        """Encode n readings at device times `t_us` (n,), microseconds.
 
-        `t_us` (n,) are their device times, microseconds.
+        Wrenches (n, 6), N and N m; raw skin frames (n, width); joint angles (n, width), degrees; or poses (n, 7), metres and a
+        quaternion x y z w.
         """
         return [self.record(stream, t, row) for t, row in zip(t_us.tolist(), values.tolist(), strict=True)]
 
@@ -150,7 +151,8 @@ class TextEncoder(Encoder):
         return ("seq,t_us," + ",".join(f"c{i}" for i in range(width)) + "\n").encode()
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
-        form = {Stream.WRENCH: self.WRENCH_FORMAT, Stream.SKIN: self._skin_format, Stream.JOINTS: "%.4f"}[stream]
+        forms = {Stream.SKIN: self._skin_format, Stream.JOINTS: "%.4f", Stream.TOOL: "%.8f"}
+        form = self.WRENCH_FORMAT if stream is Stream.WRENCH else forms[stream]
         text = form % tuple(values) if stream is Stream.WRENCH else ",".join(form % value for value in values)
         return self._line(SKT_LETTERS[stream], self._number(stream), f"{t_us & 0xFFFFFFFF},{text}")
 

@@ -28,7 +28,7 @@ class BoardHeader:
 
 
 def board_headers(scene: Scene, hz: Mapping[Stream, float], top: float, *, rises: bool) -> dict[Stream, BoardHeader]:
-    """Make the headers of a scene's boards; joints have one if the scene has an arm.
+    """Make the headers of a scene's boards; joints have one if the scene has an arm, poses if it has a tool.
 
     Parameters
     ----------
@@ -46,12 +46,15 @@ def board_headers(scene: Scene, hz: Mapping[Stream, float], top: float, *, rises
     if arm is not None:
         fields = f"board=arm,rate={hz[Stream.JOINTS]:g},unit=deg,kind=joints,fw=1"
         headers[Stream.JOINTS] = BoardHeader(fields, max(arm.arm.joints, default=-1) + 1)
+    if scene.tool is not None:
+        headers[Stream.TOOL] = BoardHeader(f"board=tool,rate={hz[Stream.TOOL]:g},unit=m,kind=pose,fw=1", 7)
     return headers
 
 
 def board_encoder(format_: str, stream: Stream, top: float, width: int) -> Encoder:
     """Make the encoder of a board; see `make_encoder`."""
-    return make_encoder(format_, top, width if stream is Stream.SKIN else 0)
+    # Poses have a record in SKT/1 only.
+    return make_encoder("skt" if stream is Stream.TOOL else format_, top, width if stream is Stream.SKIN else 0)
 
 
 def encode_header(encoder: Encoder, header: BoardHeader, time_us: int) -> bytes:

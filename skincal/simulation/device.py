@@ -50,6 +50,8 @@ class DeviceSettings:
     """Hz. The paper's taxels (section III-B)."""
     joints_hz: float = 100.0
     """Hz. The iCub's controllers."""
+    tool_hz: float = 125.0
+    """Hz. A CB3 robot's controller."""
     flicker: float = 0.0
     """N m, change of the last moment from reading to reading: the last digit of a sensor without noise."""
     block_s: float = 0.010
@@ -196,6 +198,7 @@ class Stretch:
         return 0.5 - 0.5 * np.cos(np.pi * share), move.arm_pose
 
     def _weight(self, times: FloatArray) -> FloatArray:
+        """Return the wrench (..., 6) without a press at `times` (...), s, ascending."""
         share, target = self._share_moved(times)
         return self.before.weight + share[..., None] * (target.weight - self.before.weight)
 
@@ -210,12 +213,32 @@ class Stretch:
         return angles
 
 
+class ToolStretch(Stretch):
+    """Successive blocks of a rig whose tool carries the sensor."""
+
+    def _press_wrench(self, press: HandPress, times: FloatArray) -> FloatArray:
+        # The weight of the tool alone is in `_weight`.
+        load, travel, total = press.load(times).ravel(), press.travel(times).reshape(-1, 3), np.zeros((times.size, 6))
+        still = self._tool_wrench(times, np.zeros(3), np.zeros(3))
+        for point, direction, force in zip(press.pokes.points, press.pokes.directions, press.pokes.forces, strict=True):
+            total += self._tool_wrench(times, load[:, None] * force * direction, point + travel) - still
+        return total.reshape(*times.shape, 6)
+
+    def _weight(self, times: FloatArray) -> FloatArray:
+        return self._tool_wrench(times, np.zeros(3), np.zeros(3)).reshape(*times.shape, 6)
+
+    def _tool_wrench(self, times: FloatArray, forces: FloatArray, points: FloatArray) -> FloatArray:
+        assert self.rig.tool is not None
+        shape = (times.size, 3)
+        return self.rig.tool.wrenches(times.ravel(), np.broadcast_to(forces, shape), np.broadcast_to(points, shape))
+
+
 class DeviceTimeline:
-    """Runs rig, operator and devices along one time line; the joints of an arm in the scene are a link, too."""
+    """Runs rig, operator and devices along one time line; the joints of an arm or the poses of a tool are a link, too."""
 
     def __init__(self, rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None) -> None:
         # Streams of their own: a sensor that draws more changes nothing of the others.
-        noise, boards, self._skin_rng = rng.spawn(3)
+        noise, boards, self._skin_rng, self._tool_rng = rng.spawn(4)
         self.rig, self.operator, self.settings = rig, operator, settings or DeviceSettings()
         self.block_s, self.emulated, self.channels = self.settings.block_s, self.settings.emulated, rig.scene.skin.channels
         self.now = 0.0
@@ -224,7 +247,7 @@ class DeviceTimeline:
         self._noise = WrenchNoise(rig.errors, noise)
         self._boards = _boards(rig, self.settings, boards)
         self._actions: list[OperatorAction] = []
-        self._free = self.settings.start_quiet_s
+        self._free: float = self.settings.start_quiet_s
         self._from = self.arm_pose
         self._arrivals: list[tuple[int, int, str, bytes]] = []
         self._sent = 0
@@ -261,7 +284,8 @@ class DeviceTimeline:
         self._schedule(end)
         self._blocks += 1
         self.now = end
-        return Stretch(self.rig, tuple(self._actions), self._from, self.arm_pose, [begin], [end])
+        made = Stretch if self.rig.tool is None else ToolStretch
+        return made(self.rig, tuple(self._actions), self._from, self.arm_pose, [begin], [end])
 
     def _compute(self, blocks: Sequence[Stretch]) -> list[list[tuple[int, str, bytes]]]:
         """Compute the readings of successive blocks, and send them; return the arrivals of each block."""
@@ -299,6 +323,8 @@ class DeviceTimeline:
             action = self.operator.next(self._free)
             if action is None:
                 break
+            if self.rig.tool is not None and isinstance(action, HandPress):
+                self.rig.tool.plan_press(self._free, action, action.pokes.points[0], action.pokes.directions[0])
             self._free = action.free
             self._actions.append(action)
         for action in self._actions:
@@ -317,6 +343,9 @@ class DeviceTimeline:
         elif board.stream is Stream.SKIN:
             answers = [stretch.answers(np.concatenate(own)) for stretch, own in zip(stretches, by_stretch, strict=True)]
             values = self.rig.skin_frame(np.concatenate(answers), self._skin_rng)
+        elif board.stream is Stream.TOOL:
+            assert self.rig.tool is not None
+            values = self.rig.tool.reported(times, self._tool_rng)
         else:
             angles = [stretch.joints(np.concatenate(own)) for stretch, own in zip(stretches, by_stretch, strict=True)]
             values = np.degrees(np.concatenate(angles))
@@ -352,7 +381,10 @@ class DeviceTimeline:
 
 def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> list[SimulatedDevice]:
     errors, top = rig.errors, rig.range[1]
-    rates = {Stream.WRENCH: settings.wrench_hz, Stream.SKIN: settings.skin_hz, Stream.JOINTS: settings.joints_hz}
+    rates = {
+        Stream.WRENCH: settings.wrench_hz, Stream.SKIN: settings.skin_hz, Stream.JOINTS: settings.joints_hz,
+        Stream.TOOL: settings.tool_hz,
+    }  # fmt: skip
     headers = board_headers(rig.scene, rates, top, rises=rig.polarity > 0)
     boards: list[SimulatedDevice] = []
     # Always three random streams, so that the others do not change with the arm.

@@ -29,6 +29,7 @@ from skincal.simulation.simulated_rig import (
     push_directions,
     tangents,
 )
+from skincal.simulation.simulated_tool import APPROACH_S, MOVE_S, REST_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +138,8 @@ class Habits:
     """Share of the pokes at a taxel of the person's own choice instead of the target. Assumed."""
     reaction_s: float = 0.25
     """s before the touch. A later target is used for the next poke. A simple visual reaction."""
+    tool_s: float = 0.0
+    """s, least from the choice of a place to the touch: a robot turns its tool, and rests above the skin."""
 
     @property
     def leans(self) -> bool:
@@ -148,10 +151,16 @@ class Habits:
         """Return habits without slides and double touches."""
         return cls(slide_rate=0.0, double_rate=0.0)
 
+    def with_tool(self) -> Habits:
+        """Return the habits of a robot that holds a tool: it first goes above the place, and rests there."""
+        needed = MOVE_S + REST_S + APPROACH_S
+        return replace(self, approach_s=(needed, needed + 0.2), reaction_s=needed, tool_s=needed)
+
     def at_pace(self, pace: float) -> Habits:
         """Return habits with `pace` times the speed between pokes; presses take the same time."""
-        approach, rest = (tuple(s / pace for s in times) for times in (self.approach_s, self.rest_s))
-        return replace(self, approach_s=approach, rest_s=rest, reaction_s=self.reaction_s / pace)
+        approach = tuple(max(s / pace, self.tool_s) for s in self.approach_s)
+        rest, reaction = tuple(s / pace for s in self.rest_s), max(self.reaction_s / pace, self.tool_s)
+        return replace(self, approach_s=approach, rest_s=rest, reaction_s=reaction)
 
 
 OPERATORS: Mapping[str, Habits] = {
@@ -507,8 +516,8 @@ class GuidedOperator(AutoOperator):
         if now < self._touch - self._habits.reaction_s or self._seen.number == self._poked:
             return None
         self._poked = self._unanswered = self._seen.number
-        # After a wait the touch is now.
-        touch, self._touch = max(self._touch, now), None
+        # After a wait the touch is now, or as soon as a tool is there.
+        touch, self._touch = max(self._touch, now + self._habits.tool_s), None
         self.begun += 1
         # The hand has approached while it waited for the target.
         at_once = replace(self._habits, approach_s=(0.0, 0.0))

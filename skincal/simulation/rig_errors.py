@@ -84,6 +84,19 @@ class RigErrors:
     """s: how long it holds them back. A 16 ms FTDI timer and a busy host. Assumed."""
     clock_skew: float = 100e-6
     """sd of the relative rate error of each device's clock: a cheap crystal, 100 ppm."""
+    tool_noise: float = 0.00005
+    """m, rms length of the noise of a reported pose of the tool. Repeatability of small cobots: 0.02 to 0.1 mm."""
+    tool_turn_noise: float = 0.0003
+    """rad, sd of the reported rotation of the tool about each axis. Assumed."""
+    tool_delay: float = 0.020
+    """s from the tool's motion to its pose: 2 ms (RTDE, 500 Hz) to some 40 ms (a driver with buffers). Assumed."""
+    tool_scale: float = 0.002
+    """sd of the relative error of a robot's lengths. Assumed."""
+    tool_position: float = 0.0005
+    """m, rms length of a robot's position error, smooth over its workspace. Assumed; robots miss commanded positions by 0.2
+    to 2 mm."""
+    tool_tip: float = 0.001
+    """m, rms length of the error of the tip in the scene. Four-point calibrations of a pendant: 0.3 to 0.8 mm."""
     dropped: float = 1e-6
     """Share of the bytes that never arrive. Assumed: about one in 20 s at 1 kHz, each a lost record."""
     corrupted: float = 1e-6
@@ -101,6 +114,7 @@ class RigErrors:
     def noise(cls) -> RigErrors:
         """Return a good rig: sensor noise, clocks and delays, but exact frames, matrix and arm, and no loss."""
         good = replace(cls(), drift_force=0.0, drift_moment=0.0, matrix=0.0, pose_turn=0.0, pose_shift=0.0)
+        good = replace(good, tool_scale=0.0, tool_position=0.0, tool_tip=0.0)
         return replace(good, scatter=0.0, dropped=0.0, corrupted=0.0)
 
     @classmethod

@@ -20,6 +20,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.model.skin import Anchor
 from skincal.simulation.rig_errors import RigErrors
+from skincal.simulation.simulated_tool import SimulatedTool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +153,8 @@ class Rig:
         nominal = _nominal(scene)
         self.arm_poses = {name: self._arm_pose(name, angles, pose, arm) for name, (angles, pose) in nominal.items()}
         self._set_up_sensor(sensor)
+        self.tool = None if scene.tool is None else SimulatedTool(scene.tool, errors, *rng.spawn(1))
+        """The arm that holds the tool; `None` if a hand pokes."""
 
     def _set_up_skin(self, rng: np.random.Generator) -> None:
         low, high = self.scene.skin.range or DEFAULT_RANGE

@@ -64,7 +64,8 @@ def simulate_session(
     rng = np.random.default_rng(seed)
     rig_rng, operator_rng, device_rng = rng.spawn(3)
     rig = Rig(scene, surface, errors, rig_rng)
-    operator = AutoOperator(rig, habits or Habits(), operator_rng, pokes, poses, channels)
+    usual = Habits() if rig.tool is None else Habits().with_tool()
+    operator = AutoOperator(rig, habits or usual, operator_rng, pokes, poses, channels)
     line = DeviceTimeline(rig, operator, device_rng, settings)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
     seen = seen_as or scene

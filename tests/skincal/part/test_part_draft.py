@@ -54,7 +54,7 @@ def cylinder(tmp_path):
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_scene_that_is_opened_and_saved_is_the_same_to_the_byte(tmp_path, name):
-    folder = shutil.copytree(resource(f"scenes/{name}"), tmp_path / name)
+    folder = shutil.copytree(resource("scenes"), tmp_path / "scenes") / name  # a scene may share the mesh of another
     before = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.iterdir()}
     draft = open_draft(folder / "scene.toml")
     assert save_draft(draft, folder / "scene.toml") == draft
