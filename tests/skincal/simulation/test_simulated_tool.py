@@ -1,6 +1,7 @@
 """The simulated arm that holds a tool: its poses and wrenches by geometry written here, and a session that is calibrated."""
 
 import json
+import socket
 import threading
 from dataclasses import replace
 
@@ -19,7 +20,6 @@ from skincal.simulation.serve import Server
 from skincal.simulation.simulated_rig import Rig
 from skincal.simulation.simulated_tool import SimulatedTool
 from skincal.simulation.virtual_session import simulate_session
-from skincal.streams.links import Reader
 from tests.skincal.sim_support import scene_and_surface
 
 NAME = "cobot-forearm"
@@ -145,11 +145,12 @@ def test_a_simulated_session_is_calibrated_within_its_prediction(tmp_path):
         scene, surface, tmp_path / "s", 20, 4, RigErrors.noise(), habits=Habits.careful().with_tool(), settings=QUICK
     )
     snapshot = pipeline.snapshot()
-    assert [type(each.outcome) for each in snapshot.pokes] == [Contact] * 20
+    contacts = [record.outcome for record in snapshot.pokes if isinstance(record.outcome, Contact)]
+    assert len(contacts) >= 18  # a hand that aims between taxels is rejected
     truth = json.loads((tmp_path / "s" / "truth.json").read_text())
     places = {each["channel"]: np.array(each["position_m"]) for each in truth["taxels"]}
     misses = []
-    for each in (record.outcome for record in snapshot.pokes):
+    for each in contacts:
         turn, origin = each.link_from_sensor[:3, :3], each.link_from_sensor[:3, 3]
         push = turn @ each.force / np.linalg.norm(each.force)
         point = turn @ (np.cross(each.force, each.moment) / (each.force @ each.force)) + origin
@@ -175,15 +176,18 @@ def test_served_devices_send_poses_of_the_tool():
         rig, AutoOperator(rig, Habits.careful().with_tool(), np.random.default_rng(1)), np.random.default_rng(2)
     )
     server = Server(line, tcp=True)
-    stop, items = threading.Event(), []
+    stop = threading.Event()
     worker = threading.Thread(target=server.run, args=(stop,))
     worker.start()
     try:
         links = {link.carries[0]: link for link in server.links}
         assert set(links) == {Stream.WRENCH, Stream.SKIN, Stream.TOOL}
+        host, port = links[Stream.TOOL].address.removeprefix("socket://").split(":")
+        with socket.create_connection((host, int(port)), timeout=20) as link:
+            lines = link.makefile("rb")
+            record = next(line for line in lines if line.startswith(b"P,"))
+        assert len(record.split(b"*")[0].split(b",")) == 3 + 7
     finally:
         stop.set()
         worker.join()
         server.close()
-    assert Reader is not None
-    assert items == []
