@@ -18,7 +18,7 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import Scene
-from skincal.model.tool_rig import BASE_LINK, DEFAULT_TOOL_TURN_MAX_DEG, TOOL_ARM_POSE, ToolSpec
+from skincal.model.tool_rig import BASE_LINK, DEFAULT_TOOL_TURN_MAX_DEG, TIP_SD_DEFAULT_MM, TOOL_ARM_POSE, ToolSpec
 from skincal.palette import BLACK, BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
 from skincal.session.session import Session
@@ -131,12 +131,15 @@ def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
     own = forearm().scene
     knows = case.known == POSE_GIVEN
     tool = ToolSpec(
+        has_sensor=True,
         form=None,
         metres_per_unit=None,
         tool_from_sensor=poked.tool_from_sensor,
         link_from_base=inverse_pose(poked.base_from_part) if knows else np.eye(4),
         has_part_pose=knows,
         tip=poked.tip,
+        tip_radius=0.0,
+        tip_sd=TIP_SD_DEFAULT_MM * 1e-3,
         turn_max=float(np.radians(DEFAULT_TOOL_TURN_MAX_DEG)),
     )
     skin = own.skin if case.has_mesh else replace(own.skin, anchor=None)
@@ -147,7 +150,7 @@ def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
 
 
 def contacts_of(poked: ToolSession, scene: Scene) -> list[Contact]:
-    """Make the contacts on the skin as the detector would, with the sensor's pose and the tip's position of each."""
+    """Make the contacts on the skin as the detector would, with the sensor's pose of each."""
     assert scene.tool is not None
     contacts: list[Contact] = []
     for row in np.flatnonzero(poked.landmark == NO_LANDMARK).tolist():
@@ -158,7 +161,7 @@ def contacts_of(poked: ToolSession, scene: Scene) -> list[Contact]:
                 poke=row + 1, start_s=POKE_CYCLE_S * row, end_s=POKE_CYCLE_S * row + scene.contacts.still_s,
                 force=poked.wrench[row, :3], moment=poked.wrench[row, 3:], channels=poked.channels[own],
                 responses=poked.responses[row, own], link_from_sensor=scene.tool.link_from_sensor(pose), pose=TOOL_ARM_POSE,
-                tare_change=0.0, final=True, tip=scene.tool.tip_in_link(pose),
+                tare_change=0.0, final=True,
             )
         )  # fmt: skip
     return contacts
