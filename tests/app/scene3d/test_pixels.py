@@ -98,6 +98,17 @@ def comparison() -> Comparison:
     return Comparison({"from": PLACES, "to": below}, np.stack([PLACES, below], axis=1))
 
 
+@pytest.mark.pixels
+def test_each_face_of_a_box_has_one_shade(pictures):
+    renderer = pictures.renderer
+    renderer.hide(frozenset(name for name in renderer.list_layers() if name != "surface"))
+    rotate(renderer.camera, 35.0, 25.0)
+    shades, sizes = np.unique(draw(pictures.plotter)[..., :3].reshape(-1, 3).astype(int), axis=0, return_counts=True)
+    faces = shades[(sizes > 1000) & (np.abs(shades - DARK.background).max(axis=1) > 20)]
+    assert sizes[(np.abs(shades[:, None] - [*faces, DARK.background]).max(axis=2) <= 1).any(axis=1)].sum() > 0.99 * sizes.sum()
+    assert np.ptp(faces.max(axis=1)) > 20, "the faces differ"
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures, method):
     frame = replace(moment(method), guidance=guidance_to(asked_for()))

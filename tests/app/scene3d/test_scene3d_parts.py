@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from app import theme
-from app.scene3d.part_layers import SurfaceLayer
 from app.scene3d.scene_state import LIGHT, MODULE_RGB, StaticScene, module_hues
 from skincal.mesh.surface import contact_point, entry_points, make_surface
 from skincal.model.skin import KINDS, Layout, Module
@@ -23,7 +21,6 @@ from skincal.palette import METHODS
 from skincal.part.part import Part
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, estimate, laid, layout, scene
-from tests.app.view3d_on_screen import make_plotter
 
 
 def test_a_line_enters_a_ball_where_the_pencil_says():
@@ -73,17 +70,6 @@ def test_the_contact_is_the_entry_near_the_taxels_or_else_the_axis_itself():
     beside = contact_point(surface, np.array([0.06, 0.0, 0.3]), down, np.array([0.04, 0.0, -0.005]))
     np.testing.assert_allclose(beside, [0.06, 0.0, -0.005], atol=1e-12)
     np.testing.assert_allclose(contact_point(None, np.array([0.01, 0.0, 0.3]), down, np.zeros(3)), [0.01, 0.0, 0.0], atol=1e-12)
-
-
-def test_edges_of_a_box_are_shaded_sharp():
-    plotter, static = make_plotter(), StaticScene(Part(scene(layout()), box(), None, np.arange(24), ()))
-    with closing(plotter):
-        mesh = SurfaceLayer(plotter, static, box()).outside.mapper.dataset
-        corners = mesh.points[mesh.regular_faces]
-        np.testing.assert_allclose(corners, box().vertices[box().triangles], atol=1e-9)
-        np.testing.assert_allclose(
-            mesh.point_normals[mesh.regular_faces], np.repeat(box().normals[:, None], 3, axis=1), atol=1e-6
-        )
 
 
 def test_an_ellipsoid_is_drawn_where_chi_square_says(rng):
