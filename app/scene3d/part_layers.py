@@ -47,7 +47,7 @@ class SurfaceLayer(Layer):
 
 
 def _mesh_of(surface: Surface) -> pv.PolyData:
-    # Without normals: each triangle has one shade, and the shader finds its normal in three quarters of the time.
+    # Without normals: each triangle has one shade. The shader computes its normal, in three quarters of the time.
     return pv.PolyData.from_regular_faces(surface.vertices, surface.triangles)
 
 
