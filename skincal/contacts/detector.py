@@ -79,7 +79,7 @@ class ContactDetector:
         self._thresholds = scene.contacts
         self._candidates: IntArray = np.arange(scene.skin.channels) if layout is None else layout.channels
         self._answers = answers_of(scene.skin)
-        self._tares = TareKeeper(scene.contacts, scene.skin.frame_width)
+        self._tares = self._make_tares(scene)
         self._health = ChannelHealth(scene, self._candidates, dead)
         self._drift = SkinDrift(self._candidates, scene.skin.frame_width, self._answers)
         self._watch = SkinWatch(scene, self._candidates, self._answers, range_end)
@@ -105,6 +105,9 @@ class ContactDetector:
         self._times_s: tuple[float, float] | None = None
         self._samples, self._strongest, self._gaps, self._longest_gap_s = 0, 0.0, 0, 0.0
         self._answered, self._fell = np.zeros((2, len(self._candidates)), dtype=bool)
+
+    def _make_tares(self, scene: Scene) -> TareKeeper:
+        return TareKeeper(scene.contacts, scene.skin.frame_width)
 
     @property
     def dead(self) -> Mapping[int, str]:

@@ -19,7 +19,6 @@ from skincal.contacts.skin_drift import SkinDrift
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, wrench_baseline
 from skincal.geometry import FloatArray, IntArray, pitch
 from skincal.model.scene import ContactSettings, Scene
-from skincal.model.tool_rig import TOOL_ARM_POSE
 
 MAX_SAMPLE_GAP_IN_SKIN_PERIODS = 3.0
 """Periods of the skin. A longer gap between two samples of a poke means lost readings; one missing frame does not."""
@@ -52,7 +51,7 @@ def _failed_gates(
     channels : (k,) channels that answered and are used
     tare_change : N; NaN while unknown
     """
-    mean, contacts, layout = press.still, press.thresholds or scene.contacts, scene.skin.layout
+    mean, contacts = press.still, press.thresholds or scene.contacts
     size = press.peak if wrench is None else float(np.linalg.norm(wrench[:3]))
     # Devices.
     yield _at_most(Reason.SATURATED, press.saturated, 0, "")
@@ -75,18 +74,37 @@ def _failed_gates(
     yield _at_most(Reason.SLID, mean.slide, contacts.slide_max, "m")
     # One contact without a torque has a small |f . m|/|f|^2 (eq. 3).
     yield _at_most(Reason.TWO_CONTACTS, abs(float(pitch(wrench[:3], wrench[3:]))), contacts.pitch_max, "m")
-    # Skin.
+    yield from _failed_gates_of_skin(press, scene, channels)
+    yield _at_most(Reason.TARE_CHANGED, tare_change, contacts.tare_change_max, "N")
+
+
+def _failed_gates_of_skin(press: FinishedPress, scene: Scene, channels: IntArray) -> Iterator[_GateFailure | None]:
+    contacts, layout = press.thresholds or scene.contacts, scene.skin.layout
     yield None if len(channels) else _GateFailure(Reason.NO_TAXEL, press.largest, press.needed, RAW_UNIT)
     yield _at_most(Reason.TOO_MANY_TAXELS, len(channels), contacts.taxels_max, "")
     if layout is not None and len(channels) >= 2:
         gap = widest_gap(layout.places[channels])
         yield _at_most(Reason.NOT_CONNECTED, gap, contacts.gap_factor * layout.spacing, "m")
-    yield _at_most(Reason.TARE_CHANGED, tare_change, contacts.tare_change_max, "N")
+
+
+def _failed_gates_of_touch(press: FinishedPress, scene: Scene, channels: IntArray) -> Iterator[_GateFailure | None]:
+    """Yield the failures of a press without a force sensor, as `_failed_gates`."""
+    mean, contacts = press.still, press.thresholds or scene.contacts
+    yield _at_most(Reason.READINGS_LOST, press.gap_s, MAX_SAMPLE_GAP_IN_SKIN_PERIODS * press.period_s, "s")
+    rest_age = (press.end_s if mean is None else mean.time_s) - press.before.end_s
+    yield _at_most(Reason.NO_TARE, rest_age, TARE_AGE_MAX_S, "s")
+    if press.late is not None:
+        yield _GateFailure(Reason.NO_POSE, press.late.age_s, press.late.max_age_s, "s")
+    if mean is None:
+        yield _GateFailure(Reason.NOT_STILL, press.end_s - press.start_s, contacts.still_s, "s")
+        return
+    yield _at_most(Reason.SLID, mean.slide, contacts.slide_max, "m")
+    yield from _failed_gates_of_skin(press, scene, channels)
 
 
 def largest_turn_during_poke(scene: Scene) -> float | None:
-    """Find the largest turn of the arm, or of the tool with the sensor, during a poke, rad; `None` if neither turns."""
-    moving = scene.arm or scene.tool
+    """Find the largest turn of the arm, or of a tool with a sensor, during a poke, rad; `None` if neither turns."""
+    moving = scene.arm or (scene.tool if scene.has_sensor else None)
     return None if moving is None else moving.turn_max
 
 
@@ -154,7 +172,11 @@ def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, i
         used &= press.responses >= share * press.responses[used].max()
     mean, channels, tare_change = press.still, press.channels[used], force_change(press.before, after)
     wrench = None if mean is None else mean.wrench - wrench_baseline(press.before, after, mean.time_s)
-    gates = _failed_gates(press, scene, wrench, channels, tare_change)
+    gates = (
+        _failed_gates(press, scene, wrench, channels, tare_change)
+        if scene.has_sensor
+        else _failed_gates_of_touch(press, scene, channels)
+    )
     failure = next((found for found in gates if found is not None), None)
     pose = None if mean is None else mean.link_from_sensor
     # Without a pose the force cannot be placed in the link frame.
@@ -168,7 +190,7 @@ def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, i
         "force": force,
         "moment": moment,
         "link_from_sensor": pose,
-        "pose": (TOOL_ARM_POSE if scene.tool is not None else "") if mean is None else mean.pose,
+        "pose": (scene.tool.arm_pose if scene.tool is not None else "") if mean is None else mean.pose,
     }
     if failure is None:
         tip = None if mean is None else mean.tip

@@ -118,10 +118,10 @@ def axis_slide(
     # Below this the axes are parallel to rounding: every lambda is as good.
     shift = float(np.add.reduce(offset * sideways, axis=None)) / weight if weight > 1e-12 * len(force) else 0.0
     offset = offset - min(max(shift, -max_along_m), max_along_m) * sideways
-    return _straight_travel(offset, times_s)
+    return _straight_slide(offset, times_s)
 
 
-def _straight_travel(offset: FloatArray, times_s: FloatArray) -> float:
+def _straight_slide(offset: FloatArray, times_s: FloatArray) -> float:
     time = times_s - mean_rows(times_s)
     square = float(time @ time)
     slope = time @ offset / square
@@ -362,7 +362,7 @@ class Press:
         middle: ArmPose = poses[len(poses) // 2]  # the arm hardly moves within the window
         self.best_frames = np.stack([sample.skin for sample in samples])
         self.best_skin = self.best_frames.mean(axis=0)
-        self.late = _late_angles(samples, poses)
+        self.late = late_angles(samples, poses)
         self.best = StillMean(
             start_s=samples[0].host_s,
             end_s=samples[-1].host_s,
@@ -376,7 +376,7 @@ class Press:
         )
 
 
-def _late_angles(samples: Sequence[Sample], poses: Sequence[ArmPose]) -> LateAngles | None:
+def late_angles(samples: Sequence[Sample], poses: Sequence[ArmPose]) -> LateAngles | None:
     """Find the oldest angles or pose of the tool of some samples that came too long before; `None` if there are none."""
     tool = next((item for item in samples if item.has_late_tool), None)
     if tool is not None and tool.tool is not None:

@@ -142,6 +142,11 @@ class TareKeeper:
         """Forget the skin's values at rest, since the skin was pressed."""
         self.rest_skin = None
 
+    def is_quiet_run(self, run: Sequence[Sample], wrench: FloatArray, quiet: int) -> bool:
+        """Whether nothing touches in the first `quiet` samples of a run and directly after them; `wrench` is (n, 6), SI."""
+        del run
+        return is_quiet(wrench[:quiet, :3], wrench[quiet:, :3])
+
     def feed(self, sample: Sample, period_s: float) -> Tare | None:
         """Process one sample without contact; return the new tare if the sample completes a quiet window."""
         quiet = window_length(self.quiet_s, period_s)
@@ -153,7 +158,7 @@ class TareKeeper:
         if len(self._run) < quiet + guard or (self._recent and self._samples_since_tare < guard):
             return None
         wrench = np.array([sample.wrench for sample in self._run])
-        if not is_quiet(wrench[:quiet, :3], wrench[quiet:, :3]):
+        if not self.is_quiet_run(self._run, wrench, quiet):
             return None
         window = list(self._run)[:quiet]
         median, sd = robust_level(np.array([sample.skin for sample in window]))

@@ -37,7 +37,6 @@ from skincal.guide.surroundings import Surroundings
 from skincal.guide.verdict import Left, Verdict, held_out, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
-from skincal.model.tool_rig import TOOL_ARM_POSE
 from skincal.modules.pose import ModuleModel
 from skincal.part.part import Part
 from skincal.rig.closing import CLOSING_CHECK_MIN_PLACES, CLOSING_CHECK_PLACES, ClosingPlace, ClosingPlaces
@@ -290,7 +289,7 @@ class LandmarkGuide:
 
     def added(self, guidance: Guidance, snapshot: Snapshot) -> Guidance:
         """Put missing landmarks first, judged by the session alone; see `SessionGuide.remaining_work`."""
-        pose = TOOL_ARM_POSE if self._scene.tool is not None else snapshot.decisions.pose
+        pose = self._scene.tool.arm_pose if self._scene.tool is not None else snapshot.decisions.pose
         if not pose and self._scene.arm is not None:
             named = list(self._scene.arm.poses)
             pose = named[0] if len(named) == 1 else ""

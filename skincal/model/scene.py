@@ -20,7 +20,7 @@ from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.robot import DEFAULT_TURN_MAX_DEG, RobotSpec, read_poses, read_robot
 from skincal.model.skin import Anchor, Layout, SkinKind, load_layout, read_anchor
 from skincal.model.tables import MAX_LENGTH_M, Table, check_degrees, check_metres, parse_toml, read_text
-from skincal.model.tool_rig import BASE_LINK, ToolSpec, read_tool
+from skincal.model.tool_rig import BASE_LINK, POINT_FORCE_N, PUSH_TURN_SD_RAD, ToolSpec, read_tool
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import WrenchFrame, WrenchPlace, find_wrench_frame, read_wrench_place
 
@@ -253,6 +253,8 @@ def load_scene(path: Path) -> Scene:
     states_response_min = contacts is not None and "response_min" in contacts.keys
     spec, name, link = _read_skin(skin, path), root.take("name", str), root.take("link", str)
     made_tool = None if tool is None else read_tool(tool)
+    if made_tool is not None and not made_tool.has_sensor:
+        _refuse_sensor_keys(path, wrench, noise)
     made = None if robot is None else read_robot(robot, link, path.parent, surface is None)
     scene = Scene(
         name=name,
@@ -263,7 +265,7 @@ def load_scene(path: Path) -> Scene:
         sensor_pose=_fixed_sensor_pose(made) if sensor is None else sensor.pose("pose"),
         wrench_sign=_read_sign(wrench, _usual_sign(made, made_tool)),
         contacts=_read_contacts(contacts, spec.axes),
-        noise=_read_settings(noise, NoiseSettings),
+        noise=_read_noise(noise, made_tool),
         path=path,
         landmarks=_read_landmarks(root, path),
         distances=_read_distances(root, spec.layout),
@@ -408,6 +410,22 @@ def _usual_sign(robot: RobotSpec | None, tool: ToolSpec | None) -> int:
     if tool is not None:
         return -1
     return 1 if robot is None or robot.sign is None else robot.sign
+
+
+def _refuse_sensor_keys(path: Path, wrench: Table | None, noise: Table | None) -> None:
+    """Refuse what a scene says of a force/torque sensor that its rig lacks."""
+    named = ["[wrench]"] if wrench is not None else []
+    named += [f"{key} of [noise]" for key in ("force", "moment") if noise is not None and key in noise.keys]
+    if named:
+        raise InputError(f'{path}: {named[0]} is of a force/torque sensor, and [tool] says sensor = "none"; leave it out.')
+
+
+def _read_noise(table: Table | None, tool: ToolSpec | None) -> NoiseSettings:
+    """Read the noise; without a sensor a poke is a unit force through the tip, whose errors stand for those of the sensor."""
+    noise: NoiseSettings = _read_settings(table, NoiseSettings)
+    if tool is None or tool.has_sensor:
+        return noise
+    return replace(noise, force=PUSH_TURN_SD_RAD * POINT_FORCE_N, moment=tool.tip_sd * POINT_FORCE_N)
 
 
 def _check_tool(scene: Scene) -> None:

@@ -25,8 +25,14 @@ BASE_LINK = "base"
 """Name of the frame of all positions while the part's pose in it is not known."""
 TOOL_ARM_POSE = "tool"
 """Name of the arm pose of all pokes: the tool has another pose at each, and no two share an error of their own."""
+TIP_ARM_POSE = "tip"
+"""The same with a tool that carries no sensor."""
 DEFAULT_TOOL_TURN_MAX_DEG = 1.0
 """Degrees. Largest turn of the tool between its tare and the poke: a tool of 0.5 kg then changes the force by 0.09 N."""
+POINT_FORCE_N = 1.0
+"""N, force of a poke without a sensor: through the tip, along the push."""
+PUSH_TURN_SD_RAD = 0.15
+"""rad, sd of the direction of such a push: the way of the tip, not the normal of the skin."""
 TIP_SD_DEFAULT_MM = 0.5
 """mm, sd of one place of the tip, each direction: a cobot's smooth position error over its workspace (issue 41)."""
 TIP_SD_RANGE_MM = (0.01, 10.0)
@@ -62,6 +68,11 @@ class ToolSpec:
     def streamed_form(self) -> tuple[PoseForm, float] | None:
         """Form of the numbers of a pose, and metres per unit of its lengths; `None` if the stream must define them."""
         return None if self.form is None or self.metres_per_unit is None else (self.form, self.metres_per_unit)
+
+    @property
+    def arm_pose(self) -> str:
+        """Name of the arm pose of all pokes."""
+        return TOOL_ARM_POSE if self.has_sensor else TIP_ARM_POSE
 
     @property
     def tip_in_sensor(self) -> FloatArray | None:

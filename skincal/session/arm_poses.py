@@ -13,7 +13,6 @@ import numpy as np
 
 from skincal.geometry import Arm, FloatArray
 from skincal.model.scene import ArmSpec, Scene
-from skincal.model.tool_rig import TOOL_ARM_POSE
 from skincal.model.urdf_chain import UrdfChain
 
 CurrentPose: TypeAlias = tuple[str, FloatArray | None]
@@ -74,7 +73,7 @@ class ArmPoses:
         assert self._tool is not None
         if base_from_tool is not self._tool_pose:
             self._tool_pose = base_from_tool
-            self.current = TOOL_ARM_POSE, self._tool.link_from_sensor(base_from_tool)
+            self.current = self._tool.arm_pose, self._tool.link_from_sensor(base_from_tool)
         return self.current
 
     def _pose_at(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> CurrentPose:

@@ -28,7 +28,6 @@ from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, Tick, is_silent
 from skincal.model.scene import Scene
 from skincal.model.skin import RESPONSE_MIN_OF_UNIT
-from skincal.model.tool_rig import TOOL_ARM_POSE
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, WrenchPlace
 from skincal.session.arm_poses import ArmPoses, CurrentPose
 from skincal.session.corrections import corrected_progress
@@ -51,6 +50,15 @@ WRENCH_RECORD_PERIOD_NS = 500_000_000
 READING_COUNTS_RECORD_PERIOD_NS = 5_000_000_000
 """ns between counts of readings in the journal; the last come at the end."""
 _LOST_STATES = (LinkState.LOST, LinkState.FAILED)
+
+
+def _detector_of(scene: Scene) -> type[ContactDetector]:
+    """Choose the detector of a rig with a force/torque sensor, or of one without."""
+    if scene.has_sensor:
+        return ContactDetector
+    from skincal.contacts.touch_detector import TouchDetector  # other rigs do without
+
+    return TouchDetector
 
 
 class Pipeline:
@@ -78,7 +86,7 @@ class Pipeline:
         """Why recording has ended, for the operator; empty without a failure."""
         self.findings: tuple[str, ...] = ()
         """Sentences about damage of the replayed session."""
-        self._detector = ContactDetector(scene)
+        self._detector = _detector_of(scene)(scene)
         self._dead = self._detector.dead
         self.laid = laid
         """The layout on the part; `None` if it is not laid."""
@@ -371,7 +379,7 @@ class Pipeline:
     def renew_detector(self) -> None:
         """Replace the detector by a new one that knows the session."""
         session = self.session
-        self._detector = ContactDetector(
+        self._detector = _detector_of(self.scene)(
             self.scene, session.last_poke, session.found_dead, session.reported, self._earlier.skin.range_end
         )
         self._dead = self._detector.dead
@@ -416,7 +424,7 @@ class Pipeline:
         if tool is None:
             return sample, self._current_pose(sample.angles)
         if reading is None:
-            return sample, (TOOL_ARM_POSE, None)
+            return sample, (tool.arm_pose, None)
         pose = self.poses.at_tool(reading.base_from_tool)
         tip = None if sample.has_late_tool else tool.tip_in_link(reading.base_from_tool)
         return (sample if tip is None else replace(sample, tip=tip)), pose
@@ -497,7 +505,7 @@ class Pipeline:
 
     def _decoded_wrenches(self, host_ns: int) -> None:
         """Write the wrenches of the last half second and the temperature to the journal, for other programs."""
-        if host_ns < self._decoded_due_ns:
+        if host_ns < self._decoded_due_ns or not self.scene.has_sensor:
             return
         self._decoded_ns = host_ns
         times, wrenches = self._intake.recent_wrench(self._decoded_s)

@@ -1,4 +1,4 @@
-"""Whether the streams of a session fit where its force/torque sensor sits: on the tool, or below the part."""
+"""Whether the streams of a session fit its force/torque sensor: on the tool, below the part, or none."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from skincal.model.scene import Scene
 
 
 def check_tool_streams(scene: Scene, addresses: Mapping[Stream, str | None]) -> None:
-    """Refuse streams that do not fit where the sensor of a scene sits: on the tool, or below the part.
+    """Refuse streams that do not fit the sensor of a scene: on the tool, below the part, or none.
 
     Raises InputError: the tool's poses are missing, or a stream is named that the scene has no use for.
     """
@@ -22,11 +22,14 @@ def check_tool_streams(scene: Scene, addresses: Mapping[Stream, str | None]) -> 
                 "the tool (docs/tool.md)."
             )
         return
+    rig = "the sensor sits on the tool" if scene.tool.has_sensor else "there is no force/torque sensor"
     if Stream.TOOL not in named:
-        raise InputError(f"In {scene.name} the sensor sits on the tool; expected the link of the tool's poses: add --tool.")
+        raise InputError(f"In {scene.name} {rig}; expected the link of the tool's poses: add --tool.")
+    if Stream.WRENCH in named and not scene.tool.has_sensor:
+        raise InputError(f"A link of the wrench is named, and in {scene.name} {rig}; leave out --wrench.")
     for stream, word in ((Stream.JOINTS, "joint angles"), (Stream.TIP, "the tip")):
         if stream in named:
             raise InputError(
-                f"A link of {word} is named, and in {scene.name} the sensor sits on the tool, whose poses say where it is; "
+                f"A link of {word} is named, and in {scene.name} {rig}: the poses of the tool say where it is; "
                 f"leave out --{stream.value}."
             )

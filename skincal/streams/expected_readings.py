@@ -32,6 +32,8 @@ class ExpectedReadings:
     """Columns that must be numbers; all of them if it is empty."""
     pose_form: tuple[PoseForm, float] | None = None
     """Form of the tool's poses, and metres per unit of their lengths; `None` if the scene names none."""
+    has_wrench: bool = True
+    """Whether there is a force/torque sensor; without one the pose of the tool completes a skin frame."""
 
     @classmethod
     def of_scene(cls, scene: Scene) -> ExpectedReadings:
@@ -39,7 +41,7 @@ class ExpectedReadings:
         used = () if scene.arm is None else tuple(scene.arm.arm.joints)
         names = () if scene.robot is None else scene.robot.columns
         form = None if scene.tool is None else scene.tool.streamed_form
-        return cls(scene.skin.frame_width, max(used, default=-1) + 1, names, used, form)
+        return cls(scene.skin.frame_width, max(used, default=-1) + 1, names, used, form, scene.has_sensor)
 
     @property
     def widths(self) -> Mapping[Stream, int]:

@@ -38,7 +38,7 @@ from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class
 from skincal.streams.expected_readings import TIP_WIDTH, ExpectedReadings
 from skincal.streams.link_diagnosis import LinkMonitor
 from skincal.streams.links import LinkSpec, format_of, make_link_decoder
-from skincal.streams.pairing import Pairing
+from skincal.streams.pairing import Pairing, PairingWithTool
 
 LIVE_CURVE_SPAN_S = 10.0
 """s of wrenches that the live curves show."""
@@ -65,7 +65,7 @@ class Intake:
         self.has_new_frames = True
         """Whether a message named a new frame of the wrench; reset by who looks at `wrench_frames`."""
         self._has_one_wrench = sum(not each.carries or Stream.WRENCH in each.carries for each in links) == 1
-        self._pairing = Pairing()
+        self._pairing = Pairing() if expected.has_wrench else PairingWithTool()
         self._now_s = -np.inf
 
     @property

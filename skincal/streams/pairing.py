@@ -166,6 +166,23 @@ def _wrench_columns(batch: Batch) -> tuple[FloatArray, NDArray[np.bool_], NDArra
     return batch.values, usable, batch.saturated | batch.invalid
 
 
+class PairingWithTool(Pairing):
+    """Brings the tool's pose to the instants of the skin frames, where there is no force/torque sensor."""
+
+    def pop_paired(self, now_s: float) -> list[Sample]:
+        """Return the frames whose pose is known at `now_s`, or that waited long enough for it, in order."""
+        samples: list[Sample] = []
+        while self._waiting:
+            frame = self._waiting[0]
+            is_known = bool(self._tools) and self._tools[-1].host_s >= frame.host_s
+            if not is_known and now_s - max(frame.host_s, frame.arrival_s) <= FRAME_MAX_WAIT_FOR_WRENCH_S:
+                break
+            self._waiting.popleft()
+            tool = self._tool_at(frame.host_s) if self._tools else None
+            samples.append(Sample(frame.host_s, frame.values, np.zeros(WRENCH_VALUES), 0, saturated=False, tool=tool))
+        return samples
+
+
 def _last_at(
     readings: deque[tuple[float, FloatArray]], host_s: float, max_age_s: float = math.inf
 ) -> tuple[float, FloatArray] | None:

@@ -10,7 +10,7 @@ from skincal.contacts.poke_counts import PokeCounts
 from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkHealth, Loss, Stream
 from skincal.model.scene import ContactSettings
-from skincal.model.tool_rig import TOOL_ARM_POSE
+from skincal.model.tool_rig import TIP_ARM_POSE, TOOL_ARM_POSE
 from skincal.words.link_words import link_name
 from skincal.words.units import count, grouped, millimetres, number, quantity
 
@@ -66,6 +66,18 @@ _TOOL_ADVICE: Mapping[Reason, str] = {
     Reason.NO_TARE: "Hold the tool still above the skin for half a second before each poke.",
     Reason.TARE_CHANGED: "Hold the tool still before and after each poke. If you did, the sensor drifts.",
 }
+_TIP_REASON_WORDS: Mapping[Reason, str] = {
+    Reason.NO_POSE: "tool pose unknown",
+    Reason.SLID: "tip moved",
+    Reason.NO_TARE: "no pause before it",
+}
+"""Words of a rig without a force sensor, where they differ."""
+_TIP_ADVICE: Mapping[Reason, str] = {
+    Reason.NO_POSE: _TOOL_ADVICE[Reason.NO_POSE],
+    Reason.NOT_STILL: "Press, then hold the tip still.",
+    Reason.SLID: "Press, then hold the tip still until the ring is full.",
+    Reason.NO_TARE: "Hold the tip above the skin for half a second before each poke.",
+}
 MISSED_ADVICE = "Press the landmark itself. If you did, its position in the scene may be wrong; N skips it."
 """Advice after a poke too far from the requested landmark."""
 _SHORT_REASONS: Mapping[Reason, str] = {
@@ -94,14 +106,16 @@ def poke_count_words(counts: PokeCounts, why: str = "") -> str:
 
 
 def is_of_tool(rejection: Rejection) -> bool:
-    """Whether the sensor of a poke sits on the tool."""
-    return rejection.pose == TOOL_ARM_POSE
+    """Whether a poke was made with a tool whose poses are streamed."""
+    return rejection.pose in (TOOL_ARM_POSE, TIP_ARM_POSE)
 
 
 def reason_words(rejection: Rejection) -> str:
     """Say why a poke was rejected, without its number."""
     words = REASON_WORDS[rejection.reason]
-    return _TOOL_REASON_WORDS.get(rejection.reason, words) if is_of_tool(rejection) else words
+    return {TOOL_ARM_POSE: _TOOL_REASON_WORDS, TIP_ARM_POSE: _TIP_REASON_WORDS}.get(rejection.pose, {}).get(
+        rejection.reason, words
+    )
 
 
 def rejection_words(rejection: Rejection) -> str:
@@ -160,8 +174,9 @@ def late_angles_sentence(rejections: Sequence[Rejection]) -> str:
 
 def rejection_advice(rejection: Rejection) -> str:
     """Advise the operator after a rejected poke."""
-    if is_of_tool(rejection) and rejection.reason in _TOOL_ADVICE and not answered_inversely(rejection):
-        return _TOOL_ADVICE[rejection.reason]
+    advice = {TOOL_ARM_POSE: _TOOL_ADVICE, TIP_ARM_POSE: _TIP_ADVICE}.get(rejection.pose, {})
+    if rejection.reason in advice and not answered_inversely(rejection):
+        return advice[rejection.reason]
     if has_late_angles(rejection):
         return LATE_ANGLES_ADVICE
     return POLARITY_ADVICE if answered_inversely(rejection) else REJECTION_ADVICE[rejection.reason]

@@ -1,0 +1,234 @@
+"""A tool without any force sensor: pokes are the places of its tip, made here point by point and sent as records.
+
+Nothing of the simulator or of the fit is used. The ball touches the part at its own radius; the tool comes along its push,
+rests, and goes back.
+"""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.mesh.load import load_surface
+from skincal.model.actions import AskLandmark, AtLandmark
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.model.scene import load_scene
+from skincal.rig.part_pose import PartPoseState
+from skincal.session.pipeline import Pipeline
+from skincal.session.tool_streams import check_tool_streams
+from skincal.streams.links import LinkSpec
+from skincal.taxels.result import Method
+from skincal.words.poke_words import rejection_advice, rejection_words
+from skincal.words.tool_words import tool_findings
+from tests.skincal.session.test_tool_rig import BASE_FROM_PART, MESH, STREAMS, TAXELS, TIP, line
+
+RADIUS, ABOVE = 0.002, 0.03
+OUT = np.array([0.0, 0.0, RADIUS])
+MARKS = np.array([[-0.035, -0.035, 0.0], [0.035, -0.03, 0.0], [0.03, 0.035, 0.0], [-0.03, 0.03, 0.0]])
+HZ = 50
+PAUSE_S, WAY_S, HOLD_S, MOVE_S = 0.66, 0.3, 0.5, 0.4
+POKE_S = PAUSE_S + 2 * WAY_S + HOLD_S + 0.3 + MOVE_S
+
+
+def scene_text(more="", landmarks=True):
+    marks = "".join(f'[[landmarks]]\nname = "m{row}"\nplace = {place.tolist()}\n' for row, place in enumerate(MARKS))
+    return (
+        'name = "plate"\nlink = "plate"\n[skin]\nchannels = 9\n'
+        f'[tool]\nsensor = "none"\ntip_mm = {(TIP * 1e3).tolist()}\ntip_radius_mm = {RADIUS * 1e3}\ntip_sd_mm = 0.2\n{more}'
+        "[surface]\nmesh = 'plate.stl'\nunit = 'mm'\n[noise]\nradius = 1.0\n" + (marks if landmarks else "")
+    )
+
+
+def scene_of(folder, text):
+    (folder / "plate.stl").write_text(MESH)
+    (folder / "scene.toml").write_text(text)
+    return load_scene(folder / "scene.toml")
+
+
+def pushes(rng, count):
+    lean, around = rng.uniform(0.05, 0.4, count), rng.uniform(-np.pi, np.pi, count)
+    return np.stack([np.sin(lean) * np.cos(around), np.sin(lean) * np.sin(around), -np.cos(lean)], axis=1)
+
+
+def heights(times):
+    """Share of `ABOVE`, and share of the way to the next place."""
+    down = np.clip((times - PAUSE_S) / WAY_S, 0.0, 1.0)
+    up = np.clip((times - PAUSE_S - WAY_S - HOLD_S) / WAY_S, 0.0, 1.0)
+    return 1.0 - down + up, np.clip((times - (POKE_S - MOVE_S)) / MOVE_S, 0.0, 1.0)
+
+
+def readings(contacts, seed=1, noise=0.0001, aim_sd=0.0008, slide=None):
+    """Yield stream, time and values of pokes at contacts (n, 3) of the part; `slide` moves the tip while it holds."""
+    rng = np.random.default_rng(seed)
+    ways = pushes(rng, len(contacts))
+    contacts = contacts + np.append(aim_sd, [aim_sd, 0.0]) * rng.standard_normal(contacts.shape)
+    spins = rng.uniform(-1.5, 1.5, len(contacts))
+    for number, (contact, push) in enumerate(zip(contacts, ways, strict=True)):
+        side = np.cross(push, [0.36, 0.48, 0.8])
+        side /= np.linalg.norm(side)
+        turn = np.column_stack([side, np.cross(push, side), push]) @ Rotation.from_rotvec([0, 0, spins[number]]).as_matrix()
+        turn = BASE_FROM_PART[:3, :3] @ turn
+        # The ball touches the plate with its own lowest point.
+        centre = contact + OUT
+        following = min(number + 1, len(contacts) - 1)
+        away = contacts[following] + OUT - ABOVE * ways[following] - (centre - ABOVE * push)
+        times = np.arange(0, POKE_S, 1 / HZ)
+        height, moved = heights(times)
+        near = np.exp(-np.sum((TAXELS - contact) ** 2, axis=1) / (2 * 0.004**2))
+        for t, high, share in zip(times, height, moved, strict=True):
+            place = centre - high * ABOVE * push + share * away
+            if slide is not None and PAUSE_S + WAY_S < t < PAUSE_S + WAY_S + HOLD_S:
+                place = place + np.array(slide) * (t - PAUSE_S - WAY_S) / HOLD_S
+            place = BASE_FROM_PART[:3, :3] @ place + BASE_FROM_PART[:3, 3] + noise * rng.standard_normal(3)
+            pressed = np.clip(1.0 - high / 0.05, 0.0, 1.0)
+            at = 1.0 + number * POKE_S + t
+            yield "tool", at, np.concatenate([place - turn @ TIP, Rotation.from_matrix(turn).as_quat()])
+            yield "skin", at, np.round(20 + 150 * pressed * np.where(near > 0.2, near, 0.0) + rng.normal(0.0, 0.4, len(TAXELS)))
+
+
+def chunks(contacts, **more):
+    number = {"skin": 0, "tool": 0}
+    for name, t, values in readings(contacts, **more):
+        number[name] += 1
+        yield Chunk(name, round(t * 1e9), line({"skin": "T", "tool": "P"}[name], number[name], t, values))
+
+
+def pipeline_of(scene):
+    surface = None if scene.surface is None else load_surface(scene.surface)[0]
+    names = ("skin", "tool")
+    pipeline = Pipeline(scene, [LinkSpec(name, f"simulated:{name}", (STREAMS[name],)) for name in names], surface)
+    for name in names:
+        pipeline.feed(LinkEvent(name, 1, LinkState.OPEN))
+    return pipeline
+
+
+def calibrate(scene, items):
+    pipeline = pipeline_of(scene)
+    for item in items:
+        pipeline.feed(item)
+    pipeline.close()
+    return pipeline
+
+
+def outcomes_of(pipeline):
+    return [record.outcome for record in pipeline.snapshot().pokes]
+
+
+EVERY = np.concatenate([MARKS, np.repeat(TAXELS, 2, axis=0)])
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    pipeline = calibrate(scene_of(tmp_path_factory.mktemp("none"), scene_text()), chunks(EVERY))
+    for row in range(len(MARKS)):
+        pipeline.act(AtLandmark(row + 1, f"m{row}"), 0)
+    return pipeline
+
+
+def test_each_touch_is_a_poke_at_the_contact_of_the_ball(recorded):
+    outcomes = outcomes_of(recorded)
+    assert [type(each) for each in outcomes] == [Rejection] * 4 + [Contact] * 18
+    assert {each.reason for each in outcomes[:4]} == {Reason.NO_TAXEL}
+    for outcome, at in zip(outcomes[4:], EVERY[4:], strict=True):
+        # 0.8 mm of aim, and 2 mm x sin(lean) of the ball.
+        assert np.linalg.norm(outcome.tip - at) < 0.004
+        assert outcome.strongest_channel == int(np.argmin(np.linalg.norm(TAXELS - at, axis=1)))
+
+
+def test_landmarks_and_mesh_place_the_part_and_taxels_are_within_their_errors(recorded):
+    snapshot = recorded.snapshot()
+    assert snapshot.part_pose.state is PartPoseState.KNOWN
+    assert snapshot.part_pose.landmarks == 4
+    off = snapshot.part_pose.base_from_link @ np.linalg.inv(BASE_FROM_PART)
+    assert np.linalg.norm(off[:3] @ np.append(BASE_FROM_PART[:3, 3], 1.0) - BASE_FROM_PART[:3, 3]) < 0.0015
+    for method in (Method.FREE, Method.SURFACE):
+        estimates = snapshot.estimates[method]
+        errors = np.array([each.position for each in estimates]) - TAXELS
+        squares = [x @ np.linalg.pinv(e.covariance) @ x for x, e in zip(errors, estimates, strict=True)]
+        assert np.linalg.norm(errors, axis=1).mean() < 0.0018
+        assert 0.3 < np.median(squares) < 7.8
+
+
+def test_one_poke_places_a_taxel_of_a_part_without_mesh_in_the_base(tmp_path):
+    text = (
+        scene_text(landmarks=False)
+        .replace('link = "plate"', 'link = "base"')
+        .replace("[surface]\nmesh = 'plate.stl'\nunit = 'mm'\n", "")
+    )
+    snapshot = calibrate(scene_of(tmp_path, text), chunks(TAXELS[:3], aim_sd=0.0, noise=0.0)).snapshot()
+    places = TAXELS @ BASE_FROM_PART[:3, :3].T + BASE_FROM_PART[:3, 3]
+    for channel in range(3):
+        estimate = snapshot.estimate_of(channel, Method.FREE)
+        assert np.linalg.norm(estimate.position - places[channel]) < 0.0015
+        assert estimate.rms < 0.006
+
+
+def test_a_tip_that_moves_while_it_presses_is_rejected_with_its_way(tmp_path):
+    pipeline = calibrate(scene_of(tmp_path, scene_text()), chunks(TAXELS[4:5], slide=[0.004, 0.003, 0.0], aim_sd=0.0))
+    (outcome,) = outcomes_of(pipeline)
+    assert outcome.reason is Reason.SLID
+    assert rejection_words(outcome).startswith("tip moved ")
+    assert rejection_words(outcome).endswith("mm (limit 1.5 mm)")
+    assert "hold the tip still" in rejection_advice(outcome)
+
+
+def test_a_requested_landmark_is_found_by_the_tip_that_turns_back(tmp_path):
+    pipeline = pipeline_of(scene_of(tmp_path, scene_text()))
+    asked = 0
+    for item in chunks(MARKS[:3]):
+        if asked < 3 and item.host_ns > (1.0 + asked * POKE_S) * 1e9:
+            pipeline.act(AskLandmark(f"m{asked}"), item.host_ns)
+            asked += 1
+        pipeline.feed(item)
+    pipeline.close()
+    assert pipeline.session.decisions.landmark_of_poke == {1: "m0", 2: "m1", 3: "m2"}
+
+
+def test_a_pause_above_the_skin_is_no_poke(tmp_path):
+    # Each poke pauses above before and after: three rests, one poke.
+    assert len(outcomes_of(calibrate(scene_of(tmp_path, scene_text()), chunks(MARKS[:2])))) == 2
+
+
+def test_a_replay_is_equal_to_the_last_bit(tmp_path):
+    scene = scene_of(tmp_path, scene_text())
+    first = calibrate(scene, chunks(EVERY[:10]))
+    pipeline = pipeline_of(scene)
+    for number, item in enumerate(chunks(EVERY[:10])):
+        pipeline.feed(item)
+        if number % 97 == 0:
+            pipeline.snapshot()
+    pipeline.close()
+    for one, other in zip(outcomes_of(first), outcomes_of(pipeline), strict=True):
+        assert one.link_from_sensor.tobytes() == other.link_from_sensor.tobytes()
+        assert one.force.tobytes() == other.force.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda text: text.replace("tip_mm", "# tip_mm"), "tip_mm is missing; without a sensor the tip alone"),
+        (lambda text: text.replace("tip_radius_mm", "tolerance_deg = 2.0\ntip_radius_mm"), "leave tolerance_deg out"),
+        (
+            lambda text: text.replace("radius = 1.0", "radius = 1.0\nforce = 0.2"),
+            r"force of \[noise\] is of a force/torque sensor",
+        ),
+        (lambda text: text + "[wrench]\nsign = 1\n", r"\[wrench\] is of a force/torque sensor"),
+        (lambda text: text.replace("tip_sd_mm = 0.2", "tip_sd_mm = 0"), "tip_sd_mm is 0; expected 0.01 to 10"),
+    ],
+)
+def test_a_scene_without_a_sensor_refuses_what_belongs_to_one(tmp_path, change, says):
+    with pytest.raises(InputError, match=says):
+        scene_of(tmp_path, change(scene_text()))
+
+
+def test_streams_of_a_rig_without_a_sensor(tmp_path):
+    scene = scene_of(tmp_path, scene_text())
+    check_tool_streams(scene, {Stream.TOOL: "a", Stream.SKIN: "b"})
+    with pytest.raises(InputError, match="there is no force/torque sensor; leave out --wrench"):
+        check_tool_streams(scene, {Stream.TOOL: "a", Stream.WRENCH: "b"})
+    with pytest.raises(InputError, match="add --tool"):
+        check_tool_streams(scene, {Stream.TOOL: None})
+    said = tool_findings(scene.tool, scene.wrench_sign, finds_part_pose=scene.finds_part_pose)
+    assert said[0].startswith("there is no force sensor")
+    assert not any("wrench" in each for each in said)
