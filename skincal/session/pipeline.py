@@ -206,7 +206,7 @@ class Pipeline:
     @property
     def _decoded_due_ns(self) -> float:
         """Time of the next item after which decoded wrenches are written; infinite if none are."""
-        return self._decoded_ns + WRENCH_RECORD_PERIOD_NS if self._wants_decoded else np.inf
+        return self._decoded_ns + WRENCH_RECORD_PERIOD_NS if self._wants_decoded and self.scene.has_sensor else np.inf
 
     def apply_note(self, note: Result) -> None:
         """Apply what a detector made of an item: outcomes and dead channels, or counts of readings."""
@@ -505,7 +505,7 @@ class Pipeline:
 
     def _decoded_wrenches(self, host_ns: int) -> None:
         """Write the wrenches of the last half second and the temperature to the journal, for other programs."""
-        if host_ns < self._decoded_due_ns or not self.scene.has_sensor:
+        if host_ns < self._decoded_due_ns:
             return
         self._decoded_ns = host_ns
         times, wrenches = self._intake.recent_wrench(self._decoded_s)
