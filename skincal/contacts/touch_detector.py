@@ -1,9 +1,9 @@
 """Detect pokes by a tool without a force sensor: from the skin's answers and the rest of the tip.
 
 A press begins when a taxel answers, and ends when none answers at `RELEASE_SHARE` of its limit, or when the tip has left by
-`TIP_LEFT_M`. Its still window is the one in which the tip moves least. The poke is then written as a unit force along the push,
+`TIP_LEFT_M`. In its still window the tip moves least. The poke is then written as a unit force along the push,
 through the tip, in the frame of the tip: all methods use points as they use force axes (docs/decisions/pose-rows.md). The push
-is the way by which the tip came.
+is the last way of the tip before it.
 
 At a landmark no taxel answers. There the tip turns back: it comes, rests for `still_s`, and leaves the way that it came. A
 pause above the skin is no touch, since the tip goes on where the tool points.
@@ -47,7 +47,7 @@ POINTING_MIN_COSINE = 0.3
 POINTING_MIN_LENGTH_M = 0.02
 """m. A tip nearer to the origin of the tool's frame does not tell where the tool points."""
 QUIET_SKIN_MAX_SHARE = 0.3
-"""Share of its limit by which a taxel may change in a quiet window."""
+"""Largest change of a taxel in a quiet window, as a share of its limit."""
 
 
 class _Seen(NamedTuple):
@@ -158,7 +158,7 @@ def tip_slide(places: FloatArray) -> float:
 
 
 def push_direction(approach: FloatArray, place: FloatArray, link_from_sensor: FloatArray) -> FloatArray:
-    """Find the direction (3,) in which the tip came to a place: from the last point that was `APPROACH_M` away.
+    """Find the direction (3,) of the tip's way to a place: from the last point that was `APPROACH_M` away.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ DEFAULT_TOOL_TURN_MAX_DEG = 1.0
 POINT_FORCE_N = 1.0
 """N, force of a poke without a sensor: through the tip, along the push."""
 PUSH_TURN_SD_RAD = 0.15
-"""rad, sd of the direction of such a push: the way of the tip, not the normal of the skin."""
+"""rad, sd of the direction of this push: it is the way of the tip, and not the normal of the skin."""
 TIP_SD_DEFAULT_MM = 0.5
 """mm, sd of one place of the tip, each direction: a cobot's smooth position error over its workspace (issue 41)."""
 TIP_SD_RANGE_MM = (0.01, 10.0)

@@ -67,7 +67,7 @@ class AxesTip:
         return self.spread <= TIP_SPREAD_MAX_M
 
     def disagrees_with(self, place: FloatArray) -> bool:
-        """Whether a known tip (3,), metres, sensor frame, lies off by more than both errors."""
+        """Whether a known tip (3,), metres, sensor frame, differs by more than both errors."""
         off = self.place - place
         error = self.covariance + KNOWN_TIP_SD_M**2 * np.eye(3)
         return float(np.linalg.norm(off)) > MISMATCH_MIN_M and float(off @ np.linalg.solve(error, off)) > TIP_MAX_CHI2

@@ -92,7 +92,7 @@ class Session:
         self.tool: ToolFindings | None = None
         """Tip and part's pose by the pokes; `None` without `[tool]` in the scene."""
         if scene.tool is not None:
-            from skincal.session.tool_findings import ToolFindings  # other scenes load nothing of it
+            from skincal.session.tool_findings import ToolFindings  # other scenes do without
 
             self.tool = ToolFindings(scene, surface)
             self._solving.is_placed = self.tool.is_placed
