@@ -14,7 +14,7 @@ from PySide6.QtGui import QAction, QKeySequence
 from PySide6.QtWidgets import QWhatsThis
 
 from app.text.demo_text import pace_words
-from app.text_size import STEPS
+from app.text_size import TEXT_SIZES_PERCENT
 from app.theme import Choice
 
 if TYPE_CHECKING:
@@ -151,10 +151,10 @@ COMMANDS = (
             view(lambda v: v.follow_switches()), switch=True, setting="window/turn"),
     Command("camera", "View", "Whole part", "Home", "Show the whole part in the 3D view",
             lambda w: w.reset_camera()),
-    Command("larger", "View", "Larger text", "Ctrl++ Ctrl+=", f"Up to {STEPS[-1]} % in the whole window",
-            lambda w: w.text_size.larger(), lambda w: w.text_size.percent < STEPS[-1]),
-    Command("smaller", "View", "Smaller text", "Ctrl+-", f"Down to {STEPS[0]} % in the whole window",
-            lambda w: w.text_size.smaller(), lambda w: w.text_size.percent > STEPS[0]),
+    Command("larger", "View", "Larger text", "Ctrl++ Ctrl+=", f"Up to {TEXT_SIZES_PERCENT[-1]} % in the whole window",
+            lambda w: w.text_size.larger(), lambda w: w.text_size.percent < TEXT_SIZES_PERCENT[-1]),
+    Command("smaller", "View", "Smaller text", "Ctrl+-", f"Down to {TEXT_SIZES_PERCENT[0]} % in the whole window",
+            lambda w: w.text_size.smaller(), lambda w: w.text_size.percent > TEXT_SIZES_PERCENT[0]),
     Command("usual", "View", "Normal text", "Ctrl+0", "The text size of the desktop",
             lambda w: w.text_size.choose(), lambda w: f"Normal text (now {w.text_size.percent} %)"),
     Command("enlarge", "View", "Enlarge the panels", "F12", "Give the tabs most of the window; again: as before",
@@ -208,7 +208,7 @@ GROUP_STARTS = frozenset(
     )
 )  # fmt: skip
 """Names of commands with a line above them in the menu."""
-LAYERS = tuple(command.name for command in COMMANDS if command.menu == "Layers")
+LAYER_NAMES = tuple(command.name for command in COMMANDS if command.menu == "Layers")
 """Layers of the 3D view that can be hidden."""
 
 
@@ -265,7 +265,7 @@ class Commands(QObject):
             added.append(action)
         return added
 
-    def taken(self) -> dict[str, str]:
+    def meaning_of_keys(self) -> dict[str, str]:
         """Return the meaning of each key of the menus, by the key's portable name."""
         portable = QKeySequence.SequenceFormat.PortableText
         actions = [action for menu in self.menus.values() for action in menu.actions()]

@@ -227,7 +227,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
         # Python runs a handler at any moment, also in the middle of a write: it only requests the end.
         signal.signal(number, lambda *_: QMetaObject.invokeMethod(window, "leave", Qt.ConnectionType.QueuedConnection))
     window.show()
-    QTimer.singleShot(0, lambda: begin(window, request))
+    QTimer.singleShot(0, lambda: start_log_and_open(window, request))
     try:
         application.exec()
     finally:
@@ -236,7 +236,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     return 1 if faults.count else 0
 
 
-def begin(window: Window, request: OpenRequest) -> None:
+def start_log_and_open(window: Window, request: OpenRequest) -> None:
     """Start the log and open the request, after the window is on the screen. A failing log does not prevent it."""
     failure = start_log()
     window.open(request)

@@ -16,7 +16,7 @@ from PySide6.QtCore import QEvent, QObject, QSettings, QTimer, Signal
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QApplication, QFileDialog, QFrame, QTabWidget, QWidget
 
-from app.commands import LAYERS, Commands
+from app.commands import LAYER_NAMES, Commands
 from app.dialogs.apply_dialog import ApplyDialog, offered_port
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.history_dialog import HistoryDialog
@@ -44,7 +44,7 @@ from app.state.memo import Memo
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.view_state import ViewState, focused_channel
 from app.text.guidance_text import NOTHING_TO_CHECK
-from app.text.message import REPORT_WORK, REPORTING, Message, report_words
+from app.text.message import REPORT_IN_PROGRESS, REPORT_WORK, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.rig_text import corrected_words, offer_news, rig_state
 from app.text_size import scaled
@@ -139,9 +139,9 @@ class Workspace(QWidget):
         if event.type() is QEvent.Type.FontChange:
             self._fit_right()
 
-    def begin(self) -> None:
+    def build_3d_view(self) -> None:
         """Start to build the 3D view; call once the window is on the screen."""
-        self.view.begin(self._static)
+        self.view.build_scene(self._static)
 
     def wait(self, headline: str, detail: str) -> None:
         """Show a line in the status panel while there is no session yet."""
@@ -260,7 +260,7 @@ class SessionView(QObject):
 
     def _begin_session(self, snapshot: Snapshot) -> None:
         """Show a newly opened session, which may already have pokes."""
-        self._cues = CueMemory.of(snapshot)
+        self._cues = CueMemory.from_snapshot(snapshot)
         self.workspace.now.begin_session(snapshot)
 
     # What is shown
@@ -360,7 +360,7 @@ class SessionView(QObject):
         is_on, view = self._commands.is_on, self.workspace.view
         view.set_turning(is_on("turn"))
         view.set_difference(is_on("difference"))
-        view.hide_layers(frozenset(name for name in LAYERS if not is_on(name)))
+        view.hide_layers(frozenset(name for name in LAYER_NAMES if not is_on(name)))
         if self.guided.guide.wanted != is_on("guide"):
             self.guided.guide.wanted = is_on("guide")
             self.follow_again()
@@ -495,7 +495,7 @@ class SessionView(QObject):
         def write(format_: str, path: Path, method: Method, options: ExportOptions) -> None:
             rig = None if self.state is None or self.state.review is None else self.state.review.rig
 
-            def done(found: tuple[Verdict, tuple[str, ...]]) -> None:
+            def show_result(found: tuple[Verdict, tuple[str, ...]]) -> None:
                 verdict, sentences = found
                 early = () if verdict.is_finished and not verdict.frame_in_doubt else (verdict_sentence(verdict),)
                 dialog.show_written((*early, *sentences))
@@ -505,7 +505,7 @@ class SessionView(QObject):
             except InputError as error:
                 dialog.show_failure(str(error))
                 return
-            self._controller.compute(work, done, dialog.show_failure, ended=dialog.end_task)
+            self._controller.compute(work, show_result, dialog.show_failure, ended=dialog.end_task)
 
         dialog.write_requested.connect(write)
         dialog.open()
@@ -537,7 +537,7 @@ class SessionView(QObject):
         """Ask for a file and write the session's report to it."""
         path = self._ask_file("Write the report", f"{self.workspace.part.scene.name}-report.html", "Report (*.html)")
         if path is not None:
-            self.said.emit(Message(REPORTING, found=True, work=REPORT_WORK))
+            self.said.emit(Message(REPORT_IN_PROGRESS, found=True, work=REPORT_WORK))
 
             def tell_written(verdict: str) -> None:
                 self.said.emit(Message(report_words(path, verdict), file=path, work=REPORT_WORK))

@@ -9,7 +9,7 @@ from PySide6.QtCore import QObject, QSettings, Signal
 from PySide6.QtGui import QFont, QFontDatabase
 from PySide6.QtWidgets import QApplication, QWidget
 
-STEPS = (75, 100, 125, 150, 200)  # Per cent of the desktop's own size
+TEXT_SIZES_PERCENT = (75, 100, 125, 150, 200)  # Per cent of the desktop's own size
 DEFAULT_TEXT_SIZE_PERCENT = 100
 TEXT_SETTING = "window/text"
 _POINTS_PROPERTY = "points"  # Of a widget with its own font size, which the application's font does not change
@@ -37,7 +37,7 @@ def _desktop_points() -> float:
 
 
 class TextSize(QObject):
-    """One of `STEPS` for the whole application, kept in the settings."""
+    """One of `TEXT_SIZES_PERCENT` for the whole application, kept in the settings."""
 
     changed = Signal()  # Every widget has its font
 
@@ -46,13 +46,13 @@ class TextSize(QObject):
         self._settings = settings
         kept = str(settings.value(TEXT_SETTING, DEFAULT_TEXT_SIZE_PERCENT))
         self.percent = DEFAULT_TEXT_SIZE_PERCENT
-        self.choose(int(kept) if kept.isdecimal() and int(kept) in STEPS else DEFAULT_TEXT_SIZE_PERCENT)
+        self.choose(int(kept) if kept.isdecimal() and int(kept) in TEXT_SIZES_PERCENT else DEFAULT_TEXT_SIZE_PERCENT)
 
     def larger(self) -> None:
-        self.choose(min((step for step in STEPS if step > self.percent), default=STEPS[-1]))
+        self.choose(min((step for step in TEXT_SIZES_PERCENT if step > self.percent), default=TEXT_SIZES_PERCENT[-1]))
 
     def smaller(self) -> None:
-        self.choose(max((step for step in STEPS if step < self.percent), default=STEPS[0]))
+        self.choose(max((step for step in TEXT_SIZES_PERCENT if step < self.percent), default=TEXT_SIZES_PERCENT[0]))
 
     def choose(self, percent: int = DEFAULT_TEXT_SIZE_PERCENT) -> None:
         self.percent = percent

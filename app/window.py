@@ -184,7 +184,7 @@ class Window(QMainWindow):
         self.commands = Commands(self)
         self.recent = RecentMenu(settings, self)
         self._focus_return = FocusReturn(self)
-        self.pedals = Pedals(self.commands.actions, self.commands.taken, settings, self)
+        self.pedals = Pedals(self.commands.actions, self.commands.meaning_of_keys, settings, self)
         self._arrange()
         self._connect()
 
@@ -281,7 +281,7 @@ class Window(QMainWindow):
             self.stack.addWidget(view.workspace)
             self.stack.setCurrentWidget(view.workspace)
             # With the workspace as its context Qt calls nothing once that is gone.
-            QTimer.singleShot(0, view.workspace, view.workspace.begin)
+            QTimer.singleShot(0, view.workspace, view.workspace.build_3d_view)
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
                 self._first_minute = FirstMinute(robot=not self.controller.pace)
                 view.workspace.show_card(self._first_minute)

@@ -12,7 +12,7 @@ Axes: TypeAlias = Any
 """matplotlib.axes.Axes."""
 GREY = "#767676"
 """For what is of less weight; contrast of 4.5 : 1 on white."""
-STYLE: Mapping[str, Any] = {
+PLOT_STYLE: Mapping[str, Any] = {
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlelocation": "left",
@@ -41,7 +41,7 @@ def render(
     matplotlib: Any = mpl
     figures: Any = mpl_figure
     encoded: list[bytes] = []
-    with matplotlib.rc_context(dict(STYLE)):
+    with matplotlib.rc_context(dict(PLOT_STYLE)):
         figure: Figure = figures.Figure(figsize=inches, layout="constrained")
         draw(figure)
         for kind in kinds:

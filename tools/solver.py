@@ -10,10 +10,10 @@ import tempfile
 import textwrap
 from pathlib import Path
 
-from skincal.solver.machine import PROGRAM
+from skincal.solver.machine import SOLVER_PROGRAM
 from skincal.solver.tables import SHARED_NUMBERS, SHARED_TABLES, TABLE_OF_FUNCTION, Table, layout_number
 
-C_SOURCE = PROGRAM.with_name("source") / "solver.c"
+C_SOURCE = SOLVER_PROGRAM.with_name("source") / "solver.c"
 HEADER = C_SOURCE.with_name("tables.h")
 COMPILER_FLAGS = [
     "-target", "wasm32-freestanding", "-nostdlib", "-std=c11", "-O3", "-msimd128", "-mbulk-memory", "-ffp-contract=off",
@@ -69,7 +69,7 @@ def _struct(table: Table) -> str:
 def build(*flags: str) -> bytes:
     """Compile the solver with additional flags and return the program. Raises CalledProcessError on compiler errors."""
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / PROGRAM.name
+        out = Path(folder) / SOLVER_PROGRAM.name
         # From its own folder: no path of the machine gets into the program.
         command = [sys.executable, "-m", "ziglang", "cc", *COMPILER_FLAGS, *flags, "-o", str(out), C_SOURCE.name]
         subprocess.run(command, cwd=C_SOURCE.parent, check=True)
@@ -78,5 +78,5 @@ def build(*flags: str) -> bytes:
 
 if __name__ == "__main__":
     HEADER.write_text(header(), encoding="utf-8")
-    PROGRAM.write_bytes(build())
-    print(f"{PROGRAM}: {PROGRAM.stat().st_size} bytes")
+    SOLVER_PROGRAM.write_bytes(build())
+    print(f"{SOLVER_PROGRAM}: {SOLVER_PROGRAM.stat().st_size} bytes")

@@ -173,7 +173,7 @@ class BuilderPage(QWidget):
     def build_view(self) -> None:
         """Start to build the 3D view; call once the page is on the screen."""
         self.recolour()
-        self.view.begin(DraftStatic())
+        self.view.build_scene(DraftStatic())
         self._request()
 
     def open_scene(self, path: Path) -> None:

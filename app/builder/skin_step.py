@@ -26,7 +26,7 @@ from skincal.files.layout_sources import (
     text_with_kind,
 )
 from skincal.model.readings import Stream
-from skincal.model.skin import KINDS, SkinKind
+from skincal.model.skin import MODULE_KINDS, SkinKind
 from skincal.part.draft_preview import PartPreview
 from skincal.part.layout_placing import middle_of
 from skincal.part.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
@@ -125,7 +125,7 @@ class SkinStep(Step):
 
     def _make_modules_page(self) -> QWidget:
         page = QWidget()
-        self.kind = choice("kind of module", {kind: KIND_NAMES.get(kind, kind) for kind in KINDS})
+        self.kind = choice("kind of module", {kind: KIND_NAMES.get(kind, kind) for kind in MODULE_KINDS})
         self.kind.activated.connect(lambda _: self._use_modules())
         self.strips, self.in_strip = (count_field(name, 1, MAX_MODULES) for name in ("strips", "modules in a strip"))
         self.in_strip.setValue(4)

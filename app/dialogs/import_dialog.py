@@ -117,7 +117,7 @@ class ImportDialog(Dialog):
         self.scene.read()
         self._check_folder()
         if paths:
-            self.take(paths)
+            self.assign_files(paths)
 
     def _arrange(self) -> None:
         make_form(
@@ -161,7 +161,7 @@ class ImportDialog(Dialog):
         self.pose.currentIndexChanged.connect(self._update_problems)
         self.folder.textChanged.connect(self._check_folder)
         dropped = DropTarget(self)
-        dropped.recording_dropped.connect(self.take)
+        dropped.recording_dropped.connect(self.assign_files)
         dropped.refused.connect(self._show_problem)
         dropped.request_made.connect(lambda _: self._show_problem(NO_RECORDING))
         self.buttons.accepted.connect(self._start_import)
@@ -172,7 +172,7 @@ class ImportDialog(Dialog):
 
     # Choices
 
-    def take(self, paths: Sequence[Path]) -> None:
+    def assign_files(self, paths: Sequence[Path]) -> None:
         """Assign files, or those of a folder, to the streams by their content."""
         if self.importing:
             return
@@ -208,12 +208,12 @@ class ImportDialog(Dialog):
     def _choose_recording_folder(self) -> None:
         path = QFileDialog.getExistingDirectory(self, "Folder of a recording")
         if path:
-            self.take([Path(path)])
+            self.assign_files([Path(path)])
 
     def _choose_recording_files(self) -> None:
         paths, _ = QFileDialog.getOpenFileNames(self, "Files of a recording", "", FILE_FILTER)
         if paths:
-            self.take([Path(path) for path in paths])
+            self.assign_files([Path(path) for path in paths])
 
     def _choose_file(self, field: QLineEdit) -> None:
         path, _ = QFileDialog.getOpenFileName(self, field.accessibleName(), field.text(), FILE_FILTER)

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton
 from app.panels.panel import Panel
 from app.panels.widgets import ElidedLabel, digits_font, escape_tooltip, rich_label, secondary_label, set_bold, theme_colours
 from app.state.view_state import LinkStatus, ViewState
-from app.text.guidance_text import BETWEEN
+from app.text.guidance_text import DOT_SEPARATOR
 from app.text.link_text import LinkWords, link_lines
 from app.text_size import scaled, set_font
 from app.theme import WIDGET_GAP_PX
@@ -82,7 +82,7 @@ class LinkCard(QFrame):
         carried = ", ".join(STREAM_NAMES[stream] for stream in health.carries)
         # The most important first: a narrow window cuts off the end.
         about = ["" if carried == words.name else carried, health.address, health.format or "format not known yet"]
-        self.about.setText(BETWEEN.join(filter(None, (*about, f"last bytes {words.age}"))))
+        self.about.setText(DOT_SEPARATOR.join(filter(None, (*about, f"last bytes {words.age}"))))
         self.detail.setText(words.detail)
         self.detail.setVisible(bool(words.detail))
         lost = "\n".join(count(n, f" {reason}", f" {reason}") for reason, n in words.losses)
@@ -95,7 +95,7 @@ class LinkCard(QFrame):
         if unpaired and Stream.WRENCH in health.carries:
             frames = count(unpaired, "skin frame")
             late = f"{frames} had no force/torque reading at their time: it came late, in bursts, or not at all."
-        read = BETWEEN.join(filter(None, (health.units, beside_words(health.beside), said)))
+        read = DOT_SEPARATOR.join(filter(None, (health.units, beside_words(health.beside), said)))
         self.losses.setText("\n".join(filter(None, (read, late))))
 
 

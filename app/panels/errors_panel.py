@@ -18,7 +18,15 @@ from app.panels.panel import Panel
 from app.panels.plot import StillPlot
 from app.panels.widgets import compact_combo, escape_tooltip, rich_label, secondary_label, theme_colours
 from app.state.view_state import ViewState
-from app.text.errors_text import STATISTICS, SYMBOLS, Axis, axis_words, newest_words, quantity_words, source_words
+from app.text.errors_text import (
+    LEGEND_OF_STATISTIC,
+    SYMBOL_OF_METHOD,
+    Axis,
+    axis_words,
+    newest_words,
+    quantity_words,
+    source_words,
+)
 from app.theme import WIDGET_GAP_PX
 from skincal.following.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.geometry import FloatArray, IntArray
@@ -68,7 +76,7 @@ class ErrorPlot(StillPlot):
         self.item.setLogMode(x=False, y=True)
         # Half a line, so that the number at the upper end is not cut.
         self.item.layout.setContentsMargins(0, 7, 0, 0)
-        self.curves: dict[tuple[Method, int], Any] = {(m, at): self.add_curve() for m in methods for at in STATISTICS}
+        self.curves: dict[tuple[Method, int], Any] = {(m, at): self.add_curve() for m in methods for at in LEGEND_OF_STATISTIC}
         self.symbols = {m: self.add_curve(pen=None, symbol=PLOT_SYMBOLS[m], symbolSize=8) for m in methods}
         self.recolour()
 
@@ -113,7 +121,7 @@ class ErrorPlot(StillPlot):
     def _draw_course(self, method: Method, at: FloatArray, values: FloatArray, joined: IntArray) -> FloatArray:
         known = np.isfinite(values[:, MEAN]) & (values[:, MEAN] > 0.0)
         at, values, joined = at[known], values[known], joined[known]
-        for statistic in STATISTICS:
+        for statistic in LEGEND_OF_STATISTIC:
             self.curves[method, statistic].setData(at, values[:, statistic], connect=joined)
         some = np.unique(np.linspace(0, len(at) - 1, min(len(at), MAX_MARKERS_PER_CURVE)).astype(np.int64))
         self.symbols[method].setData(at[some], values[some, MEAN])
@@ -227,7 +235,7 @@ class ErrorsPanel(Panel):
     def update_view(self, state: ViewState) -> None:
         self._drawn_s, row, series = state.now_s, self.module_box.currentIndex(), self.course.series()
         for method, label in self.lines.items():
-            mark = f'<span style="color:{theme_colours().methods[method.value]}">{SYMBOLS[method]}</span>'
+            mark = f'<span style="color:{theme_colours().methods[method.value]}">{SYMBOL_OF_METHOD[method]}</span>'
             # A narrow panel breaks the line between two figures, not between a name and its number.
             figures = escape(newest_words(series, method, row)).split("   ")
             words = "&nbsp;&nbsp; ".join(figure.replace(" ", "&nbsp;") for figure in figures)

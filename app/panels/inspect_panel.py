@@ -22,7 +22,7 @@ from app.panels.widgets import Painted, TaxelList, put_rows, secondary_label, se
 from app.state.memo import is_same
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
-from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, needs_words
+from app.text.guidance_text import GUIDE_SENTENCE_OF_METHOD, contacts_words, diversity_words, needs_words
 from app.text.mark_text import MARK_WORDS
 from app.theme import WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray
@@ -169,7 +169,7 @@ class AxisDiversityPanel(QWidget):
         self.contacts.setText(contacts_words(diversity))
         self.spread.setText(diversity_words(diversity, state.method).capitalize())
         self.legend.setText(PICTURE_LEGENDS[state.method])
-        self.follows.setText(FOLLOWS[state.method])
+        self.follows.setText(GUIDE_SENTENCE_OF_METHOD[state.method])
         self.plot.set(diversity, diversity_view(diversity, state.method, state.eye))
 
 

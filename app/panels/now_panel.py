@@ -279,7 +279,7 @@ class NowPanel(QFrame):
 
     def begin_session(self, snapshot: Snapshot) -> None:
         """Show a newly opened session, which may already have pokes."""
-        self._memory = NowMemory.of(snapshot)
+        self._memory = NowMemory.from_snapshot(snapshot)
 
     def show_state(self, state: ViewState) -> None:
         now, self._memory = now_line(self._memory, state)

@@ -146,7 +146,7 @@ class View3D(QWidget):
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._message)
 
-    def begin(self, static: StaticScene) -> None:
+    def build_scene(self, static: StaticScene) -> None:
         """Start to build the layers that a scene supports; call once the window is on the screen.
 
         Returns at once; `ready` follows. A second call replaces the scene.

@@ -728,12 +728,12 @@ class Controller(QObject):
     ) -> None:
         """Do `work` in the background, as `ThreadService.submit`; by default the window shows a failure."""
 
-        def take(result: Any) -> None:
+        def deliver(result: Any) -> None:
             self._has_news = True
             if done is not None:
                 done(result)
 
-        self._threads.submit(work, take, failed or self._fail, **others)
+        self._threads.submit(work, deliver, failed or self._fail, **others)
 
     # In the background
 

@@ -59,7 +59,7 @@ class Note:
 _LOW_PITCHES = (196.0, 588.0, 980.0)
 """Hz, with odd overtones: it sounds low even if a small loudspeaker omits the lowest."""
 
-_NOTES: Mapping[Cue, tuple[Note, ...]] = {
+_NOTES_OF_CUE: Mapping[Cue, tuple[Note, ...]] = {
     Cue.CONTACT: (Note(0.0, 0.012, (1200.0,)),),
     Cue.HELD: (Note(0.0, 0.012, (1600.0,)), Note(0.040, 0.012, (1600.0,))),
     Cue.ACCEPTED: (Note(0.0, 0.030, (660.0,)), Note(0.045, 0.075, (990.0,))),
@@ -74,7 +74,7 @@ _NOTES: Mapping[Cue, tuple[Note, ...]] = {
 def samples_of(sound: Cue) -> bytes:
     """Synthesise a sound: mono, signed 16 bits in the machine's byte order, at `SAMPLE_RATE_HZ`."""
     wave = np.zeros(round(MAX_CUE_LENGTH_S * SAMPLE_RATE_HZ))
-    for note in _NOTES[sound]:
+    for note in _NOTES_OF_CUE[sound]:
         begin = round(note.start_s * SAMPLE_RATE_HZ)
         heard = _wave(note)
         wave[begin : begin + len(heard)] += heard
@@ -117,7 +117,7 @@ class CueMemory:
     alarm_s: float = -math.inf
 
     @staticmethod
-    def of(snapshot: Snapshot) -> CueMemory:
+    def from_snapshot(snapshot: Snapshot) -> CueMemory:
         """Make a memory for which all past pokes are already announced."""
         return CueMemory(outcome=newest_outcome(snapshot))
 
@@ -125,7 +125,7 @@ class CueMemory:
 def due_cue(memory: CueMemory, at: ViewState) -> tuple[DueCue | None, CueMemory]:
     """Choose the sound that is due, or `None`, and make the memory for the next frame."""
     phase = at.live.progress.phase
-    lost = frozenset(link.link for link in at.live.links if at.look(link) in LINK_FAULTS)
+    lost = frozenset(link.link for link in at.live.links if at.status_of(link) in LINK_FAULTS)
     newest = newest_outcome(at.snapshot) or memory.outcome
     following = CueMemory(
         outcome=newest,

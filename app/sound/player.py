@@ -141,7 +141,7 @@ class Line:
     taken: int = 0
     """Bytes that the device has read."""
 
-    def take(self, frames: int) -> bytes:
+    def next_samples(self, frames: int) -> bytes:
         """Return the next samples of the sound; fewer at the end, then none."""
         part = self.samples[self.taken : self.taken + 2 * frames]
         self.taken += len(part)
@@ -248,7 +248,7 @@ class Player:
         """Feed the device, in its own thread."""
         frames = yield b""
         while True:
-            frames = yield self._line.take(frames)
+            frames = yield self._line.next_samples(frames)
 
     def _close_device(self) -> None:
         output, self._output, self._line = self._output, None, Line(b"")

@@ -152,7 +152,7 @@ class ViewState:
         """Whether the arm's pose is unknown, so that no poke counts."""
         return (self.scene.arm is not None or self.scene.tool is not None) and self.live.link_from_sensor is None
 
-    def look(self, link: LinkHealth) -> LinkStatus:
+    def status_of(self, link: LinkHealth) -> LinkStatus:
         return link_status(link, self.now_ns, connected=self.connected)
 
     def by_channel(self) -> Mapping[int, Estimate]:

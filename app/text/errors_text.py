@@ -13,13 +13,13 @@ from skincal.following.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 from skincal.taxels.result import Method
 from skincal.words.units import cell, count
 
-SYMBOLS: Mapping[Method, str] = {
+SYMBOL_OF_METHOD: Mapping[Method, str] = {
     Method.FREE: "\N{BLACK CIRCLE}",
     Method.SURFACE: "\N{BLACK DIAMOND}",
     Method.MODULES: "\N{BLACK UP-POINTING TRIANGLE}",
 }
 """Sign of a method, in texts as in the plot."""
-STATISTICS = {
+LEGEND_OF_STATISTIC = {
     MEAN: "\N{EM DASH} mean",
     P95: "\N{EN DASH} \N{EN DASH} p95",
     MAX: "\N{MIDDLE DOT}\N{MIDDLE DOT}\N{MIDDLE DOT} worst",
@@ -58,7 +58,7 @@ def newest_words(series: ErrorSeries, method: Method, row: int) -> str:
     """Newest figures of a method: of all taxels if `row` is 0, else of the module with index `row` - 1."""
     course = series.spreads.get(method)
     values = np.full(4, np.nan) if course is None or not len(course) else course[-1, row]
-    figures = "   ".join(f"{name} {cell(float(values[at]), 'm')}" for at, name in STATISTICS.items())
+    figures = "   ".join(f"{name} {cell(float(values[at]), 'm')}" for at, name in LEGEND_OF_STATISTIC.items())
     taxels = 0 if math.isnan(values[TAXELS]) else int(values[TAXELS])
     return f"{figures} mm, {count(taxels, 'taxel')}"
 

@@ -29,10 +29,10 @@ from skincal.words.units import ChannelNames, cell, count, degrees, duration, mi
 from skincal.words.verdict_words import needs_clause
 
 MAX_NAMED_FINISHED_TAXELS = 3  # Finished taxels named after one poke
-BETWEEN = "  \N{MIDDLE DOT}  "
+DOT_SEPARATOR = "  \N{MIDDLE DOT}  "
 REDUCED_ERROR_WORDS: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "position", Method.MODULES: "position"}
 """Name of the error that a poke should reduce: for the free method the depth, for the others the position along the skin."""
-FOLLOWS: Mapping[Method, str] = {
+GUIDE_SENTENCE_OF_METHOD: Mapping[Method, str] = {
     Method.FREE: "The guide asks what the free method needs: pokes with the tool leaning to all sides.",
     Method.SURFACE: "The guide asks what the surface method needs: pokes evenly around each taxel, tool upright.",
     Method.MODULES: "The guide asks what the modules method needs: a few pokes on each module, far apart; on a sheet, many.",
@@ -74,10 +74,10 @@ def why_words(guidance: Guidance, target: Target, dead: Collection[int], part_si
         why = f"Final check {at.done + 1} of {at.places}: press an early point again to see if anything moved"
         if at.suspect_poke is not None:
             why = f"Only poke {at.suspect_poke} indicates a movement: press this point again to see if the tip slid"
-        return f"{why}{BETWEEN}Shift+N skips"
+        return f"{why}{DOT_SEPARATOR}Shift+N skips"
     if guidance.landmark is not None:
-        return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
-    return BETWEEN.join(
+        return DOT_SEPARATOR.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
+    return DOT_SEPARATOR.join(
         filter(None, (_reason(guidance, target, part_size), progress_words(guidance, dead), left_words(guidance)))
     )
 
@@ -138,7 +138,7 @@ NOTHING_TO_CHECK = "The final check needs two points pressed before in this arm 
 def end_words(guidance: Guidance, dead: Collection[int]) -> str:
     """Give the next step after the end, and the number of disabled taxels."""
     unused = len(guidance.channels) - _count_finished(guidance, dead)[1]
-    left_out = f"{unused} disabled{BETWEEN}" if unused else ""
+    left_out = f"{unused} disabled{DOT_SEPARATOR}" if unused else ""
     return f"{left_out}Space: show the result and write the file"
 
 
@@ -219,8 +219,8 @@ def pressing_words(coaching: PokeError | None, target: Target | None, names: Cha
     wanted = "" if target.tilt < UPRIGHT_MAX_TILT else f" (wanted {degrees(target.tilt)})"
     lean = f"lean {degrees(coaching.tilt)}{wanted}"
     if coaching.landed is not None and is_on_other_taxel(coaching, target):
-        return f"{_landed_words(coaching.landed, names)}{BETWEEN}{lean}"
-    return f"{millimetres(coaching.away)} off target{BETWEEN}{lean}"
+        return f"{_landed_words(coaching.landed, names)}{DOT_SEPARATOR}{lean}"
+    return f"{millimetres(coaching.away)} off target{DOT_SEPARATOR}{lean}"
 
 
 def _landed_words(channel: int, names: ChannelNames) -> str:

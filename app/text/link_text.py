@@ -50,7 +50,7 @@ def link_lines(at: ViewState) -> tuple[LinkWords, ...]:
 
 def link_detail(link: LinkHealth, at: ViewState) -> str:
     """Describe the problem of a link; empty if there is none."""
-    return _link_detail(link, at.look(link), _last_words(link, at.clock_offset))
+    return _link_detail(link, at.status_of(link), _last_words(link, at.clock_offset))
 
 
 def _last_words(health: LinkHealth, clock_offset: float) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from skincal.model.errors import plain_text
 
 REPORT_WORK = "report"
-REPORTING = "Writing the report. A message follows when it is finished."
+REPORT_IN_PROGRESS = "Writing the report. A message follows when it is finished."
 ADDRESS_LINE_MAX_CHARS = 120  # Line length of the question about addresses, in characters; fits a window of 1280 pixels
 NO_ADDRESSES = "This session has no device with an address. Ctrl+N: new session with devices."
 PART_NOT_SAVED = "The description of this part is not saved. Save it before the page is left?"

@@ -15,7 +15,7 @@ from app.state.press_coach import NO_HINT, CoachMemory, ForceLevel, follow_press
 from app.state.running import Running
 from app.state.view_state import LINK_FAULTS, LinkStatus, ViewState
 from app.text.guidance_text import (
-    BETWEEN,
+    DOT_SEPARATOR,
     done_words,
     end_words,
     enough_words,
@@ -113,7 +113,7 @@ class NowMemory:
     deed_until_s: float = -math.inf
 
     @staticmethod
-    def of(snapshot: Snapshot) -> NowMemory:
+    def from_snapshot(snapshot: Snapshot) -> NowMemory:
         """Make a memory for which all past pokes and actions are already announced."""
         return NowMemory(outcome=newest_outcome(snapshot), deed=snapshot.history.last)
 
@@ -211,10 +211,10 @@ def _trouble(at: ViewState) -> Now | None:
         return Now(Tone.CALM, "No device connected", "You can look, change and export. Space: connect the devices")
     if at.robot_halted:
         return Now(Tone.WAIT, "Robot stopped", "S: let it go on. Keep its emergency stop within reach")
-    fault = next((link for link in at.live.links if at.look(link) in LINK_FAULTS), None)
+    fault = next((link for link in at.live.links if at.status_of(link) in LINK_FAULTS), None)
     if fault is not None:
         name = link_name(fault)
-        how = "lost" if at.look(fault) is LinkStatus.LOST else "stuck"
+        how = "lost" if at.status_of(fault) is LinkStatus.LOST else "stuck"
         detail = link_detail(fault, at) or "Reconnecting automatically"
         return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]} {how}", begin_sentence(detail))
     return None
@@ -229,8 +229,10 @@ def _pressing(memory: NowMemory, at: ViewState) -> Now:
     force, detail = force_words(memory.coach, at)
     if force:
         tone = Tone.HOLD if memory.coach.force is ForceLevel.LOW else Tone.BAD
-        return Now(tone, force, BETWEEN.join(filter(None, (detail, asked or how))))
-    return Now(Tone.HOLD, asked or "Hold still", f"{detail}{BETWEEN}{how}" if how else f"{detail}, keep the tip where it is")
+        return Now(tone, force, DOT_SEPARATOR.join(filter(None, (detail, asked or how))))
+    return Now(
+        Tone.HOLD, asked or "Hold still", f"{detail}{DOT_SEPARATOR}{how}" if how else f"{detail}, keep the tip where it is"
+    )
 
 
 def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
@@ -259,7 +261,7 @@ def _ended(outcome: Outcome, memory: NowMemory, at: ViewState) -> tuple[Said, st
         return Said(Tone.BAD, f"{number} {words}"), detail
     if memory.meant is not None and memory.meant != peak:
         words = accepted_words(outcome, at.names, memory.meant)
-    return Said(Tone.GOOD, f"{number} {words}"), BETWEEN.join(filter(None, (done_words(memory.done, at.names), detail)))
+    return Said(Tone.GOOD, f"{number} {words}"), DOT_SEPARATOR.join(filter(None, (done_words(memory.done, at.names), detail)))
 
 
 def _calm(phase: PressPhase, at: ViewState) -> Now:
@@ -316,15 +318,15 @@ def _ask_pose(at: ViewState) -> Now:
 
 def _no_data(at: ViewState) -> Now:
     links = at.live.links
-    wrong = next((link for link in links if at.look(link) is LinkStatus.WRONG), None)
+    wrong = next((link for link in links if at.status_of(link) is LinkStatus.WRONG), None)
     if wrong is not None:
         name, verdict = link_name(wrong), _SHORT_VERDICTS[wrong.verdict.answer]
         return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]}: {verdict}", f"{link_detail(wrong, at)}{CHANGE_HINT}")
-    missing = [link for link in links if at.look(link) in (LinkStatus.WAITING, LinkStatus.SILENT)]
+    missing = [link for link in links if at.status_of(link) in (LinkStatus.WAITING, LinkStatus.SILENT)]
     if missing:
         names = ", ".join(_SHORT_NAMES.get(link.link, link.link) for link in missing)
         return Now(Tone.WAIT, f"Waiting for {names}", link_detail(missing[0], at))
-    if links and all(at.look(link) is LinkStatus.ENDED for link in links):
+    if links and all(at.status_of(link) is LinkStatus.ENDED for link in links):
         return Now(Tone.CALM, "Recording ended", "The recording is at its end")
     return Now(Tone.WAIT, "Waiting for data", "Sensor and skin must both stream before a poke counts")
 

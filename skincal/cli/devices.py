@@ -47,7 +47,7 @@ class Watched:
     """Data of one watched link: readings, rate, losses and messages of its device."""
 
     def __init__(self, address: str, carries: tuple[Stream, ...]) -> None:
-        from skincal.devices.family import AUTO
+        from skincal.devices.family import AUTO_FORMAT
         from skincal.streams.decoders.auto_detect import LinkDecoder
         from skincal.streams.link_diagnosis import LinkMonitor
         from skincal.streams.links import format_of, make_link_decoder
@@ -58,9 +58,9 @@ class Watched:
         # Without the width of a skin everything fits: who names one stream hears of another in its place.
         named = carries if len(carries) == 1 else ()
         self._monitor = LinkMonitor(
-            named, {Stream.WRENCH: WRENCH_VALUES}, lambda: LinkDecoder(format_of(address, AUTO), None, SENSOR_STREAMS)
+            named, {Stream.WRENCH: WRENCH_VALUES}, lambda: LinkDecoder(format_of(address, AUTO_FORMAT), None, SENSOR_STREAMS)
         )
-        self._make = lambda: make_link_decoder(address, format_of(address, AUTO), None, carries)
+        self._make = lambda: make_link_decoder(address, format_of(address, AUTO_FORMAT), None, carries)
         self._decoder: LinkDecoder = self._make()
         self._began_s = time.monotonic()
         self.readings: Counter[Stream] = Counter()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.rig.pivot import PivotResult, PoseReading
 
-SEPARATORS = str.maketrans(",;\t[]()", " " * 7)
+SPACES_FOR_SEPARATORS = str.maketrans(",;\t[]()", " " * 7)
 
 
 def add_to(app: typer.Typer) -> None:
@@ -79,7 +79,7 @@ def _read_touches(path: Path) -> tuple[FloatArray, list[str]]:
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
     for index, (number, line) in enumerate(lines):
         try:
-            row = [float(word) for word in line.translate(SEPARATORS).split()]
+            row = [float(word) for word in line.translate(SPACES_FOR_SEPARATORS).split()]
         except ValueError:
             if index == 0:
                 continue

@@ -26,7 +26,7 @@ from skincal.devices.decoding import (
 )
 from skincal.devices.family import Command, DeviceAddress, Family, Form, Handshake, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
-from skincal.model.readings import TEMPERATURE, Loss, Stream
+from skincal.model.readings import TEMPERATURE_NAME, Loss, Stream
 
 DATA_STRUCT = struct.Struct("<H6fIf")
 BOTA_FRAME_BYTES = 37
@@ -85,7 +85,7 @@ class BotaDecoder(FrameDecoder):
     def _decode(self, frame: bytes) -> Loss | None:
         status, *wrench, raw_us, temperature = DATA_STRUCT.unpack_from(frame, 1)
         self.valid_records += 1
-        self._add_side_reading(TEMPERATURE, temperature)
+        self._add_side_reading(TEMPERATURE_NAME, temperature)
         said = [words for bit, words in STATUS_SENTENCES.items() if status & bit]
         self._status = f"The sensor says: {'; '.join(said)}" if said else ""
         flags = (SATURATED_READING_FLAG if status & OVERRANGE else 0) | (

@@ -113,7 +113,7 @@ class SequenceCounter:
         self._device_s = math.nan
         self._period_s = math.nan
 
-    def step(self, raw: int, device_s: float) -> tuple[int, int]:
+    def unwrap(self, raw: int, device_s: float) -> tuple[int, int]:
         """Return the unwrapped number and how many numbers are missing before it."""
         last, elapsed_s = self._raw, device_s - self._device_s
         self._raw, self._device_s = raw, device_s

@@ -14,7 +14,7 @@ from typing import Protocol
 from skincal.devices.decoding import FrameDecoder
 from skincal.model.readings import Stream
 
-AUTO = "auto"
+AUTO_FORMAT = "auto"
 """Format that is found from the bytes."""
 
 
@@ -131,7 +131,7 @@ class Route:
     form: Form
     transport: str
     """Name in `skincal.streams.transports.FILE_OF_TRANSPORT`."""
-    format: str = AUTO
+    format: str = AUTO_FORMAT
     """Name of the decoder."""
     port: int = 0
     """TCP or UDP port if the address names none; 0: it must name one."""

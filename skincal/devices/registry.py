@@ -45,7 +45,7 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
     }
 )
 """By the name of the file in `skincal/devices/`."""
-FORMATS = tuple(name for entry in FAMILIES.values() for name in entry.formats)
+DEVICE_FORMATS = tuple(name for entry in FAMILIES.values() for name in entry.formats)
 """Names of all formats of devices."""
 CHECKSUMMED_FORMATS = tuple(name for entry in FAMILIES.values() for name in entry.checksummed)
 OPTIONS_WITH_VALUE = ("send", "after", "channels", "of", "format", "endian")

@@ -180,24 +180,24 @@ class _Reader:
         self._data = data
         self._at = 0
 
-    def take(self, size: int) -> bytes:
+    def read_bytes(self, size: int) -> bytes:
         if not 0 <= size <= len(self._data) - self._at:
             raise ProtocolError("a length goes beyond the message")
         self._at += size
         return self._data[self._at - size : self._at]
 
     def int32(self) -> int:
-        (value,) = INT32_STRUCT.unpack(self.take(4))
+        (value,) = INT32_STRUCT.unpack(self.read_bytes(4))
         return value
 
     def value(self, tag: int, depth: int = 0) -> Value:
         if tag in _DTYPE_OF_TAG:
             dtype = np.dtype(_DTYPE_OF_TAG[tag])
-            return float(np.frombuffer(self.take(dtype.itemsize), dtype)[0])
+            return float(np.frombuffer(self.read_bytes(dtype.itemsize), dtype)[0])
         if tag == _VOCAB:
-            return self.take(4).rstrip(b"\x00").decode("ascii", "replace")
+            return self.read_bytes(4).rstrip(b"\x00").decode("ascii", "replace")
         if tag in (_STRING, _BLOB):
-            return self.take(self.int32()).decode("utf-8", "replace")
+            return self.read_bytes(self.int32()).decode("utf-8", "replace")
         if tag & (_LIST | _DICT) and depth < NESTED_LIST_MAX_DEPTH:
             return self._list(tag & ~(_LIST | _DICT), depth)
         raise ProtocolError(f"a value is of the unknown kind {tag}")
@@ -208,7 +208,7 @@ class _Reader:
             raise ProtocolError("a count goes beyond the message")
         if tag in _DTYPE_OF_TAG:
             dtype = np.dtype(_DTYPE_OF_TAG[tag])
-            return np.frombuffer(self.take(count * dtype.itemsize), dtype).astype(np.float64)
+            return np.frombuffer(self.read_bytes(count * dtype.itemsize), dtype).astype(np.float64)
         return [self.value(tag or self.int32(), depth + 1) for _ in range(count)]
 
 

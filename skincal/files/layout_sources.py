@@ -15,7 +15,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.skin import KINDS, Layout, SkinKind, read_layout
+from skincal.model.skin import MODULE_KINDS, Layout, SkinKind, read_layout
 from skincal.model.tables import parse_toml, read_text
 
 CHANNELS_PER_TRIANGLE = 12
@@ -24,7 +24,7 @@ MAX_MODULES = 2000
 MAX_TAXELS = 20_000
 MAX_LAYOUT_CHANNELS = 100_000
 LAYOUT_ENDINGS = ("*.toml", "*.ini", "*.csv", "*.tsv", "*.txt")
-_INI_KINDS = {"triangle": "triangle_12", **{name: name for name in KINDS}}
+_INI_KINDS = {"triangle": "triangle_12", **{name: name for name in MODULE_KINDS}}
 """Kinds of modules in skinGui files, by their name there."""
 _KIND_LINE = re.compile(r"\s*[\"']?kind[\"']?\s*=")
 """First such line of a layout: keys of the file come before its tables, which have kinds of their own."""
@@ -221,11 +221,11 @@ def repeated_modules(kind: str, rows: int, columns: int) -> str:
 
     Raises InputError: there are no modules or too many, or the kind is unknown.
     """
-    if kind not in KINDS:
-        raise InputError(f"a module {kind!r} does not ship; expected one of {', '.join(KINDS)}.")
+    if kind not in MODULE_KINDS:
+        raise InputError(f"a module {kind!r} does not ship; expected one of {', '.join(MODULE_KINDS)}.")
     if not (rows >= 1 and columns >= 1 and rows * columns <= MAX_MODULES):
         raise InputError(f"{rows} x {columns} modules: expected 1 to {MAX_MODULES} in all.")
-    outline = KINDS[kind].outline * 1e3
+    outline = MODULE_KINDS[kind].outline * 1e3
     side = float(np.linalg.norm(outline[1] - outline[0]))
     height = side * math.sqrt(3.0) / 2.0
     modules: list[str] = []

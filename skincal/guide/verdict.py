@@ -156,7 +156,7 @@ def predict_by_taxels(
         return answers, PokePredictions.none()
     # A taxel for each poke: a channel may be there twice, without another poke each time.
     sizes, others = np.array([len(others) for _, others in cuts]), np.concatenate([others for _, others in cuts])
-    solution = solve(answers.take(others, np.arange(len(cuts)), sizes), [method], noise, surface)
+    solution = solve(answers.select(others, np.arange(len(cuts)), sizes), [method], noise, surface)
     out = np.array([out for out, _ in cuts])
     return answers, _predictions(answers, out, solution, method, noise)
 

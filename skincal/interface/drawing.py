@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from skincal.model.errors import InputError
 from skincal.palette import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, YELLOW
-from skincal.plotting import STYLE
+from skincal.plotting import PLOT_STYLE
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray, IntArray
@@ -42,7 +42,7 @@ def draw_three_sides(places: FloatArray, covariances: FloatArray, modules: IntAr
     places = places * 1e3
     sds = np.sqrt(np.einsum("nii->ni", covariances)) * 1e3
     colours = _colours(modules)
-    with matplotlib.rc_context(dict(STYLE)):
+    with matplotlib.rc_context(dict(PLOT_STYLE)):
         figure: Any = NotebookFigure(figsize=(11.0, 3.9), layout="constrained")
         for axes, (across, up) in zip(figure.subplots(1, len(SIDE_AXES)), SIDE_AXES, strict=True):
             i, j = "xyz".index(across), "xyz".index(up)

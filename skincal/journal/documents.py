@@ -34,7 +34,7 @@ from skincal.model.readings import (
     merge_side_readings,
 )
 from skincal.model.scene import ContactSettings, with_thresholds
-from skincal.model.tables import shown
+from skincal.model.tables import quoted
 from skincal.streams.links import LinkSpec
 
 JOURNAL_FORMAT_VERSION = 5
@@ -196,7 +196,7 @@ def read_document(data: bytes, path: Path) -> SessionEvent | Result:
     except ValueError as error:
         raise InputError(f"{path}: an event or result is no JSON ({error}); {DAMAGED_OR_FOREIGN}.") from None
     if not isinstance(document, dict):
-        raise InputError(f"{path}: an event or result is {shown(document)}; expected a table; {DAMAGED_OR_FOREIGN}.")
+        raise InputError(f"{path}: an event or result is {quoted(document)}; expected a table; {DAMAGED_OR_FOREIGN}.")
     found = cast("dict[str, Any]", document)
     kind = found.get("type")
     body = {"host_ns": 0, **found}
@@ -233,7 +233,8 @@ def _from_body(kind: object, body: dict[str, Any], path: Path) -> SessionEvent |
             return Totals(links, body["unpaired"], from_json(SkinCondition, body.get("skin", {})))
         case _:
             raise InputError(
-                f"{path}: has an event or result {shown(kind)}, which this version does not know; open it with a newer skincal."
+                f"{path}: has an event or result {quoted(kind)}, which this version does not know; "
+                "open it with a newer skincal."
             )
 
 
@@ -294,7 +295,7 @@ def _check_contact(contact: Contact) -> Contact:
         is_right &= len(contact.vectors) == len(channels)
         is_right &= all(math.isnan(number) or abs(number) <= MAX_MEASURED_VALUE for number in readings)
     if not is_bounded or not is_right:
-        raise ValueError(f"poke {shown(contact.poke)} is none that was measured")
+        raise ValueError(f"poke {quoted(contact.poke)} is none that was measured")
     return contact
 
 

@@ -25,7 +25,7 @@ TOTALS_KEY = "totals"
 _LINE_END = b"]\n"
 _LINE_HEAD_BYTES = 12
 """Bytes in front of what the checksum covers: `["`, eight digits, `",`."""
-_CLOSED = b'"closed"'
+_CLOSED_MARK = b'"closed"'
 
 
 def lines_path(segment: Path) -> Path:
@@ -56,7 +56,7 @@ class LineWriter:
 
     def close(self, items: int) -> None:
         """Write the closing line, and close the file."""
-        self._write(b"%d,%s" % (items, _CLOSED))
+        self._write(b"%d,%s" % (items, _CLOSED_MARK))
         self.flush(sync=True)
         self._file.close()
 
@@ -123,12 +123,12 @@ def read_lines(segment: Path) -> Lines | None:
         items = int(body.split(b",")[0].removesuffix(_LINE_END))
     except ValueError:
         raise InputError(f"{path}: a line begins without a count of items; another program wrote it.") from None
-    return Lines(documents, items, body.endswith(_CLOSED + _LINE_END), checksum, size, len(data) - size) if data else None
+    return Lines(documents, items, body.endswith(_CLOSED_MARK + _LINE_END), checksum, size, len(data) - size) if data else None
 
 
 def write_closed_copy(path: Path, lines: Lines, target: Path) -> None:
     """Copy the part of a line file without damage into a new file, and close that."""
     with target.open("xb") as file:
         file.write(path.read_bytes()[: lines.size])
-        file.write(_checked_line(b"%d,%s" % (lines.confirmed_items, _CLOSED), lines.checksum)[0])
+        file.write(_checked_line(b"%d,%s" % (lines.confirmed_items, _CLOSED_MARK), lines.checksum)[0])
         os.fsync(file.fileno())

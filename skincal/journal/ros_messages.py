@@ -18,17 +18,17 @@ from skincal.model.errors import InputError
 MAX_ROS_TIME_S = 0x7FFFFFFF
 """s. The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording."""
 CDR_HEADER = b"\x00\x01\x00\x00"
-_SEPARATOR = "=" * 80
+_DEFINITION_SEPARATOR = "=" * 80
 _HEADER = (
-    f"{_SEPARATOR}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-    f"{_SEPARATOR}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    f"{_DEFINITION_SEPARATOR}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{_DEFINITION_SEPARATOR}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
 MESSAGE_SCHEMAS: dict[str, str] = {
     "skincal_msgs/msg/Chunk": "uint64 host_ns\nuint8[] data\n",
     "geometry_msgs/msg/WrenchStamped": (
         "std_msgs/Header header\ngeometry_msgs/Wrench wrench\n"
-        f"{_SEPARATOR}\nMSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
-        f"{_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
+        f"{_DEFINITION_SEPARATOR}\nMSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
+        f"{_DEFINITION_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
     ),
     "skincal_msgs/msg/Taxels": f"std_msgs/Header header\nuint32 seq\nfloat32[] values\n{_HEADER}",
     "sensor_msgs/msg/Temperature": f"std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{_HEADER}",

@@ -51,7 +51,7 @@ _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+_BYTE_ORDER_OF_PLY_FORMAT = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 OFF_KINDS = rb"(ST|C|N)*OFF"
 """First word of OFF files whose lines begin with three coordinates; texture, colours and normals follow them."""
@@ -78,9 +78,9 @@ def read_mesh(path: Path, data: bytes) -> FileMesh:
 
 def reader_of(path: Path) -> Callable[[bytes], Polygons]:
     """Find the reader for a suffix. Raises InputError: it is unknown."""
-    reader = _READERS.get(path.suffix.lower())
+    reader = _READER_OF_SUFFIX.get(path.suffix.lower())
     if reader is None:
-        known = ", ".join(_READERS)
+        known = ", ".join(_READER_OF_SUFFIX)
         raise InputError(f"{path}: the suffix {path.suffix or '(none)'!r} is not a mesh format read here; expected {known}.")
     return reader
 
@@ -199,8 +199,8 @@ def _read_ply(data: bytes) -> Polygons:
     vertices, faces = NO_POLYGONS.vertices, NO_POLYGONS
     for element in elements:
         # Each record has at least a byte: a larger count is wrong.
-        if not 0 <= element.count <= (body.left if element.properties else 0):
-            raise ValueError(f"{element.count} records of {element.name!r} announced in {body.left} bytes")
+        if not 0 <= element.count <= (body.remaining_bytes if element.properties else 0):
+            raise ValueError(f"{element.count} records of {element.name!r} announced in {body.remaining_bytes} bytes")
         if element.name == "vertex":
             records = body.table(element)
             if records is None:
@@ -231,10 +231,10 @@ def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
         if kinds and not elements:
             raise ValueError("a property comes before the first element")
         match words:
-            case ["format", name, _] if name not in _ORDERS:
-                raise ValueError(f"the format {name[:30]!r} is not one of {', '.join(_ORDERS)}")
+            case ["format", name, _] if name not in _BYTE_ORDER_OF_PLY_FORMAT:
+                raise ValueError(f"the format {name[:30]!r} is not one of {', '.join(_BYTE_ORDER_OF_PLY_FORMAT)}")
             case ["format", name, _]:
-                order = _ORDERS[name]
+                order = _BYTE_ORDER_OF_PLY_FORMAT[name]
                 types = _TYPES if order else types
             case ["element", name, count]:
                 elements.append(_Element(name, parse_whole(count.encode()), []))
@@ -259,13 +259,13 @@ class _Body:
         self._at = 0
 
     @property
-    def left(self) -> int:
+    def remaining_bytes(self) -> int:
         """Unread bytes."""
         return len(self._data) - self._at
 
-    def _take(self, kind: str, count: int) -> list[float]:
-        if not 0 <= count <= self.left // np.dtype(kind).itemsize:
-            raise ValueError(f"{count} numbers are announced, and {self.left} bytes follow: it may be cut off")
+    def _read_numbers(self, kind: str, count: int) -> list[float]:
+        if not 0 <= count <= self.remaining_bytes // np.dtype(kind).itemsize:
+            raise ValueError(f"{count} numbers are announced, and {self.remaining_bytes} bytes follow: it may be cut off")
         numbers = np.frombuffer(self._data, self._order + kind, count, self._at)
         self._at += numbers.nbytes
         return numbers.astype(float).tolist()
@@ -273,9 +273,12 @@ class _Body:
     def row(self, element: _Element) -> list[list[float]]:
         """Read the next record: the numbers of each property."""
         return [
-            self._take(item.kind, int(_whole_numbers(np.array(self._take(item.count_kind, 1)))[0]) if item.count_kind else 1)
+            self._read_numbers(item.kind, self._read_count(item.count_kind) if item.count_kind else 1)
             for item in element.properties
         ]
+
+    def _read_count(self, kind: str) -> int:
+        return int(_whole_numbers(np.array(self._read_numbers(kind, 1)))[0])
 
     def table(self, element: _Element) -> NDArray[np.void] | None:
         """Read all records of `element` if every list in them has three numbers, else `None`."""
@@ -285,7 +288,7 @@ class _Body:
                 parts.append((f"{item.name} length", self._order + item.count_kind, (1,)))
             parts.append((item.name, self._order + item.kind, (3 if item.count_kind else 1,)))
         dtype = np.dtype(parts)
-        if self.left < element.count * dtype.itemsize:
+        if self.remaining_bytes < element.count * dtype.itemsize:
             return None
         records = np.frombuffer(self._data, dtype, element.count, self._at)
         if not all((records[name] == 3).all() for name, _, _ in parts if name.endswith(" length")):
@@ -318,11 +321,11 @@ def _ply_faces(element: _Element, body: _Body) -> Polygons:
     return polygons_of(NO_POLYGONS.vertices, corners, [len(polygon) for polygon in polygons])
 
 
-_READERS: dict[str, Callable[[bytes], Polygons]] = {
+_READER_OF_SUFFIX: dict[str, Callable[[bytes], Polygons]] = {
     ".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off,
     ".dae": read_collada, ".glb": read_gltf, ".gltf": read_gltf,
 }  # fmt: skip
 SUFFIXES_WITH_UNIT = (".dae", ".glb", ".gltf")
 """Endings of files that name their unit."""
-MESH_SUFFIXES = tuple(_READERS)
+MESH_SUFFIXES = tuple(_READER_OF_SUFFIX)
 """Endings of mesh files that are read."""

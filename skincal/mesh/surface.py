@@ -82,14 +82,14 @@ def cached_per_surface(make: Callable[[Surface], Made]) -> Callable[[Surface], M
     lock = threading.Lock()
 
     @wraps(make)
-    def find(surface: Surface) -> Made:
+    def find_or_make(surface: Surface) -> Made:
         with lock:
             # Made under the lock: another thread that asks for the same waits.
             if surface not in kept:
                 kept[surface] = make(surface)
             return kept[surface]
 
-    return find
+    return find_or_make
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, get_args
 
 from skincal.model.codec import PARSE_ERRORS, from_json
 from skincal.model.errors import InputError
-from skincal.model.tables import shown
+from skincal.model.tables import quoted
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +261,7 @@ def action_from_json(document: Mapping[str, Any]) -> Action:
     name = document.get("do")
     kind = ACTION_NAMES.get(str(name))
     if kind is None:
-        raise InputError(f"action {shown(name)}: expected one of {', '.join(ACTION_NAMES)}; a newer skincal may know it.")
+        raise InputError(f"action {quoted(name)}: expected one of {', '.join(ACTION_NAMES)}; a newer skincal may know it.")
     try:
         action = from_json(kind, {key: value for key, value in document.items() if key != "do"})
         json.dumps(asdict(action), allow_nan=False)

@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.tables import shown
+from skincal.model.tables import quoted
 
 T = TypeVar("T")
 PARSE_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError)
@@ -56,7 +56,7 @@ def from_json(kind: type[T], document: Mapping[str, Any]) -> T:
     """
     readers = _readers(kind)
     if unknown := document.keys() - readers.keys():
-        raise ValueError(f"unknown name {shown(sorted(unknown)[0])}")
+        raise ValueError(f"unknown name {quoted(sorted(unknown)[0])}")
     values: dict[str, Any] = {}
     for name, (read, is_required) in readers.items():
         if name in document:
@@ -105,7 +105,7 @@ def _as_list(value: Any) -> list[Any]:
 def _exact(kind: type[Any], value: Any) -> Any:
     # The very type: to Python true and false are whole numbers.
     if type(value) is not kind:
-        raise TypeError(f"{shown(value)} is not of type {kind.__name__}")
+        raise TypeError(f"{quoted(value)} is not of type {kind.__name__}")
     return value
 
 
@@ -113,7 +113,7 @@ def _read_float(value: Any) -> float:
     if value is None:
         return math.nan
     if type(value) not in (float, int) and value not in ("inf", "-inf"):
-        raise TypeError(f"{shown(value)} is no number")
+        raise TypeError(f"{quoted(value)} is no number")
     return float(value)
 
 

@@ -33,7 +33,7 @@ class RotationForm(Enum):
     @property
     def width(self) -> int:
         """Number of values of a pose."""
-        return _WIDTH[self]
+        return _WIDTH_OF_FORM[self]
 
     @property
     def has_angles(self) -> bool:
@@ -41,7 +41,7 @@ class RotationForm(Enum):
         return self.width == 6
 
 
-_WIDTH = {
+_WIDTH_OF_FORM = {
     **dict.fromkeys((RotationForm.QUATERNION_XYZW, RotationForm.QUATERNION_WXYZ), 7),
     **dict.fromkeys((RotationForm.ROWS, RotationForm.COLUMNS), 12),
     **dict.fromkeys((RotationForm.MATRIX, RotationForm.MATRIX_COLUMNS), 16),

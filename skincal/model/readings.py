@@ -180,7 +180,7 @@ class Sample:
         return self.tool is not None and self.host_s - self.tool.host_s > self.tool.max_age_s
 
 
-TEMPERATURE = "temperature, degC"
+TEMPERATURE_NAME = "temperature, degC"
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,7 +51,7 @@ class ModuleKind:
 
 TAXELS_PER_NEIGHBOUR_SEARCH = 256
 """Taxels whose neighbours are searched at once: 17 MB of differences to 4,200 taxels."""
-_KINDS = (
+_OUTLINES_AND_PADS_MM = (
     # icub-main app/skinGui, Triangle.h: the paper's 12-taxel triangle, side 30 mm.
     ("triangle_12", [(-15, -8.66), (15, -8.66), (0, 17.32)], [
         (7.5, -1.443), (10, -5.774), (5, -5.774), (0, -2.887), (-5, -5.774), (-10, -5.774),
@@ -63,7 +63,9 @@ _KINDS = (
         (np.nan, np.nan), (-6.533, 0), (-3.267, 5.66), (0, 11.317), (np.nan, np.nan), (3.267, 5.66),
     ]),
 )  # fmt: skip
-KINDS = {name: ModuleKind(name, np.array(pads) * 1e-3, np.array(outline) * 1e-3, 3) for name, outline, pads in _KINDS}
+MODULE_KINDS = {
+    name: ModuleKind(name, np.array(pads) * 1e-3, np.array(outline) * 1e-3, 3) for name, outline, pads in _OUTLINES_AND_PADS_MM
+}
 """Shipped kinds of modules, by their name in layout files."""
 
 
@@ -215,7 +217,7 @@ def read_layout(text: str, path: Path, width: int) -> Layout:
     """Read the text of a `*.modules.toml` file; sentences name `path`."""
     document = Table(parse_toml(text, path), str(path))
     given_kind = document.choice("kind", SKIN_KINDS, None)
-    kinds, own = dict(KINDS), document.table("kinds")
+    kinds, own = dict(MODULE_KINDS), document.table("kinds")
     for name, table in own.subtables() if own is not None else ():
         kinds[name] = _read_kind(name, table)
     tables = document.tables("modules")

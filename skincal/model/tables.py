@@ -58,7 +58,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
 
 
-def shown(value: object) -> str:
+def quoted(value: object) -> str:
     """Quote a value in a sentence, without its middle if it is long."""
     try:
         return _short_repr.repr(value)
@@ -95,7 +95,7 @@ class Table:
             value = float(value)
         # To Python true and false are whole numbers.
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise InputError(f"{self.where}: {key} is {shown(value)}; expected {_TYPE_NAMES[kind]}.")
+            raise InputError(f"{self.where}: {key} is {quoted(value)}; expected {_TYPE_NAMES[kind]}.")
         if isinstance(value, str):
             require_plain(value, f"{self.where}: {key}")
         if isinstance(value, float) and not np.isfinite(value):
@@ -114,7 +114,7 @@ class Table:
             array = np.empty(0)  # rows of different lengths, words, or too large numbers: it fits no shape
         fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape, strict=True))
         if not fits or not (np.isfinite(array) | (gaps & np.isnan(array))).all():
-            raise InputError(f"{self.where}: {key} is {shown(value)}; expected {wanted} finite numbers.")
+            raise InputError(f"{self.where}: {key} is {quoted(value)}; expected {wanted} finite numbers.")
         return array
 
     def pose(self, key: str, default: Any = ...) -> FloatArray:
@@ -158,7 +158,7 @@ class Table:
         """Take a list of different names."""
         names: list[Any] = self.take(key, list, default)
         if not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
-            raise InputError(f"{self.where}: {key} is {shown(names)}; expected a list of different names.")
+            raise InputError(f"{self.where}: {key} is {quoted(names)}; expected a list of different names.")
         for name in names:
             require_plain(name, f"{self.where}: {key}")
         return names
@@ -179,7 +179,7 @@ class Table:
         if value is default:
             return default
         if value not in known:
-            raise InputError(f"{self.where}: {key} is {shown(value)}; expected one of {', '.join(known)}.")
+            raise InputError(f"{self.where}: {key} is {quoted(value)}; expected one of {', '.join(known)}.")
         return known[value]
 
     def table(self, key: str) -> Table | None:
@@ -196,7 +196,7 @@ class Table:
         values = self.take(key, list, [])
         for value in values:
             if not isinstance(value, dict):
-                raise InputError(f"{self.where}: {key} holds {shown(value)}; expected tables [[{key}]].")
+                raise InputError(f"{self.where}: {key} holds {quoted(value)}; expected tables [[{key}]].")
         return [Table(value, f"{self.where}: [[{key}]] number {number}") for number, value in enumerate(values, start=1)]
 
     def refuse_unknown_keys(self, table_of: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -215,7 +215,7 @@ _TYPE_NAMES = {
 def require_plain(text: str, where: str) -> None:
     """Refuse text that a terminal or a file's header would take for a command."""
     if plain_text(text) != text:
-        raise InputError(f"{where}: {shown(text)} holds a control character; expected plain text.")
+        raise InputError(f"{where}: {quoted(text)} holds a control character; expected plain text.")
 
 
 def check_degrees(angles: FloatArray, what: str) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.model.errors import InputError, plural
 from skincal.model.given import read_regular
-from skincal.model.urdf_chain import KINDS, MOVING, ChainStep, Mimic, UrdfChain, UrdfJoint
+from skincal.model.urdf_chain import JOINT_KINDS, TURNING_JOINT_KINDS, ChainStep, Mimic, UrdfChain, UrdfJoint
 from skincal.model.urdf_sensors import ForceTorqueSensor, read_sensors
 from skincal.model.urdf_xml import parse_xml, read_attribute, read_numbers, read_origin
 
@@ -208,7 +208,7 @@ class Robot:
         if leader.kind == "fixed":
             return ChainStep(joint, is_up, "", 0.0, offset)
         self._require_angle(leader, joint, columns, fixed, where)
-        if joint.kind not in MOVING:
+        if joint.kind not in TURNING_JOINT_KINDS:
             self._refuse_kind(joint, "", where)
         return ChainStep(joint, is_up, leader.name, multiplier, offset)
 
@@ -257,7 +257,7 @@ class Robot:
     ) -> None:
         """Refuse a driver without an angle: it is neither streamed nor fixed, or both, or does not turn."""
         name = leader.name
-        if leader.kind not in MOVING:
+        if leader.kind not in TURNING_JOINT_KINDS:
             self._refuse_kind(joint, "" if leader is joint else f"follows {name}, which ", where, leader.kind)
         if name in fixed and name in columns:
             raise InputError(f"{where}: joint {name} is in joints and in [robot.fixed]; leave it in one of them.")
@@ -384,8 +384,8 @@ def read_urdf(path: Path) -> Robot:
 def _read_joint(element: ElementTree.Element, path: Path) -> UrdfJoint:
     name, kind = read_attribute(element, "name", path), read_attribute(element, "type", path)
     where = f"{path}: joint {name}"
-    if kind not in KINDS:
-        raise InputError(f"{where}: type is {kind!r}; expected one of {', '.join(KINDS)}.")
+    if kind not in JOINT_KINDS:
+        raise InputError(f"{where}: type is {kind!r}; expected one of {', '.join(JOINT_KINDS)}.")
     ends = [element.find(end) for end in ("parent", "child")]
     parent, child = ("" if end is None else end.get("link", "") for end in ends)
     if not parent or not child:

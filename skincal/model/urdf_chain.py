@@ -10,9 +10,9 @@ import numpy as np
 
 from skincal.geometry import FloatArray, inverse_pose
 
-MOVING = ("revolute", "continuous")
+TURNING_JOINT_KINDS = ("revolute", "continuous")
 """Kinds of joints whose angle is streamed."""
-KINDS = (*MOVING, "fixed", "prismatic", "floating", "planar")
+JOINT_KINDS = (*TURNING_JOINT_KINDS, "fixed", "prismatic", "floating", "planar")
 LIMIT_SLACK = float(np.radians(3.0))
 """Tolerance of the joint limits, rad: encoders have offsets."""
 UNLIMITED_JOINT_MAX_TURNS = 3

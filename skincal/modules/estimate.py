@@ -230,7 +230,7 @@ def _add_shared_errors(
     added, moves = equations.covariances(noise.skin), None
     errors = None if shared is None else shared(equations.pokes, places, pairs)
     if errors is not None:
-        moves, of_poses = equations.moves(*errors)
+        moves, of_poses = equations.shift_by_errors(*errors)
         added = added + of_poses
     pad_of = {channel: pad for pad, channel in enumerate(touches.channels.tolist())}
     known = [estimate for estimate in estimates if estimate.position is not None]

@@ -63,7 +63,7 @@ def off_surface_variances(
     white = factors / known
     variances = white + lifted.covariances(0.0)[:, 0, 0]
     if errors is not None:
-        moves, of_poses = lifted.moves(*errors)
+        moves, of_poses = lifted.shift_by_errors(*errors)
         variances += np.sum(moves[:, 0] ** 2, axis=1) + of_poses[:, 0, 0]
     seen = tells & (white < HEIGHT_MAX_SD_M**2) & (heights**2 > SIGNIFICANT_HEIGHT_MIN_SDS**2 * variances)
     return np.where(seen, heights**2 - variances, 0.0)

@@ -166,7 +166,7 @@ def _with_shared_errors(
     moves[:2, 2 * fit.module : 2 * fit.module + 2] = COMMON_AIM_SD_FACTOR * noise.contact * np.eye(2)
     errors = None if shared is None else shared(equations.pokes, places, pairs)
     if errors is not None:
-        more_moves, of_poses = equations.moves(*errors)
+        more_moves, of_poses = equations.shift_by_errors(*errors)
         moves, added = np.concatenate([moves, more_moves[0]], axis=1), added + of_poses
     pad_of = {channel: pad for pad, channel in enumerate(fit.touches.channels.tolist())}
     pads = np.array([pad_of[estimate.channel] for estimate in known], dtype=np.int64)

@@ -24,7 +24,7 @@ from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.scene import SurfaceSpec, load_scene
 from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import Robot, read_urdf
-from skincal.model.urdf_chain import MOVING, UrdfChain
+from skincal.model.urdf_chain import TURNING_JOINT_KINDS, UrdfChain
 from skincal.part.layout_placing import anchor_at
 from skincal.part.part_draft import PartDraft, layout_file_of
 from skincal.part.robot_copy import RobotFiles, list_robot_files
@@ -219,7 +219,7 @@ class _Work:
         every = [
             joint.name
             for joint in robot.joints.values()
-            if joint.kind in MOVING and (joint.mimic is None or joint.name in draft.joints)
+            if joint.kind in TURNING_JOINT_KINDS and (joint.mimic is None or joint.name in draft.joints)
         ]
         sensors: dict[str, FloatArray] = {}
         names = [sensor.name for sensor in robot.sensors]

@@ -15,7 +15,7 @@ from skincal.model.errors import InputError, plural
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.mesh_lookup import find_mesh, package_of
 from skincal.model.urdf import Robot
-from skincal.model.urdf_chain import MOVING
+from skincal.model.urdf_chain import TURNING_JOINT_KINDS
 
 DRAWN_ROBOT_MAX_TRIANGLES = 2_000_000
 """Of a whole robot in the view: an iCub has 300,000. Links beyond it are not drawn."""
@@ -85,7 +85,7 @@ def missing_packages(robot: Robot, packages: Mapping[str, Path]) -> list[str]:
 
 def middle_angles(robot: Robot) -> dict[str, float]:
     """Choose an angle for each joint that moves on its own, radians: 0, or the nearest limit."""
-    moving = [joint for joint in robot.joints.values() if joint.kind in MOVING and joint.mimic is None]
+    moving = [joint for joint in robot.joints.values() if joint.kind in TURNING_JOINT_KINDS and joint.mimic is None]
     return {joint.name: 0.0 if joint.limits is None else float(np.clip(0.0, *joint.limits)) for joint in moving}
 
 
@@ -124,8 +124,8 @@ def link_poses(robot: Robot, angles: Mapping[str, float], root: str) -> dict[str
         at = waiting.pop()
         for name in children.get(at, []):
             joint = robot.joints[name]
-            angle = angles.get(name, 0.0) if joint.kind in MOVING else 0.0
-            poses[joint.child] = poses[at] @ (joint.transform(angle) if joint.kind in MOVING else joint.origin)
+            angle = angles.get(name, 0.0) if joint.kind in TURNING_JOINT_KINDS else 0.0
+            poses[joint.child] = poses[at] @ (joint.transform(angle) if joint.kind in TURNING_JOINT_KINDS else joint.origin)
             waiting.append(joint.child)
     back = inverse_pose(poses[root])
     return {link: back @ pose for link, pose in poses.items()}

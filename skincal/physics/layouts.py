@@ -10,7 +10,7 @@ from skincal.geometry import FloatArray, inverse_pose, length_of, orthonormal_pa
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
-from skincal.model.urdf_chain import MOVING, UrdfJoint
+from skincal.model.urdf_chain import TURNING_JOINT_KINDS, UrdfJoint
 from skincal.physics.effects import Effects
 from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, Engine
 from skincal.physics.mjcf import Joint, RigPlan, write_mjcf
@@ -113,7 +113,7 @@ def moving_part(scene: Scene, surface: Surface) -> RigLayout:
     moving: list[str] = []
     for number, joint in enumerate(joints):
         # A joint between sensor and part that is not streamed rests.
-        turns = joint.kind in MOVING and (joint.name in streamed or number < behind)
+        turns = joint.kind in TURNING_JOINT_KINDS and (joint.name in streamed or number < behind)
         moving += [joint.name] * turns
         chain.append(
             Joint(

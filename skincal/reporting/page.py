@@ -31,15 +31,14 @@ from skincal.words.mistake_words import frame_sentence, setup_sentences
 from skincal.words.poke_words import REASON_WORDS, poke_count_words
 from skincal.words.rig_words import rig_error_sentences
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words, unchecked_sentence
-from skincal.words.units import millimetres
+from skincal.words.units import DASH, millimetres
 from skincal.words.verdict_words import agreement_words, check_words, closing_words, figures, left_words, verdict_sentence
 
-DASH = "\N{EN DASH}"
-_UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
-_NUMERIC = re.compile(rf"-?[\d.]+|{DASH}")
+_INVISIBLE_CHARACTER_RE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
+_NUMBER_RE = re.compile(rf"-?[\d.]+|{DASH}")
 AGREES, AGAINST, OPEN = "agrees", "contradicts", "not checked"
 """Results of a check of the verdict; the template colours the first two."""
-CHECKS = ("Test pokes", "Landmarks", "Final check")
+CHECK_FIGURES = ("Test pokes", "Landmarks", "Final check")
 """Figures of the verdict that are rows of its evidence."""
 COLOUR_NOTE = (
     f"The darker, the larger the error: the scale reaches to {1e3 * GuideSettings().wanted:g} mm, the wanted error, or to the "
@@ -72,7 +71,9 @@ class ReportTable:
     def numeric(self) -> tuple[bool, ...]:
         """Whether each column holds only numbers and dashes, and is not the first; such columns are right-aligned."""
         columns = enumerate(zip(*self.rows, strict=True))
-        return tuple(index > 0 and set(column) != {DASH} and all(map(_NUMERIC.fullmatch, column)) for index, column in columns)
+        return tuple(
+            index > 0 and set(column) != {DASH} and all(map(_NUMBER_RE.fullmatch, column)) for index, column in columns
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +132,7 @@ def report_page(facts: SessionFacts) -> str:
 
 def _visible(value: object) -> object:
     """Replace invisible characters, which may reverse the order of those that follow."""
-    return _UNSEEN.sub("\N{REPLACEMENT CHARACTER}", value) if isinstance(value, str) else value
+    return _INVISIBLE_CHARACTER_RE.sub("\N{REPLACEMENT CHARACTER}", value) if isinstance(value, str) else value
 
 
 # ---- the verdict and what it rests on ----
@@ -140,7 +141,7 @@ def _visible(value: object) -> object:
 def _verdict(facts: SessionFacts) -> ReportSection:
     left = facts.verdict.left
     tables = [
-        ReportTable(("", ""), [row for row in figures(facts.verdict) if row[0] not in CHECKS]),
+        ReportTable(("", ""), [row for row in figures(facts.verdict) if row[0] not in CHECK_FIGURES]),
         ReportTable(("Check", "Result", "Verdict"), list(_evidence(facts)), "Evidence", judged=True),
     ]
     if left:

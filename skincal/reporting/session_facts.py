@@ -31,7 +31,7 @@ from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import PredictedError, known_error, predicted_error
 from skincal.version import __version__
 
-PACKAGES = ("numpy", "scipy", "wasmtime", "mcap", "zstandard", "matplotlib", "jinja2")
+REPORTED_PACKAGES = ("numpy", "scipy", "wasmtime", "mcap", "zstandard", "matplotlib", "jinja2")
 """Packages whose versions a report shows, since its numbers, files or pictures depend on them."""
 
 
@@ -175,7 +175,7 @@ def _rejected(snapshot: Snapshot) -> dict[Reason, tuple[Rejection, ...]]:
 
 def _versions() -> dict[str, str]:
     found = {"skincal": __version__, "Python": platform.python_version(), "system": f"{platform.system()} {platform.machine()}"}
-    for package in PACKAGES:
+    for package in REPORTED_PACKAGES:
         try:
             found[package] = version(package)
         except PackageNotFoundError:

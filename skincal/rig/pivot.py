@@ -183,7 +183,7 @@ class PivotResult:
     """Other readings, the best first."""
 
     @property
-    def alike(self) -> tuple[PoseReading, ...]:
+    def similar_readings(self) -> tuple[PoseReading, ...]:
         """Other readings that fit about as well as the best."""
         best = min((self.reading, *self.others[:1]), key=lambda each: each.fit.touch_sd)
         return tuple(each for each in self.others if each.fit.agrees and not fits_better(best.fit, each.fit))
@@ -205,7 +205,7 @@ def judge_touches(values: FloatArray, metres_per_unit: float, where: Sequence[st
         return replace(result, state=PivotState.SCATTERED)
     if mine.fit.tip_sd > TIP_SD_MAX_M:
         return replace(result, state=PivotState.OPEN)
-    return replace(result, state=PivotState.UNDECIDED) if given is None and result.alike else result
+    return replace(result, state=PivotState.UNDECIDED) if given is None and result.similar_readings else result
 
 
 class TipMismatch(Enum):

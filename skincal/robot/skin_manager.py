@@ -35,7 +35,7 @@ SAME_POSITION_MAX_DISTANCE_M = 2.0 * 10.0**-POSITION_DECIMAL_PLACES
 """m. Positions nearer than this are the same: a file has so many decimals."""
 BACKUP_MARKER = "positions that skinManager had before others were applied"
 """Comment of a backup file. Its zeros are the robot's own values; in other files zeros mean an unknown position."""
-UNCHANGED = "Nothing was changed."
+NOTHING_CHANGED = "Nothing was changed."
 ANSWER_VALUES_SHOWN, ANSWER_CHARS_SHOWN = 12, 120
 
 
@@ -131,7 +131,7 @@ def check_port(address: str) -> None:
     try:
         parse_rpc_address(address)
     except LinkError as failure:
-        raise InputError(f"{failure} {UNCHANGED}") from failure
+        raise InputError(f"{failure} {NOTHING_CHANGED}") from failure
 
 
 def apply_positions(
@@ -152,7 +152,7 @@ def apply_positions(
     try:
         port = YarpRpcClient(address, timeout_s)
     except LinkError as failure:
-        raise InputError(f"{failure} {UNCHANGED}") from failure
+        raise InputError(f"{failure} {NOTHING_CHANGED}") from failure
     try:
         return _Upload(port, positions, backup, on_line).run(address)
     finally:
@@ -170,7 +170,7 @@ class _Upload:
     def run(self, address: str) -> UploadResult:
         positions, result = self._positions, self._result
         self._check_part()
-        old = self._read_poses(UNCHANGED)
+        old = self._read_poses(NOTHING_CHANGED)
         due = [channel for channel in positions.rows if self._differs(old[channel], channel)]
         result.same = len(positions.rows) - len(due)
         if not due:
@@ -204,12 +204,12 @@ class _Upload:
             raise InputError(f"{failure} Asked was {command_text(command)!r}. {so_far}") from failure
 
     def _check_part(self) -> None:
-        names = [each for each in self._read(["get", "skin"], UNCHANGED) if isinstance(each, str) and each in SKIN_PARTS]
+        names = [each for each in self._read(["get", "skin"], NOTHING_CHANGED) if isinstance(each, str) and each in SKIN_PARTS]
         # Older versions do not know the command.
         if names and self._positions.part not in names:
             raise InputError(
                 f"this skinManager has {', '.join(names)}, and not {self._positions.part}: ask the one that runs this part, "
-                f"or give --part. {UNCHANGED}"
+                f"or give --part. {NOTHING_CHANGED}"
             )
 
     def _read_poses(self, so_far: str) -> FloatArray:
@@ -239,7 +239,9 @@ class _Upload:
 
     def _how_far(self, due: int, doubt: str = "") -> str:
         changed = self._result.changed
-        return f"{changed} of {due} taxels were changed before{doubt}; {self._restore}." if changed or doubt else UNCHANGED
+        return (
+            f"{changed} of {due} taxels were changed before{doubt}; {self._restore}." if changed or doubt else NOTHING_CHANGED
+        )
 
     def _check_new(self, due: Sequence[int]) -> None:
         """Read the poses again: the robot may have confirmed what it did not do."""

@@ -33,7 +33,7 @@ from skincal.robot.target_lines import (
 from skincal.streams.transports.target_tips import report_tip
 from skincal.streams.transports.tcp import enable_keepalive
 
-LOCAL = "127.0.0.1"
+LOOPBACK_ADDRESS = "127.0.0.1"
 SEND_POLL_PERIOD_S = 0.02
 """s. Longest delay until lines are sent."""
 ROBOT_LINES_PER_S_MAX = 50
@@ -54,7 +54,7 @@ QUEUED_LINES_MAX = 1000
 def parse_port(text: str) -> tuple[str, int]:
     """Read host and port of `PORT` (this machine only) or `HOST:PORT`. Raises InputError."""
     host, colon, port = text.rpartition(":")
-    host = host.strip("[]") if colon else LOCAL
+    host = host.strip("[]") if colon else LOOPBACK_ADDRESS
     if not (port.isascii() and port.isdigit() and len(port) < 6 and int(port) < 65536 and host):
         raise InputError(f"{text!r} is no port for targets; expected PORT, such as 7010, or HOST:PORT for other machines, too.")
     return host, int(port)
@@ -175,7 +175,7 @@ class TargetServer:
             self._pending = f"{GREETING}\n{write_line(self._target)}\n".encode()
         self._client, self._cutter = client, LineCutter()
         self._line_times.clear()
-        self._put(RobotChange.CAME)
+        self._enqueue(RobotChange.CAME)
         self._report(f"A robot connected from {host}.")
 
     def _send_pending(self) -> None:
@@ -219,7 +219,7 @@ class TargetServer:
         if isinstance(answer, TipPose):
             report_tip(answer.place)
         if answer is not None:
-            self._put(answer)
+            self._enqueue(answer)
 
     def _disconnect(self, reason: str = "") -> None:
         """Close the connection. The robot gets the `reason` and is ignored for a while; without one, it has left."""
@@ -231,7 +231,7 @@ class TargetServer:
             self._ignore_until_s = time.monotonic() + ACCEPT_ROBOT_AGAIN_AFTER_S
         else:
             self._report("The robot closed the connection. The present request is sent again when it reconnects.")
-        self._put(RobotChange.LEFT)
+        self._enqueue(RobotChange.LEFT)
         self._close_client()
 
     def _close_client(self) -> None:
@@ -245,8 +245,8 @@ class TargetServer:
         kind, now_s = sentence[:SAME_SENTENCE_FIRST_CHARS], time.monotonic()
         if now_s - self._reported_s.get(kind, -REPEAT_SAME_SENTENCE_AFTER_S) >= REPEAT_SAME_SENTENCE_AFTER_S:
             self._reported_s[kind] = now_s
-            self._put(plain_text(sentence))
+            self._enqueue(plain_text(sentence))
 
-    def _put(self, item: RobotLine | RobotChange | str) -> None:
+    def _enqueue(self, item: RobotLine | RobotChange | str) -> None:
         with contextlib.suppress(queue.Full):
             self._received.put_nowait(item)

@@ -25,7 +25,7 @@ from skincal.journal.documents import DetectorResult, Item, Result, SessionClose
 from skincal.journal.writer import JournalFailure, JournalWriter
 from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, TimedAction, UseSkinUnit
 from skincal.model.errors import InputError
-from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, Tick, is_silent
+from skincal.model.readings import TEMPERATURE_NAME, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, Tick, is_silent
 from skincal.model.scene import Scene
 from skincal.model.skin import RESPONSE_MIN_OF_UNIT
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, WrenchPlace
@@ -513,7 +513,7 @@ class Pipeline:
             self._decoded_s = float(times[-1])
             self._record(lambda journal: journal.write_wrenches(times, wrenches))
         for link, beside in self._intake.side_readings().items():
-            if (found := beside.get(TEMPERATURE)) is not None:
+            if (found := beside.get(TEMPERATURE_NAME)) is not None:
                 self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link, celsius=found.now))
 
     @property

@@ -87,7 +87,7 @@ class TubeShape:
         return make_surface(vertices * 1e-3, quads if self.right_handed else quads[:, ::-1].copy())
 
 
-SHAPES = {
+SHAPE_OF_PART = {
     "icub-forearm": TubeShape(forearm_point, -2.0, 115.0, 60, 72, right_handed=False),
     "whole-body": TubeShape(torso_point, 0.0, 560.0, 200, 250, right_handed=True),
 }
@@ -166,7 +166,7 @@ class ExamplePart:
 
     def mesh(self, triangles: int | None) -> Surface:
         """Return the shipped mesh, or one of the same shape with about `triangles` triangles."""
-        return self.surface if triangles is None else SHAPES[self.name].mesh(triangles)
+        return self.surface if triangles is None else SHAPE_OF_PART[self.name].mesh(triangles)
 
     def contacts(self, per_taxel: int, seed: int) -> list[Contact]:
         """Poke each taxel `per_taxel` times, in the arm poses in turn."""

@@ -29,7 +29,7 @@ SHORT_LEVER_POSE = "2"
 """Arm pose of the scene with a lever of 0.18 m."""
 SKIN_OFFSET_RMS_M = 0.004
 """m, rms offset of the skin from its plan, both directions together."""
-CAREFUL = OPERATORS["careful"]
+CAREFUL_HABITS = OPERATORS["careful"]
 ERROR_OF_UNKNOWN_TAXEL_M = 0.060
 """m, error of a taxel without an estimate: the size of the patch."""
 
@@ -38,7 +38,7 @@ ERROR_OF_UNKNOWN_TAXEL_M = 0.060
 class Conditions:
     """Hand and rig of a session."""
 
-    habits: Habits = CAREFUL
+    habits: Habits = CAREFUL_HABITS
     drift: float = 0.0
     """N rms of force drift in half an hour."""
 

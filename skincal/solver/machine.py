@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from skincal.solver.tables import SHARED_TABLES, TABLE_OF_FUNCTION, Field, Table, layout_number
 
-PROGRAM = Path(__file__).with_name("solver.wasm")
+SOLVER_PROGRAM = Path(__file__).with_name("solver.wasm")
 Value: TypeAlias = "NDArray[Any] | tuple[int, ...] | Mapping[str, Any] | list[NDArray[Any]] | float | None"
 """What a field gets.
 
@@ -45,7 +45,7 @@ def _module() -> tuple[wasmtime.Engine, wasmtime.Module]:
     with contextlib.suppress(wasmtime.WasmtimeError):
         config.cache = True
     engine = wasmtime.Engine(config)
-    return engine, wasmtime.Module(engine, PROGRAM.read_bytes())
+    return engine, wasmtime.Module(engine, SOLVER_PROGRAM.read_bytes())
 
 
 class Machine:
@@ -68,7 +68,7 @@ class Machine:
         self._refresh_view()
         self._lock = threading.Lock()
         if self.value("layout") != layout_number():
-            raise RuntimeError(f"{PROGRAM} was built from other tables: run `python -m tools.solver`")
+            raise RuntimeError(f"{SOLVER_PROGRAM} was built from other tables: run `python -m tools.solver`")
         if initial is not None:
             self._permanent_until = _next_address(self._permanent_until, initial.size)
             self.write(self._permanent_from, initial, initial.dtype)
@@ -85,7 +85,7 @@ class Machine:
         with self._lock:
             writer = _Writer(self, self._permanent_until)
             record = writer.record(SHARED_TABLES[table], values)
-            address = writer.put(record, record.dtype)
+            address = writer.copy_in(record, record.dtype)
             self._permanent_until = writer.free
             return address
 
@@ -152,7 +152,7 @@ class _Writer:
         self.results: dict[str, tuple[int, tuple[int, ...], np.dtype[Any]]] = {}
         """Address, shape and kind of the arrays that the solver may write, by the names of their fields."""
 
-    def put(self, array: NDArray[Any], kind: np.dtype[Any]) -> int:
+    def copy_in(self, array: NDArray[Any], kind: np.dtype[Any]) -> int:
         """Copy an array in, its numbers converted to `kind`. Return its address."""
         address = self._reserve(array.size * kind.itemsize)
         self._machine.write(address, array, kind)
@@ -172,7 +172,7 @@ class _Writer:
 
     def _value(self, field: Field, value: Value) -> object:
         if isinstance(value, list):
-            places = [self.put(array, field.kind) for array in value]
+            places = [self.copy_in(array, field.kind) for array in value]
             return places + [0] * (field.shape[0] - len(places))
         if isinstance(value, Mapping):
             value = self.record(SHARED_TABLES[field.base], value)
@@ -183,7 +183,7 @@ class _Writer:
         if isinstance(value, tuple):
             shape, address = value, self._reserve(math.prod(value) * field.kind.itemsize)
         else:
-            shape, address = value.shape, self.put(value, field.kind)
+            shape, address = value.shape, self.copy_in(value, field.kind)
         if field.is_written:
             self.results[field.name] = address, shape, field.kind
         return address

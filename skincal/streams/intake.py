@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skincal.devices.family import AUTO
+from skincal.devices.family import AUTO_FORMAT
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import (
@@ -235,7 +235,7 @@ class LinkIntake:
         self._stamper = Timestamper()
         self._format = format_of(spec.address, spec.format)
         # Frames that need a recipe do not say what they hold, so no other decoder can read them.
-        kind = None if self._format == AUTO else decoder_class(self._format)
+        kind = None if self._format == AUTO_FORMAT else decoder_class(self._format)
         streams = spec.carries if kind is not None and kind.single_stream else SENSOR_STREAMS
         look = None if kind is not None and kind.needs_recipe else lambda: LinkDecoder(self._format, None, streams)
         self.monitor = LinkMonitor(spec.carries, expected.widths, look)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
 
-from skincal.devices.family import AUTO, DeviceAddress, Form, Route
+from skincal.devices.family import AUTO_FORMAT, DeviceAddress, Form, Route
 from skincal.devices.foreign_addresses import foreign_advice
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.devices.registry import parse_device, split_baud
@@ -74,7 +74,7 @@ class LinkSpec:
     """`/dev/ttyUSB0`, `COM3`, either with `@921600` for its baud rate; `file:PATH` or a file's path; a device's address
     (`skincal.devices.registry`)."""
     carries: tuple[Stream, ...]
-    format: str = AUTO
+    format: str = AUTO_FORMAT
     """One of `skincal.streams.decoders.auto_detect.NAMES`."""
 
     def __post_init__(self) -> None:
@@ -158,7 +158,7 @@ def _device_route(address: str) -> Route | None:
 
 def format_of(address: str, given: str) -> str:
     """Name the decoder of a link: the given one, or for `auto` the one of its address."""
-    route = _device_route(address) if given == AUTO else None
+    route = _device_route(address) if given == AUTO_FORMAT else None
     return given if route is None else route.format
 
 

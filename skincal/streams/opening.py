@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from skincal.devices.family import AUTO, DeviceAddress, Handshake, HandshakeError
+from skincal.devices.family import AUTO_FORMAT, DeviceAddress, Handshake, HandshakeError
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.model.readings import Stream
 from skincal.streams.transports import Opening, open_transport
@@ -23,7 +23,7 @@ ANSWER_MAX_BYTES = 1 << 20
 def open_address(
     address: DeviceAddress,
     carries: tuple[Stream, ...] = (),
-    format_name: str = AUTO,
+    format_name: str = AUTO_FORMAT,
     is_cancelled: Callable[[], bool] = lambda: False,
 ) -> Link:
     """Open what an address names. Raises LinkError."""

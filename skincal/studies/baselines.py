@@ -33,7 +33,7 @@ from skincal.taxels.solve import solve
 SLSQP_OPTIONS: dict[str, Any] = {"method": "SLSQP", "bounds": ((0, 1), (0, 1)), "options": {"ftol": 1e-9, "maxiter": 100}}
 """The objective is in mm^2, so that SLSQP's absolute tolerance means 3e-5 mm where a metric is near 1."""
 MM2_PER_M2 = 1e6
-QUADPROG = "quadprog"
+QUADPROG_PACKAGE = "quadprog"
 """Package under the GPL; no part of the program."""
 
 
@@ -115,12 +115,12 @@ _THIRD_SIDE: dict[str, str | Callable[[FloatArray], Any]] = {
 
 def has_quadprog() -> bool:
     """Whether quadprog is installed."""
-    return util.find_spec(QUADPROG) is not None
+    return util.find_spec(QUADPROG_PACKAGE) is not None
 
 
 def by_quadprog(some: Programmes) -> FloatArray:
     """Solve each programme by Goldfarb and Idnani's dual method; returns shares (n, 2)."""
-    solver: Any = import_module(QUADPROG)
+    solver: Any = import_module(QUADPROG_PACKAGE)
     solved = [
         solver.solve_qp(gram, -slope, _SIDE_NORMALS, _SIDE_LIMITS)[0]
         for gram, slope in zip(some.grams, some.slopes, strict=True)

@@ -16,7 +16,7 @@ from skincal.geometry import FloatArray
 from skincal.palette import BLACK, BLUE, ORANGE, VERMILION
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.simulation.example_parts import forearm
-from skincal.simulation.poking_strategies import CAREFUL, STRATEGIES, Conditions, ErrorCourse, run_course
+from skincal.simulation.poking_strategies import CAREFUL_HABITS, STRATEGIES, Conditions, ErrorCourse, run_course
 from skincal.studies.harness import Bench, Findings, Limits, Row, Study, finite
 from skincal.taxels.result import Method
 
@@ -74,9 +74,9 @@ class GuidanceSizes:
 
 FULL_SIZES = GuidanceSizes(cases={
     **{f"drift {drift:g} N": Conditions(drift=drift) for drift in (0.1, 0.25, 0.5)},
-    "8 % double contacts": Conditions(replace(CAREFUL, double_rate=0.08)),
-    **{f"aim {1e3 * aim:g} mm": Conditions(replace(CAREFUL, aim=aim)) for aim in (0.001, 0.004)},
-    **{f"tilt {tilt} degrees": Conditions(replace(CAREFUL, cone=float(np.radians(tilt)))) for tilt in (10, 20, 45)},
+    "8 % double contacts": Conditions(replace(CAREFUL_HABITS, double_rate=0.08)),
+    **{f"aim {1e3 * aim:g} mm": Conditions(replace(CAREFUL_HABITS, aim=aim)) for aim in (0.001, 0.004)},
+    **{f"tilt {tilt} degrees": Conditions(replace(CAREFUL_HABITS, cone=float(np.radians(tilt)))) for tilt in (10, 20, 45)},
 })  # fmt: skip
 QUICK_SIZES = GuidanceSizes(
     seeds=6, other_seeds=2, case_seeds=2, guided_limit=220, free_limit=220, surface_limit=252,

@@ -38,8 +38,8 @@ from skincal.studies.error_numbers import error_numbers, mean_over_seeds
 from skincal.studies.harness import Bench, Findings, Row, Study
 from skincal.taxels.result import Method
 
-RIGS: Mapping[str, str] = {"arm": "an arm pokes the part", "moving part": "the part is pressed onto a fixed tip"}
-CASES = ("none", *EFFECT_NAMES, "all")
+RIG_DESCRIPTIONS: Mapping[str, str] = {"arm": "an arm pokes the part", "moving part": "the part is pressed onto a fixed tip"}
+IMPERFECTION_CASES = ("none", *EFFECT_NAMES, "all")
 """Imperfections: none, each alone, all."""
 SIMULATED_SECONDS_PER_POKE_MAX = 6.0
 """Simulated time of a session at most, over its pokes at most. The arm needs 3.2 s a poke."""
@@ -69,8 +69,8 @@ class Task(NamedTuple):
 class RobotSizes:
     """Numbers of sessions and pokes."""
 
-    rigs: tuple[str, ...] = tuple(RIGS)
-    sessions: Mapping[str, int] = field(default_factory=lambda: dict.fromkeys(CASES, 2) | {"none": 4, "all": 20})
+    rigs: tuple[str, ...] = tuple(RIG_DESCRIPTIONS)
+    sessions: Mapping[str, int] = field(default_factory=lambda: dict.fromkeys(IMPERFECTION_CASES, 2) | {"none": 4, "all": 20})
     """By case. The ratio of predicted to true error varies by a tenth with eight sessions."""
     max_pokes: int = 252
     """Pokes of a session at most: three for each taxel."""
@@ -230,7 +230,7 @@ def describe(result: Mapping[str, Any]) -> list[str]:
     """Describe each rig and case."""
     lines: list[str] = []
     for rig, group in groupby(result["robot"], key=lambda row: row["rig"]):
-        lines += [f"{rig} ({RIGS[rig]}):", *(f"  {_row_text(row)}" for row in group)]
+        lines += [f"{rig} ({RIG_DESCRIPTIONS[rig]}):", *(f"  {_row_text(row)}" for row in group)]
     if result["displaced"]:
         lines += ["base of the arm displaced, no other imperfection:", *map(_displaced_text, result["displaced"])]
     return lines
@@ -262,7 +262,7 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
     cases = list(dict.fromkeys(row["case"] for row in rows))
     figure.set_size_inches(9.0, 5.0)
     axes: Axes = figure.subplots()
-    for (rig, colour), shift in zip(zip(RIGS, (BLUE, VERMILION), strict=True), (0.12, -0.12), strict=True):
+    for (rig, colour), shift in zip(zip(RIG_DESCRIPTIONS, (BLUE, VERMILION), strict=True), (0.12, -0.12), strict=True):
         own = [row for row in rows if row["rig"] == rig]
         places = [shift - cases.index(row["case"]) for row in own]
         lead = [row["methods"][Method.MODULES.value] for row in own]

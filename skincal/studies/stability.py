@@ -245,7 +245,7 @@ def evaluate_alternatives(case: Case, truth: Truth) -> list[Record]:
         return []
     surface, orders = _surface(case), list(_orders(case))[: 1 if module else None]
     records: list[Record] = []
-    for name, alternative in (MODULE_ALTERNATIVES if module else ALTERNATIVES).items():
+    for name, alternative in (MODULE_ALTERNATIVES if module else TAXEL_ALTERNATIVES).items():
         worst = worst_point(truth, [alternative(case, order, surface) for order in orders])
         more = {"error": worst.error, "error_over_bound": worst.over_bound}
         records.append({"name": case.name, "solver": case.solver, "method": name, **more})
@@ -333,7 +333,7 @@ def by_svd(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatA
     return np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=float), values[:, None] * axes, u.T @ b
 
 
-ALTERNATIVES: dict[str, Alternative] = {
+TAXEL_ALTERNATIVES: dict[str, Alternative] = {
     "normal equations": partial(_by_rows, two_rows, by_normal_equations),
     "QR, rows as they come": partial(_by_rows, two_rows, by_qr),
     "lstsq, three rows a contact": partial(_by_rows, three_rows, by_svd),
@@ -433,7 +433,7 @@ def describe(result: Mapping[str, Any]) -> list[str]:
         for record in cases
         if not record["holds"]
     ]
-    for whose, methods in (("", ALTERNATIVES), ("modules, ", MODULE_ALTERNATIVES)):
+    for whose, methods in (("", TAXEL_ALTERNATIVES), ("modules, ", MODULE_ALTERNATIVES)):
         for method in methods:
             own = [
                 each

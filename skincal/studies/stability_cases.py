@@ -16,13 +16,13 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray, rotations
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import KnownDistance, NoiseSettings
-from skincal.model.skin import KINDS, Anchor, Layout, Module
+from skincal.model.skin import MODULE_KINDS, Anchor, Layout, Module
 from skincal.modules.pose import ModuleGround, ModuleModel, ModulePoses, ModulesInSpace, ModulesOnSurface
 
 TAXEL_POINT = np.array([0.031, -0.047, 0.083])
 """m, link frame: a typical position on a forearm."""
 MINUS_Z = np.array([0.0, 0.0, -1.0])
-MODULE_KIND = KINDS["triangle_12"]
+MODULE_KIND = MODULE_KINDS["triangle_12"]
 PADS_PER_MODULE = len(MODULE_KIND.pads)
 
 

@@ -102,14 +102,14 @@ class Evidence:
     def evidence(self, channels: Collection[int]) -> Evidence:
         """Select the evidence of the `channels` that this evidence has, as `ContactTable.evidence` does."""
         kept = np.isin(self.channels, np.fromiter(channels, np.int64, len(channels)))
-        return self if kept.all() else self.take(kept[self.taxels], self.channels[kept], self.counts[kept])
+        return self if kept.all() else self.select(kept[self.taxels], self.channels[kept], self.counts[kept])
 
     def part(self, first: int, last: int) -> Evidence:
         """Select the evidence of taxels `first` to `last` (excluded)."""
         answers = slice(*self.starts[[first, last]].tolist())
-        return self.take(answers, self.channels[first:last], self.counts[first:last])
+        return self.select(answers, self.channels[first:last], self.counts[first:last])
 
-    def take(self, answers: IntArray | NDArray[np.bool_] | slice, channels: IntArray, counts: IntArray) -> Evidence:
+    def select(self, answers: IntArray | NDArray[np.bool_] | slice, channels: IntArray, counts: IntArray) -> Evidence:
         """Select answers as those of taxels `channels` (t,), `counts` (t,) of each in turn."""
         return Evidence(
             channels,
@@ -129,8 +129,8 @@ _CONTACT_TABLE_COLUMNS = 17
 _INITIAL_TABLE_ROWS = 64
 """Rows to begin with; doubled when full."""
 CONTACTS_CARRIED_AT_ONCE = 4096
-_CONTACT = np.dtype([("poke", "i8"), ("pose", "i8"), ("live", "?"), ("total", "f8")])
-_ANSWER = np.dtype([("contact", "i8"), ("weight", "f8"), ("unranked", "?")])
+_CONTACT_ROW = np.dtype([("poke", "i8"), ("pose", "i8"), ("live", "?"), ("total", "f8")])
+_ANSWER_ROW = np.dtype([("contact", "i8"), ("weight", "f8"), ("unranked", "?")])
 
 
 class ContactTable:
@@ -138,8 +138,8 @@ class ContactTable:
 
     def __init__(self, contacts: Sequence[Contact] = ()) -> None:
         self._columns = np.empty((_CONTACT_TABLE_COLUMNS, _INITIAL_TABLE_ROWS))
-        self._contacts = np.zeros(_INITIAL_TABLE_ROWS, dtype=_CONTACT)
-        self._answers = np.zeros(_INITIAL_TABLE_ROWS, dtype=_ANSWER)
+        self._contacts = np.zeros(_INITIAL_TABLE_ROWS, dtype=_CONTACT_ROW)
+        self._answers = np.zeros(_INITIAL_TABLE_ROWS, dtype=_ANSWER_ROW)
         self._contact_count = self._answer_count = self._dropped = 0
         self.changes = 0
         """Rises with each change of the contacts."""

@@ -107,7 +107,7 @@ class NormalEquations:
         inverse = self.inverse()
         return inverse @ added @ inverse
 
-    def moves(self, alike: FloatArray, of_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def shift_by_errors(self, alike: FloatArray, of_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute (g, d, n) shifts of the unknowns by errors that all pokes share, and (g, d, d) covariances by those of poses.
 
         `alike` (m, 2, n) and `of_pose` (m, 2, k) are the result of `SharedRows`.
@@ -195,7 +195,7 @@ def add_shared_errors(
             inside = inside + off[:, :, None] * off[:, None]
     moves: FloatArray | None = None
     if shared is not None:
-        alike, of_poses = ordered.moves(*shared(ordered.pokes, places, ordered.pairs))
+        alike, of_poses = ordered.shift_by_errors(*shared(ordered.pokes, places, ordered.pairs))
         moves, inside = outward @ alike, inside + of_poses
     found = {estimate.channel: estimate for estimate in add_covariances(known, factors, outward @ inside @ free, moves)}
     return [found.get(estimate.channel, estimate) for estimate in estimates]

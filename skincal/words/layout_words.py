@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.model.errors import plural
-from skincal.model.skin import KINDS, Layout, SkinKind
+from skincal.model.skin import MODULE_KINDS, Layout, SkinKind
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.words.units import count, millimetres
 
@@ -28,7 +28,7 @@ def layout_size(layout: Layout) -> str:
 
 def unsaid_kind_finding(layout: Layout) -> str:
     """Report a layout that does not say what the skin is; empty if it does, or if its modules are the shipped triangles."""
-    if layout.given_kind is not None or all(module.kind is KINDS.get(module.kind.name) for module in layout.modules):
+    if layout.given_kind is not None or all(module.kind is MODULE_KINDS.get(module.kind.name) for module in layout.modules):
         return ""
     return (
         "the layout does not say what the skin is, so its modules are taken for rigid boards: for a soft sheet write "

@@ -82,7 +82,7 @@ def pivot_sentences(result: PivotResult, known: FloatArray | None) -> list[str]:
                 "tool's axes. Touch the point again, with the tool leaning and turned in other directions."
             ]
         case PivotState.UNDECIDED:
-            alike = " or ".join(reading_words(each) for each in result.alike[:2])
+            alike = " or ".join(reading_words(each) for each in result.similar_readings[:2])
             return [f"{scatter}; read as {alike} they fit as well. Touch the point again, with the tool leaning farther."]
         case PivotState.AGREES:
             return [f"{scatter}.", tip, *_tip_doubts(fit, known)]

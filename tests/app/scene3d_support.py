@@ -15,7 +15,7 @@ from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import ContactSettings, NoiseSettings, Scene, SkinSpec
-from skincal.model.skin import KINDS, Layout, Module
+from skincal.model.skin import MODULE_KINDS, Layout, Module
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
 from skincal.taxels.result import Estimate, Method, State
 
@@ -46,7 +46,7 @@ def project(renderer: Any, points: np.ndarray) -> np.ndarray:
 
 def layout(modules: int = 2) -> Layout:
     """Triangles of 12 taxels in a row; module i starts at channel 12 i."""
-    kind = KINDS["triangle_12"]
+    kind = MODULE_KINDS["triangle_12"]
     places = [np.array([-0.018 + 0.036 * i, 0.0]) for i in range(modules)]
     return Layout(tuple(Module(10 + i, kind, 12 * i, place, 0.0, False) for i, place in enumerate(places)), 12 * modules)
 

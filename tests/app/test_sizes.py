@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QHeaderView, QLabel, QPushButton, QWidget
 
 from app.panels import widgets
 from app.panels.widgets import put_rows, table
-from app.text_size import STEPS
+from app.text_size import TEXT_SIZES_PERCENT
 from app.theme import Choice
 from tests.app.cut_texts import cut_texts, outside
 from tests.app.every_page import builder_steps, every_page
@@ -51,7 +51,7 @@ def test_nothing_is_cut_on_any_page_and_each_letter_with_alt_leads_to_one_thing(
 
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("size", [(1366, 768), (1024, 700)], ids=["1366x768", "1024x700"])
-@pytest.mark.parametrize("percent", [150, STEPS[-1]])
+@pytest.mark.parametrize("percent", [150, TEXT_SIZES_PERCENT[-1]])
 def test_nothing_of_a_new_part_is_cut_when_the_text_grows_while_it_is_described(bench, tmp_path, size, percent):
     trimesh.creation.cylinder(40.0, 120.0).export(tmp_path / "tube.stl")
     bench.window.resize(*size)

@@ -10,7 +10,7 @@ from app.dialogs.keys_dialog import KeysDialog
 from app.panels.widgets import ElidedLabel
 from app.session.opening import OpenRequest
 from app.text.now_text import Now, Tone
-from app.text_size import STEPS, TEXT_SETTING
+from app.text_size import TEXT_SETTING, TEXT_SIZES_PERCENT
 from app.theme import HEADLINE_FONT_SIZE_PT, RESULT_FONT_SIZE_PT
 from tests.app.test_commands import dialog_of, gone, tap
 from tests.app.whole_window import Bench
@@ -45,7 +45,7 @@ def test_keys_change_all_text_and_the_size_is_kept(bench, qtbot, tmp_path, recor
     assert (before["headline"], before["result"]) == (HEADLINE_FONT_SIZE_PT, RESULT_FONT_SIZE_PT)
     actions = bench.window.commands.actions
     reached = []
-    for _ in STEPS:
+    for _ in TEXT_SIZES_PERCENT:
         bench.key(Key.Key_Plus, CONTROL)
         reached.append(bench.window.text_size.percent)
         assert f"{reached[-1]} %" in actions["usual"].text()
@@ -54,13 +54,13 @@ def test_keys_change_all_text_and_the_size_is_kept(bench, qtbot, tmp_path, recor
     assert not actions["larger"].isEnabled()
     bench.key(Key.Key_0, CONTROL)
     assert sizes(bench.window) == pytest.approx(before)
-    for _ in STEPS:
+    for _ in TEXT_SIZES_PERCENT:
         bench.key(Key.Key_Minus, CONTROL)
-    assert bench.window.text_size.percent == STEPS[0]
+    assert bench.window.text_size.percent == TEXT_SIZES_PERCENT[0]
     assert not actions["smaller"].isEnabled()
     bench.window.close()
     other = Bench(qtbot, tmp_path / "again")
-    assert other.window.text_size.percent == STEPS[0]
+    assert other.window.text_size.percent == TEXT_SIZES_PERCENT[0]
     other.key(Key.Key_N, CONTROL)
     dialog = dialog_of(other, QDialog)
     assert dialog.findChild(QLabel).font().pointSizeF() == QApplication.font().pointSizeF()

@@ -292,7 +292,7 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     bench.until(
         lambda: all(approved("links.refused_scheme_state", scheme="spy") in link.text for link in view.state.live.links)
     )
-    assert {view.state.look(link) for link in view.state.live.links} == {LinkStatus.LOST}
+    assert {view.state.status_of(link) for link in view.state.live.links} == {LinkStatus.LOST}
     assert kept.read_text() == "a thesis"
 
 

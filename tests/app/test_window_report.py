@@ -15,7 +15,7 @@ from PySide6.QtWidgets import QFileDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
 from app.session.opening import OpenRequest
-from app.text.message import REPORTING
+from app.text.message import REPORT_IN_PROGRESS
 from app.workers.processes import WorkerProcess
 from skincal.cli import main
 from skincal.files.reference import compare_sets
@@ -72,7 +72,7 @@ def test_a_report_is_written_beside_the_window_also_from_the_verdict_or_it_is_sa
     write_a_report(bench, tmp_path / "none" / "report.html", monkeypatch)
     bench.until(lambda: "does not exist" in said(bench), OPEN_MS)
     bench.window.messages.dismiss()
-    assert not (bench.window.messages.isVisible() and REPORTING in said(bench)), "nothing is being written any more"
+    assert not (bench.window.messages.isVisible() and REPORT_IN_PROGRESS in said(bench)), "nothing is being written any more"
     bench.key(Qt.Key.Key_F)
     dialog = bench.window.findChild(VerdictDialog)
     path = tmp_path / "report.html"

@@ -314,7 +314,7 @@ def line_says(bench, headline, detail=""):
 
 def looks(bench):
     state = bench.window.session_view.state
-    return {link.link: state.look(link) for link in state.live.links}
+    return {link.link: state.status_of(link) for link in state.live.links}
 
 
 def shown_page(bench):

@@ -38,7 +38,7 @@ def view_of(qtbot, canvas, of, surface, skin):
     with qtbot.waitExposed(window):
         window.show()
     with qtbot.waitSignal(view.ready, timeout=60_000):
-        view.begin(StaticScene(Part(of, surface, skin, np.arange(24), ())))
+        view.build_scene(StaticScene(Part(of, surface, skin, np.arange(24), ())))
     settle()
     return view
 

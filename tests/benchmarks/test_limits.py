@@ -11,7 +11,7 @@ import pytest
 from app.session.opening import OpenRequest
 from skincal.following.review import ReviewRequest
 from skincal.mesh.smooth_normals import smooth_normals
-from skincal.model.skin import KINDS, Layout, Module
+from skincal.model.skin import MODULE_KINDS, Layout, Module
 from skincal.modules.health import neighbours_of
 from skincal.pokes import NO_LANDMARK_POKES
 from skincal.rig.correction_fit import correct_rig
@@ -106,7 +106,7 @@ def test_a_dirty_taxel_is_solved_in_milliseconds(least_time):
 
 @pytest.mark.parametrize(("modules", "most_s"), [(7, 0.003), (350, 0.015)])
 def test_a_comparison_is_quick_enough_for_each_poke(rng, least_time, modules, most_s):
-    kind = KINDS["triangle_12"]
+    kind = MODULE_KINDS["triangle_12"]
     layout = Layout(tuple(Module(i, kind, 12 * i, np.array([0.03 * i, 0.0]), 0.0, False) for i in range(modules)), 12 * modules)
     here, neighbours = bent(rng, layout), neighbours_of(layout)
     there = here + 0.003 * rng.normal(size=here.shape)

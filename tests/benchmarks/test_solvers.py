@@ -16,7 +16,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import resource
 from skincal.session.replay import load
-from skincal.simulation.example_parts import SHAPES, ExamplePart
+from skincal.simulation.example_parts import SHAPE_OF_PART, ExamplePart
 from skincal.studies import baselines, runtime
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
@@ -101,7 +101,7 @@ def test_one_taxel_by_every_triangle_of_the_whole_body(benchmark, torso, torso_c
 
 @pytest.mark.parametrize("triangles", [10_000, 100_000])
 def test_a_search_tree_is_built(benchmark, triangles):
-    mesh = SHAPES["whole-body"].mesh(triangles)
+    mesh = SHAPE_OF_PART["whole-body"].mesh(triangles)
 
     def build():
         return build_tree(make_surface(mesh.vertices, mesh.triangles))

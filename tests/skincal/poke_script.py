@@ -23,7 +23,7 @@ from skincal.journal.writer import open_segment
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream
 from skincal.model.scene import ArmSpec, ContactSettings, NoiseSettings, Scene, SkinSpec, load_scene
-from skincal.model.skin import KINDS, Layout, Module
+from skincal.model.skin import MODULE_KINDS, Layout, Module
 from skincal.session.snapshot import Snapshot
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Estimate
@@ -33,7 +33,7 @@ PERIOD_S = 0.02
 
 def small_layout(width: int = 24) -> Layout:
     """Two triangles side by side: channels 0-11 and 12-23."""
-    kind = KINDS["triangle_12"]
+    kind = MODULE_KINDS["triangle_12"]
     return Layout(
         (Module(0, kind, 0, np.zeros(2), 0.0, False), Module(1, kind, 12, np.array([0.0151, 0.0087]), np.pi, False)), width
     )

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.geometry import Arm, DhLink, axis_point, cross_matrix, inverse_pose, move_wrench, pitch
-from skincal.model.skin import KINDS, Layout, Module
+from skincal.model.skin import MODULE_KINDS, Layout, Module
 
 V1 = Arm(
     (3, 4),
@@ -52,7 +52,7 @@ def test_v1_chain_puts_the_wrist_where_the_icub_has_it(angles, wrist_mm):
 
 def test_layout_turns_and_mirrors_like_the_robots_gui():
     """p = c + R(theta) (mirror ? (-x, y) : (x, y)), worked by hand for one pad."""
-    kind = KINDS["triangle_12"]
+    kind = MODULE_KINDS["triangle_12"]
     plain = Module(1, kind, 0, np.array([0.02, 0.01]), np.pi / 2, False)
     mirrored = Module(1, kind, 0, np.array([0.02, 0.01]), np.pi / 2, True)
     assert np.allclose(plain.pads[0] * 1e3, [20 + 1.443, 10 + 7.5])
@@ -60,7 +60,7 @@ def test_layout_turns_and_mirrors_like_the_robots_gui():
 
 
 def test_thermal_pads_are_not_taxels():
-    layout = Layout((Module(3, KINDS["triangle_10pad"], 36, np.zeros(2), 0.0, False),), 48)
+    layout = Layout((Module(3, MODULE_KINDS["triangle_10pad"], 36, np.zeros(2), 0.0, False),), 48)
     assert layout.channels.tolist() == [36, 37, 38, 39, 40, 41, 43, 44, 45, 47]
     assert layout.module_of[42] == -1
     assert layout.module_of[47] == 0

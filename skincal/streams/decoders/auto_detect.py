@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from skincal.devices.decoding import FrameDecoder
-from skincal.devices.family import AUTO
-from skincal.devices.registry import CHECKSUMMED_FORMATS, FORMATS, find_decoder
+from skincal.devices.family import AUTO_FORMAT
+from skincal.devices.registry import CHECKSUMMED_FORMATS, DEVICE_FORMATS, find_decoder
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
 from skincal.model.wrench_frames import WrenchFrames
@@ -35,7 +35,7 @@ _DECODER_OF_FORMAT: dict[str, type[FrameDecoder]] = {
     "records": RecordsDecoder,
 }
 """Formats that belong to no device, by the name in a link's description."""
-NAMES = (AUTO, *_DECODER_OF_FORMAT, *FORMATS)
+NAMES = (AUTO_FORMAT, *_DECODER_OF_FORMAT, *DEVICE_FORMATS)
 _TEXT_BYTES = bytes([*range(9, 14), *range(32, 127)])
 """Bytes that a text may have."""
 ASSUME_TEXT_AFTER_NS = 300_000_000
@@ -85,7 +85,7 @@ class LinkDecoder:
         self._bytes = 0
         self._has_binary = False
         self._wrench_frames = WrenchFrames()
-        if format_name == AUTO:
+        if format_name == AUTO_FORMAT:
             self._probes = [SkbDecoder(channels, carries), SktDecoder(channels, carries)]
         else:
             self.current = make_decoder(format_name, channels, carries)

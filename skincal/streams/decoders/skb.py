@@ -125,7 +125,7 @@ class SkbDecoder(FrameDecoder):
             self._counters[key] = self._times.setdefault(source, DeviceTime()), SequenceCounter()
         time, sequence = self._counters[key]
         device_s = time.unwrap(raw_us)
-        seq, missing = sequence.step(raw_seq, device_s)
+        seq, missing = sequence.unwrap(raw_seq, device_s)
         self._count_missing(missing)
         (stream, dtype), payload, status = STREAM_OF_TYPE[kind], body[HEAD_STRUCT.size :], 0
         if len(payload) % dtype.itemsize or (kind == WRENCH_MESSAGE_TYPE and len(payload) != WRENCH_PAYLOAD_BYTES):

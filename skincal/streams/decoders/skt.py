@@ -90,6 +90,6 @@ class SktDecoder(FrameDecoder):
         if not (0 <= raw_seq < SEQ_MODULUS and 0 <= raw_us < CLOCK_MODULUS_US):
             return Loss.UNREADABLE
         device_s = self._time.unwrap(raw_us)
-        seq, missing = self._sequences[stream].step(raw_seq, device_s)
+        seq, missing = self._sequences[stream].unwrap(raw_seq, device_s)
         self._count_missing(missing)
         return self._add(stream, seq, device_s, values, status)

@@ -11,7 +11,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
-from skincal.devices.family import AUTO, DeviceAddress
+from skincal.devices.family import AUTO_FORMAT, DeviceAddress
 from skincal.devices.link import Link
 from skincal.model.readings import Stream
 
@@ -36,7 +36,7 @@ class Opening:
 
     address: DeviceAddress
     carries: tuple[Stream, ...] = ()
-    format: str = AUTO
+    format: str = AUTO_FORMAT
     is_cancelled: Callable[[], bool] = lambda: False
     """Whether to give up; may be asked from any thread."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
-from skincal.devices.family import AUTO
+from skincal.devices.family import AUTO_FORMAT
 from skincal.devices.link import Link
 from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder, make_decoder
@@ -46,7 +46,7 @@ class BaudSearchLink:
         self._restart_decoding()
 
     def _restart_decoding(self) -> None:
-        self._decoder = LinkDecoder(AUTO, None, self._carries)
+        self._decoder = LinkDecoder(AUTO_FORMAT, None, self._carries)
         self._since_s: float | None = None
         self._tail = b""
         self._readings = 0

@@ -11,7 +11,7 @@ import sys
 from importlib import import_module
 from typing import Any
 
-from skincal.devices.family import AUTO
+from skincal.devices.family import AUTO_FORMAT
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
 
@@ -32,7 +32,7 @@ def open_transport(opening: Opening) -> Link:
 
         rates = address.route.bauds
         return DeviceBaudLink(SerialLink(address.path, rates[0]), rates, address.route.format, opening.carries)
-    if opening.format != AUTO:
+    if opening.format != AUTO_FORMAT:
         return SerialLink(address.path, DEFAULT_BAUD_RATE)
     # Imported now: it needs decoders.
     from skincal.streams.transports.baud_search import BaudSearchLink

@@ -10,7 +10,7 @@ import time
 from skincal.devices.datagrams import DATAGRAM_MAX_BYTES as LISTENED_MAX_BYTES
 from skincal.devices.datagrams import OTHER_SENDER_KIND, READING_KIND
 from skincal.devices.decoding import pack
-from skincal.devices.family import AUTO, Form
+from skincal.devices.family import AUTO_FORMAT, Form
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
 
@@ -28,7 +28,7 @@ def open_transport(opening: Opening) -> Link:
     """Connect to the host and port of the address, or listen on its port."""
     address = opening.address
     if address.route.form is Form.LISTEN:
-        return ListeningLink(address.label, address.port, is_text=address.route.format == AUTO)
+        return ListeningLink(address.label, address.port, is_text=address.route.format == AUTO_FORMAT)
     return DatagramLink(address.label, address.host, address.port, address.route.message_kind)
 
 

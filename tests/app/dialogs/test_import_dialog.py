@@ -18,7 +18,7 @@ from app.dialogs import form_widgets, import_dialog
 from app.dialogs.import_dialog import ImportDialog
 from app.session.opening import OpenRequest
 from app.text.import_text import HOLDS_SESSION, NO_FOLDER, NO_RECORDING, READING_TEXT, imported_words, stream_row
-from app.text_size import STEPS
+from app.text_size import TEXT_SIZES_PERCENT
 from skincal.files.importers.preview import StreamPreview
 from skincal.model.readings import Stream
 from skincal.session.importing import Imported
@@ -62,7 +62,7 @@ def until_seen(bench, dialog) -> None:
 def made(bench, scene, paths) -> ImportDialog:
     dialog = asked(bench)
     dialog.scene.setEditText(str(scene))
-    dialog.take(paths)
+    dialog.assign_files(paths)
     until_seen(bench, dialog)
     return dialog
 
@@ -159,12 +159,12 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
     dialog.folder.setText(str(tmp_path / "new"))
     bench.until(dialog.start.isEnabled, 5000)
     (folder / "left_ft" / "data.log").write_text("nothing of a log\n")
-    dialog.take([folder / "left_forearm_skin"])
+    dialog.assign_files([folder / "left_forearm_skin"])
     bench.until(lambda: not dialog.start.isEnabled(), 5000)
     dialog.fields[Stream.WRENCH].setText(str(folder / "left_ft"))
     bench.until(lambda: "left_ft" in dialog.objection.text(), OPEN_MS)
     assert not dialog.start.isEnabled()
-    dialog.take([tmp_path / "nowhere"])
+    dialog.assign_files([tmp_path / "nowhere"])
     bench.until(lambda: "no recording was found" in dialog.objection.text(), 5000)
 
 
@@ -176,7 +176,7 @@ def test_a_slow_disk_never_holds_the_page(bench, scene, samples, tmp_path, monke
         monkeypatch.setattr(module, name, lambda *given, real=real: threads.append(threading.current_thread()) or real(*given))
     dialog.folder.setText(str(tmp_path / "elsewhere"))
     dialog.scene.setEditText("flat-patch")
-    dialog.take([tmp_path / "log"])
+    dialog.assign_files([tmp_path / "log"])
     bench.until(lambda: len(threads) == 3, 5000)
     bench.qtbot.wait(100)
     assert len(threads) == 3, "a letter of the folder reads no scene"
@@ -188,7 +188,7 @@ def test_an_arm_needs_its_joints_or_a_pose(bench, samples, tmp_path):
     dialog = asked(bench)
     dialog.scene.setCurrentText("icub-forearm")
     bench.until(lambda: dialog.pose.count() > 2, OPEN_MS)
-    dialog.take([write_yarp(tmp_path / "log", samples)])
+    dialog.assign_files([write_yarp(tmp_path / "log", samples)])
     until_seen(bench, dialog)
     assert approved("overview.pose") in dialog.objection.text()
     dialog.pose.setCurrentIndex(1)
@@ -242,7 +242,7 @@ def test_an_import_that_hears_nothing_is_stopped_within_a_second(bench, scene, s
 def test_a_page_that_looks_at_a_large_log_closes_without_waiting_for_it(bench, scene, samples, tmp_path, monkeypatch):
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
     monkeypatch.setattr(import_dialog, "preview_job", process_support.deaf_look)
-    dialog.take([tmp_path / "log"])
+    dialog.assign_files([tmp_path / "log"])
     bench.until(lambda: bool(dialog._jobs.waiting) and dialog._jobs.waiting[0].pid is not None, 5000)
     assert dialog.kind.text() == READING_TEXT
     began = time.monotonic()
@@ -287,7 +287,7 @@ def test_every_control_has_a_name_and_is_reached_by_the_tab_key(bench, scene, sa
     assert changed(with_curve, pixels(dialog.curve)) > 100
 
 
-@pytest.mark.parametrize("percent", [STEPS[0], STEPS[-1]])
+@pytest.mark.parametrize("percent", [TEXT_SIZES_PERCENT[0], TEXT_SIZES_PERCENT[-1]])
 def test_it_fits_the_screen_in_every_size_of_the_text(bench, scene, samples, tmp_path, percent):
     bench.window.text_size.choose(percent)
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])

@@ -15,7 +15,7 @@ from app.panels.taxel_map import TaxelMap
 from app.panels.top_view import CONTACT_PLOT_RADIUS_M, RIM_SINE, SHADE_POINTS_PER_SIDE, diversity_view
 from app.session.opening import OpenRequest
 from app.state.camera_pose import PLAIN_POSE
-from app.text.guidance_text import FOLLOWS, REDUCED_ERROR_WORDS, diversity_words
+from app.text.guidance_text import GUIDE_SENTENCE_OF_METHOD, REDUCED_ERROR_WORDS, diversity_words
 from app.theme import DARK, LIGHT
 from skincal.guide.candidates import candidate_pushes
 from skincal.guide.progress import AxisDiversity
@@ -102,7 +102,7 @@ def test_for_the_surface_method_contact_points_count_and_not_directions():
 
 
 def test_every_method_has_its_words_and_its_picture():
-    for words in (FOLLOWS, PICTURE_LEGENDS, REDUCED_ERROR_WORDS):
+    for words in (GUIDE_SENTENCE_OF_METHOD, PICTURE_LEGENDS, REDUCED_ERROR_WORDS):
         assert set(words) == set(Method)
     of = diversity([push(28, 0)] * 2)
     for method in Method:

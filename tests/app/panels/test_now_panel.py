@@ -89,7 +89,7 @@ def every_headline() -> list[str]:
     for phase in PressPhase:
         for force in (2.0, 8.0, 16.0):
             at = replace(frame(view=reading(phase, force)), guidance=says)
-            said.append(now_line(NowMemory.of(at.snapshot), at)[0].headline)
+            said.append(now_line(NowMemory.from_snapshot(at.snapshot), at)[0].headline)
     return said
 
 

@@ -22,12 +22,12 @@ from app.panels.widgets import put_rows, rows_text, table, theme_colours
 from app.session.opening import OpenRequest
 from app.session_view import PANEL_TYPES, RIGHT_PX
 from app.state.memo import Memo, is_same
-from app.text.guidance_text import BETWEEN
+from app.text.guidance_text import DOT_SEPARATOR
 from app.theme import DARK, LIGHT, Choice, Colours
 from app.window import Theme, qpalette, style_sheet
 from skincal.contacts.outcome import Reason
 from skincal.model.actions import SetPose
-from skincal.model.readings import TEMPERATURE, LinkState, SideReading, Stream
+from skincal.model.readings import TEMPERATURE_NAME, LinkState, SideReading, Stream
 from skincal.words.poke_words import REASON_WORDS, short_rejection
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import (
@@ -252,9 +252,9 @@ def test_devices_show_rate_losses_and_faults(qtbot):
     assert lost.rate.text() == "lost"
     assert lost.losses.text().split("\n")[0].endswith("good"), "nothing in the card says the opposite of its state"
     assert show(link(), 105.0).rate.text() == "silent"
-    warm = link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
+    warm = link(beside={TEMPERATURE_NAME: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
     said = show(warm, 200.0).losses.text()
-    assert said.startswith(BETWEEN.join(("Fx Fy Fz in N, Mx My Mz in N m", "temperature 31.0 degC (30.5 to 33.2)")))
+    assert said.startswith(DOT_SEPARATOR.join(("Fx Fy Fz in N, Mx My Mz in N m", "temperature 31.0 degC (30.5 to 33.2)")))
     with qtbot.waitSignal(panel.command_wanted) as wanted:
         panel.change.click()
     assert wanted.args == ["addresses"]

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from app import theme
 from app.scene3d.scene_state import LIGHT, MODULE_RGB, StaticScene, module_hues
 from skincal.mesh.surface import contact_point, entry_points, make_surface
-from skincal.model.skin import KINDS, Layout, Module
+from skincal.model.skin import MODULE_KINDS, Layout, Module
 from skincal.palette import METHODS
 from skincal.part.part import Part
 from skincal.taxels.result import Method
@@ -122,7 +122,7 @@ def test_a_scale_bar_has_a_round_length_and_fills_its_place(value):
 
 
 def test_seven_modules_have_seven_hues_and_the_eighth_repeats_the_first():
-    modules = tuple(Module(i, KINDS["triangle_12"], 12 * i, np.zeros(2), 0.0, False) for i in range(8))
+    modules = tuple(Module(i, MODULE_KINDS["triangle_12"], 12 * i, np.zeros(2), 0.0, False) for i in range(8))
     hues = module_hues(Layout(modules, 96), np.arange(0, 96, 12))
     assert len({tuple(hue) for hue in hues[:7].tolist()}) == 7
     np.testing.assert_array_equal(hues[7], hues[0])

@@ -14,7 +14,7 @@ from PySide6.QtCore import QEvent, QPoint, Qt, QTimer
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QMainWindow
 
-from app.commands import LAYERS
+from app.commands import LAYER_NAMES
 from app.scene3d import offscreen
 from app.scene3d.axes import MAX_DRAWN_FORCE_AXES
 from app.scene3d.camera import pose_of
@@ -283,7 +283,7 @@ def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
     np.testing.assert_allclose(miss, 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", LAYERS)
+@pytest.mark.parametrize("name", LAYER_NAMES)
 def test_a_layer_that_is_switched_off_is_gone_and_comes_back_as_it_was(view, name):
     known = {c: estimate(c, (*PLAN.places[c], 0.0), sd=3e-3) for c in range(12)}
     poked = snapshot(1, known, pokes=[contact(1, 3, (*PLAN.places[3], 0.0))])
@@ -382,7 +382,7 @@ def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot
     view.reset_camera()
     view.set_dark(False)
     with qtbot.waitSignal(view.ready, timeout=60_000):
-        view.begin(StaticScene(Part(scene(PLAN), None, laid(PLAN), np.arange(24), ())))
+        view.build_scene(StaticScene(Part(scene(PLAN), None, laid(PLAN), np.arange(24), ())))
     assert view.list_layers() == EVERY[1:], "it may begin again, with another scene"
 
 
@@ -392,7 +392,7 @@ def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
     with qtbot.waitExposed(view):
         view.show()
     with qtbot.assertNotEmitted(view.ready):
-        view.begin(StaticScene(Part(scene(PLAN), box(), laid(PLAN), np.arange(24), ())))
+        view.build_scene(StaticScene(Part(scene(PLAN), box(), laid(PLAN), np.arange(24), ())))
         assert not view.show_state(tick_of(snapshot(1, {})))
         view.close_view()
         settle()
@@ -409,7 +409,7 @@ def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, 
     qtbot.addWidget(view)
     with qtbot.waitExposed(view):
         view.show()
-    view.begin(StaticScene(Part(scene(PLAN), box(), laid(PLAN), np.arange(24), ())))
+    view.build_scene(StaticScene(Part(scene(PLAN), box(), laid(PLAN), np.arange(24), ())))
     qtbot.waitUntil(lambda: "install libegl1" in view.findChild(QLabel).text(), timeout=30_000)
     assert not view.show_state(tick_of(snapshot(1, {})))
     with pytest.raises(InputError, match="no picture yet"):

@@ -99,7 +99,7 @@ def test_a_rejection_comes_with_its_word():
 
 def test_earlier_and_undone_pokes_are_not_heard():
     three = (touch(1), touch(2), slip(3))
-    memory = CueMemory.of(session(pokes=three))
+    memory = CueMemory.from_snapshot(session(pokes=three))
     assert cues_of(at(pokes=three), at(pokes=three[:2]), at(pokes=three[:1]), at(), memory=memory) == [None] * 4
     assert cues_of(at(pokes=three), at(pokes=(*three, touch(4))), memory=memory) == [None, Cue.ACCEPTED]
 

@@ -177,8 +177,8 @@ def test_the_library_reads_the_samples_as_they_are(make, monkeypatch):
     assert output.backend == miniaudio.Backend.NULL.name.title()
     output.close()
     taken: list[bytes] = []
-    take = Line.take
-    monkeypatch.setattr(Line, "take", lambda line, frames: taken.append(take(line, frames)) or taken[-1])
+    take = Line.next_samples
+    monkeypatch.setattr(Line, "next_samples", lambda line, frames: taken.append(take(line, frames)) or taken[-1])
     player = make(lambda: open_output(real=False))
     for each in (Cue.ACCEPTED, Cue.LOST):
         taken.clear()

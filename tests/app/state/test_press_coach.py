@@ -30,7 +30,7 @@ class Line:
 
     def __init__(self, asked=ASKED, method=Method.FREE) -> None:
         self.says, self.asked = guidance(asked, method=method), asked
-        self.memory, self.now_s = NowMemory.of(session()), 100.0
+        self.memory, self.now_s = NowMemory.from_snapshot(session()), 100.0
         self.said: list[str] = []
 
     def show(self, view, seconds: float = 0.0):

@@ -94,7 +94,7 @@ def guided(says: Guidance | None, pokes=(), generation: int = 1, phase: PressPha
 def settled(says: Guidance | None, phase: PressPhase = PressPhase.READY):
     """What is said once the phase has lasted."""
     first = guided(says, phase=phase)
-    _, memory = now_line(NowMemory.of(first.snapshot), first)
+    _, memory = now_line(NowMemory.from_snapshot(first.snapshot), first)
     return now_line(memory, replace(first, now_ns=first.now_ns + round(IDLE_PHASE_DEBOUNCE_S * 1.1e9)))
 
 
@@ -238,7 +238,7 @@ def test_a_layout_that_lies_nowhere_still_tells_of_modules():
 
 def test_a_poke_that_is_taken_back_is_not_said_to_count():
     poke = touch(1, (3,))
-    before = NowMemory.of(session())
+    before = NowMemory.from_snapshot(session())
     now, memory = now_line(before, frame(session(2, pokes=[poke]), now_s=1.0))
     assert now.result.words.startswith("Poke 1 accepted")
     now, memory = now_line(memory, frame(session(3, pokes=[poke], excluded=[1]), now_s=1.1))

@@ -169,7 +169,7 @@ def say(memory, at):
 
 def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke():
     quiet = frame(session(1), reading(PressPhase.READY), 100.0)
-    memory = NowMemory.of(quiet.snapshot)
+    memory = NowMemory.from_snapshot(quiet.snapshot)
     _, memory = say(memory, quiet)
     text, memory = say(memory, frame(session(1), reading(PressPhase.READY), 100.0 + IDLE_PHASE_DEBOUNCE_S))
     assert text == "Ready"
@@ -186,7 +186,7 @@ def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke()
 
 def test_a_poke_that_was_there_before_is_not_announced():
     old = session(1, pokes=[touch(1)])
-    text, _ = say(NowMemory.of(old), frame(old, reading(PressPhase.NO_DATA)))
+    text, _ = say(NowMemory.from_snapshot(old), frame(old, reading(PressPhase.NO_DATA)))
     assert text == "Waiting for data"
 
 
@@ -410,7 +410,7 @@ def test_sessions_get_folders_of_their_own(tmp_path):
 )
 def test_what_was_taken_back_is_said_with_the_key_that_brings_it_again_also_while_the_next_poke_presses(kind, words):
     poke = touch(438)
-    memory = NowMemory.of(session(1, pokes=[poke]))
+    memory = NowMemory.from_snapshot(session(1, pokes=[poke]))
     after = replace(session(2, pokes=[poke], excluded=[438]), history=History(last=LastOperation(1, kind, "poke 438")))
     now, memory = now_line(memory, frame(after, reading(PressPhase.PRESSING, 8.0), 100.0))
     assert now.result == Said(Tone.CALM, words)
@@ -425,7 +425,7 @@ def test_what_was_taken_back_is_said_with_the_key_that_brings_it_again_also_whil
 
 def test_what_was_done_before_the_session_was_opened_is_no_news():
     old = replace(session(2), history=History(last=LastOperation(3, OperationKind.UNDONE, "poke 5")))
-    now, _ = now_line(NowMemory.of(old), frame(old))
+    now, _ = now_line(NowMemory.from_snapshot(old), frame(old))
     assert now.result is None
 
 
@@ -435,7 +435,7 @@ def test_until_a_poke_counts_the_line_says_what_each_method_costs():
     assert now.result == Said(Tone.CALM, approved("now.costs", modules=30, surface=520))
     assert now_line(NowMemory(), replace(frame(), costs={Method.FREE: 500}))[0].result is None, "nothing to choose"
     poked = session(2, pokes=[touch(1)])
-    now, _ = now_line(NowMemory.of(poked), replace(frame(poked), costs=costs))
+    now, _ = now_line(NowMemory.from_snapshot(poked), replace(frame(poked), costs=costs))
     assert now.result is None
     assert memory.deed is None
 

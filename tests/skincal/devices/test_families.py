@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skincal.devices.family import AUTO
-from skincal.devices.registry import CHECKSUMMED_FORMATS, FAMILIES, FORMATS, load_family, parse_device
+from skincal.devices.family import AUTO_FORMAT
+from skincal.devices.registry import CHECKSUMMED_FORMATS, DEVICE_FORMATS, FAMILIES, load_family, parse_device
 from skincal.model.readings import Loss
 from skincal.streams.decoders.auto_detect import LinkDecoder, make_decoder
 from skincal.streams.transports import FILE_OF_TRANSPORT
@@ -47,7 +47,7 @@ def test_the_example_of_a_route_is_an_address_of_it(route):
     found = parse_device(address)
     assert (found.text, found.route) == (address, route)
     assert route.transport in FILE_OF_TRANSPORT
-    assert route.format in (AUTO, *FORMATS)
+    assert route.format in (AUTO_FORMAT, *DEVICE_FORMATS)
 
 
 @pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector.format)
@@ -95,7 +95,7 @@ def test_frames_after_garbage_are_found_again(name):
 @pytest.mark.parametrize("name", CHECKSUMMED_FORMATS)
 def test_a_format_with_a_checksum_is_detected(name):
     vector, data = REPEATED[name], stream_of(REPEATED[name])
-    link = LinkDecoder(AUTO, vector.channels, vector.carries)
+    link = LinkDecoder(AUTO_FORMAT, vector.channels, vector.carries)
     found = [batch for at in range(0, len(data), 10) for batch in link.feed(data[at : at + 10], at * 1_000_000)]
     assert link.current.name == make_decoder(name, None, vector.carries).name
     assert sum(len(batch.seq) for _, batch in found) == 6

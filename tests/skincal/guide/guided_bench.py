@@ -9,11 +9,11 @@ from skincal.contacts.outcome import Rejection
 from skincal.guide.guide import Guide
 from skincal.session.session import Session
 from skincal.simulation.example_parts import ExamplePart
-from skincal.simulation.poking_strategies import CAREFUL, Conditions, Hand, MeantPokes, displaced_rig
+from skincal.simulation.poking_strategies import CAREFUL_HABITS, Conditions, Hand, MeantPokes, displaced_rig
 from skincal.taxels.result import Method
 
 PART = ExamplePart()
-STEADY = Conditions(replace(CAREFUL, aim=0.0, hand=0.0))
+STEADY = Conditions(replace(CAREFUL_HABITS, aim=0.0, hand=0.0))
 
 
 def make_guide(method=Method.FREE, plan=None, **options):

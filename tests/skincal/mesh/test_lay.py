@@ -8,7 +8,7 @@ from skincal.mesh.lay import anchor_remarks, place_layout, subdivide_outline
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.errors import InputError
-from skincal.model.skin import KINDS, Anchor, Layout, Module, ModuleKind
+from skincal.model.skin import MODULE_KINDS, Anchor, Layout, Module, ModuleKind
 from tests.approved import approved, approved_pattern
 from tests.skincal.sim_support import scene_and_surface
 
@@ -107,7 +107,7 @@ def test_without_a_surface_the_layout_stays_flat():
 
 
 def test_a_modules_own_anchor_beats_the_layouts():
-    kind = KINDS["triangle_12"]
+    kind = MODULE_KINDS["triangle_12"]
     own = anchor_at(angle=-0.5, height=-0.03)
     modules = (
         Module(7, kind, 0, np.zeros(2), 0.2, False),
@@ -125,14 +125,14 @@ def test_a_modules_own_anchor_beats_the_layouts():
 
 
 def test_outlines_bend_with_the_surface():
-    layout = Layout((Module(1, KINDS["triangle_12"], 0, np.zeros(2), 0.0, False),), 12)
+    layout = Layout((Module(1, MODULE_KINDS["triangle_12"], 0, np.zeros(2), 0.0, False),), 12)
     laid = place_layout(layout, anchor_at(), cylinder())
     outline = laid.outlines[0]
     # A chord of one long straight side would lie 2.8 mm inside the surface.
     assert np.abs(np.linalg.norm(outline[:, :2], axis=1) - RADIUS).max() < 1e-4
     closed = np.concatenate([outline, outline[:1]])
     assert np.linalg.norm(np.diff(closed, axis=0), axis=1).max() <= 0.002 + 1e-9
-    corners = KINDS["triangle_12"].outline
+    corners = MODULE_KINDS["triangle_12"].outline
     assert all(np.isclose(subdivide_outline(corners), corner).all(axis=1).any() for corner in corners)
 
 

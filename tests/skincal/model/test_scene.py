@@ -7,7 +7,7 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, with_layout
-from skincal.model.skin import KINDS, Layout, Module
+from skincal.model.skin import MODULE_KINDS, Layout, Module
 from tests.approved import approved, approved_pattern
 
 GOOD = """
@@ -143,7 +143,7 @@ def test_the_spacing_is_that_of_the_whole_layout_and_not_of_its_first_module(tmp
 
 @pytest.mark.parametrize("modules", [1, 2, 7, 150])
 def test_the_spacing_is_the_median_of_the_least_distances_wherever_modules_lie(modules):
-    rng, kind = np.random.default_rng(modules), KINDS["triangle_12"]
+    rng, kind = np.random.default_rng(modules), MODULE_KINDS["triangle_12"]
     places = np.round(rng.uniform(-0.3, 0.3, (modules, 2)), 3)
     layout = Layout(
         tuple(Module(at, kind, 12 * at, place, 0.5 * at, False) for at, place in enumerate(places)), 12 * modules

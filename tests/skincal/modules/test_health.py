@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skincal.methods import estimate_taxels
-from skincal.model.skin import KINDS, Layout, Module, ModuleKind
+from skincal.model.skin import MODULE_KINDS, Layout, Module, ModuleKind
 from skincal.modules.health import (
     MisplacedModule,
     MisplacementKind,
@@ -277,7 +277,7 @@ def test_a_swap_with_an_unknown_module_is_not_corrected():
 
 def of_kinds(*kinds):
     place = np.array([0.04, 0.0])
-    modules = (Module(10 + i, KINDS[kind], 12 * i, i * place, 0.0, False) for i, kind in enumerate(kinds))
+    modules = (Module(10 + i, MODULE_KINDS[kind], 12 * i, i * place, 0.0, False) for i, kind in enumerate(kinds))
     return Layout(tuple(modules), 12 * len(kinds))
 
 

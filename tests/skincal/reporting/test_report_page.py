@@ -22,7 +22,7 @@ from skincal.files.reference import error_summary, read_reference
 from skincal.following.error_history import MEAN, TAXELS
 from skincal.following.results import use_offered
 from skincal.model.actions import AtLandmark
-from skincal.model.readings import TEMPERATURE, SideReading
+from skincal.model.readings import TEMPERATURE_NAME, SideReading
 from skincal.model.scene import Landmark, resource
 from skincal.reporting import session_facts
 from skincal.reporting.drawings import side_frames
@@ -176,7 +176,7 @@ def test_what_is_wider_than_a_small_screen_moves_by_itself(page_text):
 
 def test_what_a_device_measures_beside_its_readings_stands_with_it(facts):
     first, *others = facts.results.pipeline.totals().links
-    warm = replace(first, beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)})
+    warm = replace(first, beside={TEMPERATURE_NAME: SideReading(30.5, 33.25, 31.0)})
     totals = replace(facts.results.pipeline.totals(), links=(warm, *others))
     pipeline = SimpleNamespace(links=facts.results.pipeline.links, totals=lambda: totals)
     text = Page(report_page(replace(facts, results=other_results(facts, pipeline=pipeline)))).text

@@ -9,7 +9,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from skincal.cli import main
 from skincal.journal.writer import create_session
-from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkState, SideReading, Stream
+from skincal.model.readings import TEMPERATURE_NAME, Chunk, LinkEvent, LinkState, SideReading, Stream
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from skincal.simulation.emulated_devices import X25, _crc
@@ -47,13 +47,13 @@ def folder(tmp_path):
 def test_least_most_and_newest_come_back_loaded_and_played_and_go_on(folder):
     for opened in (load(folder), replay(folder)):
         (of,) = [link.beside for link in opened.totals().links if link.beside]
-        assert of.keys() == {TEMPERATURE}
-        assert of[TEMPERATURE] == SideReading(30.5, 33.0, 33.0)
+        assert of.keys() == {TEMPERATURE_NAME}
+        assert of[TEMPERATURE_NAME] == SideReading(30.5, 33.0, 33.0)
     again = resume(folder)
     feed(again, [34.0, 32.25], 30)
     again.close()
     (of,) = [link.beside for link in load(folder).totals().links if link.beside]
-    assert of[TEMPERATURE] == SideReading(30.5, 34.0, 32.25)
+    assert of[TEMPERATURE_NAME] == SideReading(30.5, 34.0, 32.25)
 
 
 def test_other_programs_read_it(folder):
@@ -75,7 +75,7 @@ def test_other_programs_read_it(folder):
 def test_solve_says_it(folder, capsys):
     assert main(["solve", str(folder), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["links"]["wrench"]["beside"] == {
-        TEMPERATURE: {"least": 30.5, "most": 33.0, "now": 33.0}
+        TEMPERATURE_NAME: {"least": 30.5, "most": 33.0, "now": 33.0}
     }
     assert main(["solve", str(folder)]) == 0
     assert "temperature 33.0 degC (30.5 to 33.0)" in capsys.readouterr().out

@@ -6,14 +6,14 @@ import trimesh
 
 from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
-from skincal.simulation.example_parts import SHAPES
+from skincal.simulation.example_parts import SHAPE_OF_PART
 from tests.skincal.sim_support import scene_and_surface
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", SHAPE_OF_PART)
 def test_the_mesh_that_ships_is_that_of_the_shape(name):
     scene, surface = scene_and_surface(name)
-    made, shipped = SHAPES[name].mesh(len(surface.triangles)), trimesh.load(scene.surface.path, process=False)
+    made, shipped = SHAPE_OF_PART[name].mesh(len(surface.triangles)), trimesh.load(scene.surface.path, process=False)
     # To the micrometre to which the files have them.
     np.testing.assert_allclose(made.vertices * 1e3, shipped.vertices, atol=0.002)
     np.testing.assert_array_equal(made.triangles, shipped.faces)

@@ -17,7 +17,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.simulation.contacts import simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
 from skincal.solver import machine as solver_machine
-from skincal.solver.machine import PROGRAM, Machine
+from skincal.solver.machine import SOLVER_PROGRAM, Machine
 from skincal.solver.tables import SHARED_TABLES
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Method
@@ -79,7 +79,7 @@ def probe(tmp_path_factory):
 
 
 def test_the_program_equals_its_compiled_source():
-    assert solver.build() == PROGRAM.read_bytes(), "run `python -m tools.solver`"
+    assert solver.build() == SOLVER_PROGRAM.read_bytes(), "run `python -m tools.solver`"
 
 
 def answers():
@@ -110,7 +110,7 @@ def test_the_solver_has_no_undefined_behaviour(tmp_path, monkeypatch):
     strict.write_bytes(solver.build(*solver.TRAP_FLAGS))
     cached = (solver_machine._module, solver_machine.shared)
     with monkeypatch.context() as patch:
-        patch.setattr(solver_machine, "PROGRAM", strict)
+        patch.setattr(solver_machine, "SOLVER_PROGRAM", strict)
         [each.cache_clear() for each in cached]
         found = list(answers())
     [each.cache_clear() for each in cached]

@@ -24,7 +24,7 @@ from skincal.devices.registry import parse_device
 from skincal.journal.documents import SegmentHeader, link_to_json, read_document
 from skincal.journal.reader import SessionLog
 from skincal.model.errors import InputError
-from skincal.model.readings import TEMPERATURE, LinkState, Loss, Stream
+from skincal.model.readings import TEMPERATURE_NAME, LinkState, Loss, Stream
 from skincal.session.replay import resume
 from skincal.streams.bota_child import driver_config, encode_frame
 from skincal.streams.links import LinkSpec, Reader, format_of, open_link, parse_address
@@ -259,7 +259,7 @@ def test_the_drivers_frames_arrive_and_its_chatter_does_not(fake_driver):
     assert [row[2] for row in found[:6]] == [False, False, False, False, True, False]
     steps = [later[1] - earlier[1] for earlier, later in pairwise(found)]
     assert steps == pytest.approx([0.002] * len(steps), abs=1e-6)  # over the wrap of 32 bits, too
-    assert decoder.side_readings[TEMPERATURE].now == 36.5
+    assert decoder.side_readings[TEMPERATURE_NAME].now == 36.5
     if sys.platform != "win32":  # there a process is ended without a word
         assert fake_driver.read_text() == "deactivated"
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skincal.devices.registry import FORMATS
+from skincal.devices.registry import DEVICE_FORMATS
 from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import NAMES, make_decoder
 from tests.skincal.streams.cut_bytes import assert_cuts_never_matter
@@ -44,7 +44,7 @@ STREAMS = {
 
 
 def test_every_format_of_a_device_is_tried():
-    assert set(STREAMS) >= {"skb", "skt", "csv", *FORMATS}
+    assert set(STREAMS) >= {"skb", "skt", "csv", *DEVICE_FORMATS}
 
 
 @pytest.mark.parametrize("name", STREAMS)

@@ -236,8 +236,8 @@ def test_board_that_starts_anew_is_no_gap(last, uptime_min):
     sequence, clock = SequenceCounter(), DeviceTime()
     start_us = uptime_min * 60_000_000
     for i in range(50):
-        sequence.step(last - 49 + i, clock.unwrap(start_us + 20_000 * i))
-    total, missing = sequence.step(0, clock.unwrap(500_000))
+        sequence.unwrap(last - 49 + i, clock.unwrap(start_us + 20_000 * i))
+    total, missing = sequence.unwrap(0, clock.unwrap(500_000))
     assert missing == 0
     assert total == last + 1
 

@@ -10,7 +10,7 @@ from skincal.devices.bota import crc_x25
 from skincal.devices.decoding import pack
 from skincal.devices.netft_page import read_page
 from skincal.devices.robotiq import FRAME_HEAD, SATURATED_RAW_COUNT, START_ANSWER, START_BYTES, crc_modbus
-from skincal.model.readings import TEMPERATURE, Loss, SideReading, Stream
+from skincal.model.readings import TEMPERATURE_NAME, Loss, SideReading, Stream
 from skincal.simulation.board_formats import SkbEncoder, SktEncoder
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder, make_decoder
 from tests.skincal.streams.maker_records import RDT_PAGE, VECTORS, WRENCH, rdt_packets, rdt_record
@@ -74,7 +74,7 @@ def test_checksums_are_those_of_their_standards():
 
 
 def test_the_temperature_of_bota_is_kept():
-    assert decode("bota", BOTA)[1].side_readings == {TEMPERATURE: SideReading(36.5, 36.5, 36.5)}
+    assert decode("bota", BOTA)[1].side_readings == {TEMPERATURE_NAME: SideReading(36.5, 36.5, 36.5)}
 
 
 @pytest.mark.parametrize("size", [1, 5, 200])

@@ -14,7 +14,7 @@ import pytest
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
-from skincal.simulation.example_parts import SHAPES, forearm
+from skincal.simulation.example_parts import SHAPE_OF_PART, forearm
 from skincal.studies import baselines, runtime
 from skincal.studies.benchmarking import gc_disabled, quartiles, time_words, timed
 from skincal.studies.harness import check_limits
@@ -75,10 +75,10 @@ def test_the_papers_rows_give_the_shipped_free_answer(way):
     assert max(np.linalg.norm(p - ours[channel]) for channel, p in pairs.items()) < 1e-10
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", SHAPE_OF_PART)
 @pytest.mark.parametrize("triangles", [300, 1_000, 10_000])
 def test_a_generated_mesh_has_the_parts_shape_and_about_the_triangles_wanted(name, triangles):
-    mesh, own = SHAPES[name].mesh(triangles), SHAPES[name].mesh(100_000)
+    mesh, own = SHAPE_OF_PART[name].mesh(triangles), SHAPE_OF_PART[name].mesh(100_000)
     assert abs(len(mesh.triangles) / triangles - 1) < 0.1
     nearest, touched = nearest_points(own, mesh.vertices)
     assert np.abs(nearest - mesh.vertices).max() < 1e-3
@@ -186,7 +186,7 @@ def test_a_limit_is_met_on_its_own_side_only():
 
 
 def test_the_study_works_without_quadprog_and_reports_it(monkeypatch):
-    monkeypatch.setattr(baselines, "QUADPROG", "no_such_package")
+    monkeypatch.setattr(baselines, "QUADPROG_PACKAGE", "no_such_package")
     sizes = SIZES["runtime"]
     small_part = replace(sizes.small, seeds=1, repeats=1, meshes=(), pokes=())
     sizes = replace(sizes, small=small_part, large=replace(sizes.large, budget_s=0.0), growth_until_s=0.0)

@@ -13,7 +13,7 @@ from skincal.model.actions import Exclude, Restore, Undo
 from skincal.session.session import Session
 from skincal.studies import reference_80_digits as reference
 from skincal.studies import stability
-from skincal.studies.stability import ALTERNATIVES, evaluate, shipped_taxel
+from skincal.studies.stability import TAXEL_ALTERNATIVES, evaluate, shipped_taxel
 from skincal.studies.stability_cases import (
     CaseSizes,
     Readings,
@@ -234,7 +234,7 @@ def test_normal_equations_fail_on_near_parallel_axes():
     name = "axes within 1e-6 rad"
     records = stability.evaluate_alternatives(CASES[name], truth_of(name))
     shares = {record["method"]: record["error_over_bound"] for record in records}
-    assert set(shares) == set(ALTERNATIVES)
+    assert set(shares) == set(TAXEL_ALTERNATIVES)
     assert shares["normal equations"] > 100 > 1 > shares["QR, rows as they come"]
 
 
