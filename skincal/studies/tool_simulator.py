@@ -117,13 +117,15 @@ TOOL_RIGS: Mapping[str, ToolModel] = {
         sway=0.0,
     ),
     "wrist": ToolModel(rig=_WRIST_RIG),
+    "good_wrist": ToolModel(rig=replace(_WRIST_RIG, matrix=0.005)),
     "none": ToolModel(rig=_WRIST_RIG, has_sensor=False),
     "probe": ToolModel(
         rig=replace(_WRIST_RIG, aim=0.5 * MM, beside=2.5 * MM), has_sensor=False, scale=0.0, position=0.25 * MM, tip=0.3 * MM,
         pose_noise=0.3 * MM, turn_noise=0.1 * DEGREE, delay_s=(0.010, 0.040), creep=3 * MM, bend=0.0, sway=DEGREE,
     ),
 }  # fmt: skip
-"""`ideal` has no error. `probe` is a tracked probe held by hand: 0.3 mm (chosen; NDI accepts a Polaris Vicra with 0.25 mm rms
+"""`ideal` has no error. `wrist` has the paper's sensor: 2 % of the force are a moment of 7 mm times the force. `good_wrist` has a
+quarter of that, as a sensor of 10 N m and 50 N with 1 % cross-talk. `probe` is a tracked probe held by hand: 0.3 mm (chosen; NDI accepts a Polaris Vicra with 0.25 mm rms
 over its volume, manual, appendix A), delay of an optical tracker 14 ms and its link. A hand moves by some mm/s."""
 
 

@@ -1,7 +1,8 @@
 """A tool that pokes a still part: error against pokes and run time, by rig and by the knowledge of the part.
 
 The sessions come from an independent simulator (`tool_simulator`) with all imperfections of a cobot or of a tracked probe. The
-part's pose in the base is given, or nothing is known of the part: then all positions are in the base.
+part's pose in the base is found from touches of landmarks, from the mesh and from the layout, or it is given, or nothing is
+known of the part. While it is not known, positions are in the base, and their errors too.
 """
 
 from __future__ import annotations
@@ -14,26 +15,40 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact
+from skincal.contacts.outcome import RAW_UNIT, Contact, Reason, Rejection
 from skincal.geometry import FloatArray, inverse_pose
+from skincal.guide.verdict import check, is_believed
 from skincal.mesh.surface import make_surface
-from skincal.model.scene import Scene
+from skincal.model.actions import AtLandmark
+from skincal.model.scene import Landmark, Scene
 from skincal.model.tool_rig import BASE_LINK, DEFAULT_TOOL_TURN_MAX_DEG, TIP_SD_DEFAULT_MM, TOOL_ARM_POSE, ToolSpec
 from skincal.palette import BLACK, BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
+from skincal.rig.correction_fit import correct_rig, landmark_agreement
 from skincal.session.session import Session
 from skincal.simulation.example_parts import forearm
 from skincal.studies.error_numbers import error_numbers, mean_over_seeds
-from skincal.studies.harness import Bench, Findings, Study
+from skincal.studies.harness import Bench, Findings, Limits, Study
 from skincal.studies.tool_simulator import NO_LANDMARK, TOOL_RIGS, ToolSession, simulate_tool_session
 from skincal.taxels.result import Method
 
-GOAL_POKES = 168
-"""Two for each taxel of the forearm."""
+GOAL_POKES, GOAL_LANDMARKS = 168, 6
+"""Two pokes for each taxel of the forearm."""
 POKE_CYCLE_S = 3.5
 """s, from one poke to the next: a robot's way, a rest and a press."""
-BASE_ALONE, POSE_GIVEN = "nothing", "pose"
-"""Knowledge of the part: none, so that positions are in the base; or its pose in the base, from the scene."""
+BASE_ALONE, POSE_GIVEN, POSE_FOUND = "nothing", "pose", "touches"
+"""Knowledge of the part: none, so that positions are in the base; its pose in the base, from the scene; or its touches."""
+GOALS_MM = {
+    "wrist": {"modules": 0.8, "surface": 1.2, "free": 1.6},
+    "none": {"modules": 1.0, "surface": 1.5, "free": 2.0},
+}
+"""Largest mean errors with six landmarks, the mesh and `GOAL_POKES`, by rig and method."""
+COVERAGE_MIN, RATIO_MIN, RATIO_MAX = 0.90, 0.7, 1.5
+"""Goals of the share of the taxels inside their 95 % regions, and of predicted over true error."""
+BELIEVED_MIN, WRONGLY_BELIEVED_MAX = 0.80, 0.02
+"""Goals: share of right sessions that the verdict believes, and of wrong ones."""
+RIGHT_MIN_COVERAGE, WRONG_MAX_COVERAGE = 0.90, 0.80
+"""Share of the taxels inside from which a prediction is right, and below which it is wrong."""
 METHOD_COLOURS = dict(zip(Method, (BLUE, GREEN, VERMILION), strict=True))
 
 
@@ -48,16 +63,22 @@ class ToolCase(NamedTuple):
     @property
     def words(self) -> str:
         """Describe the case."""
-        part = {BASE_ALONE: "positions in the base", POSE_GIVEN: "part's pose given"}[self.known]
+        part = {BASE_ALONE: "positions in the base", POSE_GIVEN: "part's pose given", POSE_FOUND: "part's pose found"}[
+            self.known
+        ]
         return f"{self.rig}, {part}, {self.landmarks} landmarks, {'mesh' if self.has_mesh else 'no mesh'}"
 
 
 TOOL_CASES = (
-    ToolCase("ideal", POSE_GIVEN, 0, has_mesh=True),
+    ToolCase("ideal", POSE_FOUND, 6, has_mesh=True),
     ToolCase("wrist", POSE_GIVEN, 0, has_mesh=True),
-    ToolCase("wrist", POSE_GIVEN, 0, has_mesh=False),
     ToolCase("wrist", BASE_ALONE, 0, has_mesh=False),
-)
+    *(
+        ToolCase(rig, POSE_FOUND, count, has_mesh=mesh)
+        for rig in ("wrist", "good_wrist") for mesh in (True, False) for count in (6, 3, 0)
+    ),
+)  # fmt: skip
+QUICK_CASES = tuple(case for case in TOOL_CASES if case.has_mesh and case.landmarks in (0, GOAL_LANDMARKS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +109,7 @@ def measure(bench: Bench, sizes: ToolSizes) -> Findings:
     seeds = range(1, 1 + sizes.seeds)
     cases = [(Task(case, 1, sizes), [Task(case, seed, sizes) for seed in seeds]) for case in sizes.cases]
     rows = bench.rows(cases, run_session, _row, _row_text)
-    return Findings({"seeds": sizes.seeds, "tool": rows})
+    return Findings({"seeds": sizes.seeds, "tool": rows}, tool_limits(rows))
 
 
 def run_session(task: Task) -> dict[int, dict[str, Any]]:
@@ -111,7 +132,7 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
     if case.has_mesh:
         surface = make_surface(poked.vertices, part.surface.triangles)
     session, contacts = Session(scene, surface), contacts_of(poked, scene)
-    places = poked.places if case.known != BASE_ALONE else _carry(poked.base_from_part, poked.places)
+    touch_landmarks(session, poked)
     found: dict[int, dict[str, Any]] = {}
     done = 0
     for count in task.sizes.counts:
@@ -121,30 +142,75 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
         done = count
         snapshot = session.snapshot()
         seconds = time.perf_counter() - start
+        in_part = case.known != BASE_ALONE and snapshot.is_placed
+        places = poked.places if in_part else _carry(poked.base_from_part, poked.places)
         numbers = {method.value: error_numbers(each, places) for method, each in snapshot.estimates.items()}
-        found[count] = {"methods": numbers, "seconds": seconds}
+        found[count] = {"methods": numbers, "seconds": seconds, "placed": in_part, "believed": {}}
+        if count == GOAL_POKES and in_part:
+            found[count]["believed"] = _believed(session)
     return found
+
+
+def touch_landmarks(session: Session, poked: ToolSession) -> None:
+    """Add the touches at the landmarks, which no taxel answers, and name the landmark of each."""
+    scene = session.scene
+    assert scene.tool is not None
+    for row in np.flatnonzero(poked.landmark != NO_LANDMARK).tolist():
+        force, moment = _wrench_of(poked, row, scene)
+        session.add(
+            Rejection(
+                poke=row + 1, start_s=POKE_CYCLE_S * row, end_s=POKE_CYCLE_S * row + scene.contacts.still_s,
+                reason=Reason.NO_TAXEL, value=0.0, limit=scene.contacts.response_min, unit=RAW_UNIT,
+                channels=np.empty(0, np.int64), final=True, force=force, moment=moment,
+                link_from_sensor=scene.tool.link_from_sensor(poked.base_from_tool[row]), pose=TOOL_ARM_POSE,
+            )
+        )  # fmt: skip
+        session.act(AtLandmark(row + 1, scene.landmarks[int(poked.landmark[row])].name))
+
+
+def _wrench_of(poked: ToolSession, row: int, scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Give force and moment of a poke; without a sensor a unit force along the tool, through the tip."""
+    if scene.has_sensor:
+        return poked.wrench[row, :3], poked.wrench[row, 3:]
+    return np.array([0.0, 0.0, 1.0]), np.zeros(3)
+
+
+def _believed(session: Session) -> dict[str, bool]:
+    """Tell by method whether the verdict believes the predicted errors, as the window would."""
+    snapshot, scene = session.snapshot(), session.scene
+    landmarks = landmark_agreement(correct_rig(session.rig_request()), None)
+    return {
+        method.value: is_believed(
+            check(snapshot, session.channels, method, scene.noise, session.surface, session.module_model), landmarks
+        )
+        for method in session.methods
+    }
 
 
 def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
     """Describe a simulated session as its user would: the forearm's layout, the tool, and the knowledge of the part."""
-    own = forearm().scene
-    knows = case.known == POSE_GIVEN
+    own, model = forearm().scene, TOOL_RIGS[case.rig]
+    is_given = case.known == POSE_GIVEN
+    middle_of_ball = poked.tip - [0.0, 0.0, model.tip_radius]
+    at_tip = np.eye(4)
+    at_tip[:3, 3] = middle_of_ball
     tool = ToolSpec(
-        has_sensor=True,
+        has_sensor=model.has_sensor,
         form=None,
         metres_per_unit=None,
-        tool_from_sensor=poked.tool_from_sensor,
-        link_from_base=inverse_pose(poked.base_from_part) if knows else np.eye(4),
-        has_part_pose=knows,
-        tip=poked.tip,
-        tip_radius=0.0,
+        tool_from_sensor=poked.tool_from_sensor if model.has_sensor else at_tip,
+        link_from_base=inverse_pose(poked.base_from_part) if is_given else np.eye(4),
+        has_part_pose=is_given,
+        tip=middle_of_ball,
+        tip_radius=model.tip_radius,
         tip_sd=TIP_SD_DEFAULT_MM * 1e-3,
         turn_max=float(np.radians(DEFAULT_TOOL_TURN_MAX_DEG)),
     )
-    skin = own.skin if case.has_mesh else replace(own.skin, anchor=None)
+    names = [each.name for each in own.landmarks]
+    landmarks = tuple(Landmark(*each, None) for each in zip(names, poked.landmark_places, strict=True))[: case.landmarks]
     return replace(
-        own, link=own.link if knows else BASE_LINK, arm=None, tool=tool, wrench_sign=1, skin=skin, landmarks=(),
+        own, link=BASE_LINK if case.known == BASE_ALONE else own.link, arm=None, tool=tool, wrench_sign=1, landmarks=landmarks,
+        skin=replace(own.skin, anchor=None) if case.known == BASE_ALONE else own.skin,
         surface=own.surface if case.has_mesh else None, path=Path("tool.toml"),
     )  # fmt: skip
 
@@ -155,13 +221,13 @@ def contacts_of(poked: ToolSession, scene: Scene) -> list[Contact]:
     contacts: list[Contact] = []
     for row in np.flatnonzero(poked.landmark == NO_LANDMARK).tolist():
         own = np.flatnonzero(poked.responses[row] > scene.contacts.response_min)
-        pose = poked.base_from_tool[row]
+        force, moment = _wrench_of(poked, row, scene)
         contacts.append(
             Contact(
-                poke=row + 1, start_s=POKE_CYCLE_S * row, end_s=POKE_CYCLE_S * row + scene.contacts.still_s,
-                force=poked.wrench[row, :3], moment=poked.wrench[row, 3:], channels=poked.channels[own],
-                responses=poked.responses[row, own], link_from_sensor=scene.tool.link_from_sensor(pose), pose=TOOL_ARM_POSE,
-                tare_change=0.0, final=True,
+                poke=row + 1, start_s=POKE_CYCLE_S * row, end_s=POKE_CYCLE_S * row + scene.contacts.still_s, force=force,
+                moment=moment, channels=poked.channels[own], responses=poked.responses[row, own],
+                link_from_sensor=scene.tool.link_from_sensor(poked.base_from_tool[row]), pose=TOOL_ARM_POSE, tare_change=0.0,
+                final=True,
             )
         )  # fmt: skip
     return contacts
@@ -187,12 +253,57 @@ def _row(case: Task, found: Sequence[Mapping[int, Mapping[str, Any]]]) -> dict[s
         own["mean_mm"] = own.pop("mean")
         pairs = zip(own["predicted"], own["true_along"], strict=True)
         own["ratio"] = [predicted / true if predicted and true else None for predicted, true in pairs]
-        methods[name] = own
+        methods[name] = own | {"sessions": _sessions(name, found)}
+    placed = np.mean([[session[count]["placed"] for count in counts] for session in found], axis=0)
     seconds = np.mean([[session[count]["seconds"] for count in counts] for session in found], axis=0)
     return {
         "rig": about.rig, "known": about.known, "landmarks": about.landmarks, "mesh": about.has_mesh, "pokes": list(counts),
-        "seconds": seconds.round(4).tolist(), "methods": methods,
+        "seconds": seconds.round(4).tolist(), "placed": placed.tolist(), "methods": methods,
     }  # fmt: skip
+
+
+def _sessions(method: str, found: Sequence[Mapping[int, Mapping[str, Any]]]) -> list[dict[str, Any]]:
+    """List for each session after `GOAL_POKES` the share of taxels inside, and whether it is believed; empty without it."""
+    last = [session[GOAL_POKES] for session in found if GOAL_POKES in session]
+    inside = [each["methods"][method]["inside"] for each in last]
+    return [
+        {"inside": None if np.isnan(share) else share, "believed": each["believed"].get(method, False)}
+        for share, each in zip(inside, last, strict=True)
+    ]
+
+
+def tool_limits(rows: Sequence[Mapping[str, Any]]) -> Limits:
+    """List the goals of the rigs with six landmarks and the mesh, and of belief over all sessions, for `check_limits`."""
+    limits: dict[str, tuple[float, str, float]] = {}
+    for row in rows:
+        goals = GOALS_MM.get(row["rig"], {})
+        if row["landmarks"] < GOAL_LANDMARKS or not row["mesh"] or GOAL_POKES not in row["pokes"]:
+            continue
+        at = row["pokes"].index(GOAL_POKES)
+        for method, goal in goals.items():
+            numbers = row["methods"][method]
+            name = f"tool_{row['rig']}_{method}"
+            values = {key: np.nan if numbers[key][at] is None else numbers[key][at] for key in ("mean_mm", "inside", "ratio")}
+            limits[f"{name}_mean_mm"] = (values["mean_mm"], "<=", goal)
+            limits[f"{name}_inside"] = (values["inside"], ">=", COVERAGE_MIN)
+            limits[f"{name}_ratio_least"] = (values["ratio"], ">=", RATIO_MIN)
+            limits[f"{name}_ratio_most"] = (values["ratio"], "<=", RATIO_MAX)
+    return limits | _belief_limits(rows)
+
+
+def _belief_limits(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str, float]]:
+    every = [
+        each for row in rows if row["landmarks"] >= GOAL_LANDMARKS and row["rig"] in GOALS_MM
+        for numbers in row["methods"].values() for each in numbers["sessions"] if each["inside"] is not None
+    ]  # fmt: skip
+    right = [each["believed"] for each in every if each["inside"] >= RIGHT_MIN_COVERAGE]
+    wrong = [each["believed"] for each in every if each["inside"] < WRONG_MAX_COVERAGE]
+    limits: dict[str, tuple[float, str, float]] = {}
+    if right:
+        limits["tool_believed_where_right"] = (float(np.mean(right)), ">=", BELIEVED_MIN)
+    if wrong:
+        limits["tool_believed_where_wrong"] = (float(np.mean(wrong)), "<=", WRONGLY_BELIEVED_MAX)
+    return limits
 
 
 def describe(result: Mapping[str, Any]) -> list[str]:
@@ -204,7 +315,8 @@ def describe(result: Mapping[str, Any]) -> list[str]:
 
 def _row_text(row: Mapping[str, Any]) -> str:
     case = ToolCase(row["rig"], row["known"], row["landmarks"], row["mesh"])
-    lines = [f"  {case.words}:"]
+    placed = " ".join(f"{share:.0%}" for share in row["placed"])
+    lines = [f"  {case.words}: {placed} of the sessions have positions on the part"]
     for name, own in row["methods"].items():
         errors, inside, ratio = (
             " ".join("-" if each is None else f"{each:.2f}" for each in own[key]) for key in ("mean_mm", "inside", "ratio")
@@ -242,7 +354,7 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
 
 THIS_STUDY = Study(
     "tool",
-    quick=ToolSizes(seeds=3, counts=(42, 84, GOAL_POKES)),
+    quick=ToolSizes(seeds=2, counts=(84, GOAL_POKES), cases=QUICK_CASES),
     full=ToolSizes(),
     measure=measure,
     lines=describe,

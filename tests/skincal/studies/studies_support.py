@@ -14,7 +14,7 @@ from skincal.studies.robot import RobotSizes
 from skincal.studies.runtime import PartPlan, RuntimeSizes
 from skincal.studies.stability_cases import CaseSizes
 from skincal.studies.tip_study import TipSizes
-from skincal.studies.tool_study import TOOL_CASES, ToolSizes
+from skincal.studies.tool_study import BASE_ALONE, POSE_FOUND, ToolCase, ToolSizes
 from skincal.studies.unmodelled import UnmodelledSizes
 
 FOREARM = "icub-forearm"
@@ -41,7 +41,14 @@ SIZES: dict[str, Any] = {
     "tip": TipSizes(
         seeds=1, pokes_per_taxel=1, counts=(42, 84), cases=(("good", None), ("good", 1.0), ("corrected", 1.0))
     ),
-    "tool": ToolSizes(seeds=1, counts=(42, 84), cases=TOOL_CASES),
+    "tool": ToolSizes(
+        seeds=1,
+        counts=(42, 168),
+        cases=(
+            ToolCase("ideal", POSE_FOUND, 6, has_mesh=True), ToolCase("wrist", POSE_FOUND, 6, has_mesh=True),
+            ToolCase("good_wrist", POSE_FOUND, 6, has_mesh=True), ToolCase("good_wrist", BASE_ALONE, 0, has_mesh=False),
+        ),
+    ),
     "unmodelled": UnmodelledSizes(seeds=1, cases=("nothing", "gaussian"), sheet_seeds=0),
 }  # fmt: skip
 
