@@ -124,9 +124,13 @@ TOOL_RIGS: Mapping[str, ToolModel] = {
         pose_noise=0.3 * MM, turn_noise=0.1 * DEGREE, delay_s=(0.010, 0.040), creep=3 * MM, bend=0.0, sway=DEGREE,
     ),
 }  # fmt: skip
-"""`ideal` has no error. `wrist` has the paper's sensor: 2 % of the force are a moment of 7 mm times the force. `good_wrist` has a
-quarter of that, as a sensor of 10 N m and 50 N with 1 % cross-talk. `probe` is a tracked probe held by hand: 0.3 mm (chosen; NDI accepts a Polaris Vicra with 0.25 mm rms
-over its volume, manual, appendix A), delay of an optical tracker 14 ms and its link. A hand moves by some mm/s."""
+"""By name.
+
+`ideal` has no error. `wrist` has the paper's sensor: a force makes a moment of 7 mm times the force, in each of nine entries.
+`good_wrist` has a quarter of that, as a sensor of 50 N and 10 N m with 1 % cross-talk. `probe` is a tracked probe held by hand:
+0.3 mm (chosen; NDI accepts a Polaris Vicra with 0.25 mm rms over its volume, manual, appendix A), with the delay of an optical
+tracker, 14 ms, and of its link. A hand moves by some mm/s.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
