@@ -17,7 +17,7 @@ def test_a_rig_without_errors_is_calibrated_within_its_prediction():
     ideal = by_case(result)["ideal", POSE_FOUND, 6, True]
     assert ideal["modules"]["mean_mm"][1] < 0.6
     assert ideal["modules"]["inside"][1] > 0.9
-    assert any("ideal, part's pose given" in line for line in said)
+    assert any("ideal, part's pose found" in line for line in said)
     assert any("modules:" in line for line in THIS_STUDY.summary(result))
 
 
