@@ -80,6 +80,20 @@ def rotation_by(vector: FloatArray) -> FloatArray:
     return rotations(vector[None])[0]
 
 
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Compute the vector (3,), radians, whose `rotation_by` is the rotation (3, 3); its length is at most pi."""
+    twice_sine = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    length = length_of(twice_sine)
+    angle = math.atan2(length, float(np.trace(rotation)) - 1.0)
+    if angle < 3.0:
+        # angle/(2 sin(angle)), which is 1/2 at zero.
+        return twice_sine * (angle / length if length > 1e-12 else 0.5)
+    # Near half a turn the sine is lost in rounding: R + R' = 2 cos I + 2 (1 - cos) a a'.
+    values, vectors = np.linalg.eigh(rotation + rotation.T)
+    axis: FloatArray = vectors[:, int(values.argmax())]
+    return axis * math.copysign(angle, float(axis @ twice_sine))
+
+
 def fit_rotation(products: FloatArray) -> FloatArray:
     """Fit the rotation R (..., 3, 3) of least |A R - B| to `products` A'B (..., 3, 3): no reflection (Kabsch 1976)."""
     left, _, right = np.linalg.svd(products)

@@ -5,7 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.geometry import Arm, DhLink, axis_point, cross_matrix, inverse_pose, move_wrench, pitch
+from skincal.geometry import (
+    Arm,
+    DhLink,
+    axis_point,
+    cross_matrix,
+    inverse_pose,
+    move_wrench,
+    pitch,
+    rotation_by,
+    rotation_vector,
+)
 from skincal.model.skin import MODULE_KINDS, Layout, Module
 
 V1 = Arm(
@@ -65,3 +75,11 @@ def test_thermal_pads_are_not_taxels():
     assert layout.module_of[42] == -1
     assert layout.module_of[47] == 0
     assert layout.spacing == pytest.approx(6.53e-3, abs=0.02e-3)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 2.9, 3.05, np.pi - 1e-9, np.pi])
+def test_a_rotation_vector_gives_its_rotation_back(angle):
+    axis = np.array([0.48, -0.6, 0.64])
+    found = rotation_vector(rotation_by(angle * axis))
+    assert np.linalg.norm(found) == pytest.approx(angle, abs=1e-8)
+    assert rotation_by(found) == pytest.approx(rotation_by(angle * axis), abs=1e-8)

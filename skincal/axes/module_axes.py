@@ -1,0 +1,262 @@
+"""One turn for a module, or one for each of its taxels, decided by the pokes; and plain mistakes of a scene's axes.
+
+A maker may report the forces of all taxels in the axes of the module, or each in its own. Both are hypotheses on the same
+pokes: a single turn R, or a turn for each taxel with any of them as likely before. Their odds are
+
+    ln odds = E(all pokes of the module) - sum of E(pokes of a taxel),                                        (4)
+
+with E the logarithm of a fit's evidence (`TurnFit.log_evidence`): the fit that explains no more, with fewer unknowns, wins.
+
+A module's plan has axes, too: x and y of the layout, and z out of the skin. A scene whose axes are right has R close to these
+in the module's pose. If the axes of the readings are close to another signed permutation P of the plan's axes, a plain mistake
+is there. Both are compared with the tolerance `PLAN_TOLERANCE` in each direction, since modules are glued by hand:
+
+    score(P) = E(fit of P's hand) + ln N(turn of R from P; 0, V) + ln prior(P),   V = cov(R) + tolerance^2.      (5)
+
+The P of the whole skin has the largest sum of scores, each module with at most `MAX_LOG_LOSS` below its own best: a single
+turned module does not speak for the others. It is named if its odds over the scene's axes are certain, and if no other
+mistake is nearly as likely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import permutations, product
+
+import numpy as np
+
+from skincal.axes.skin_turns import CERTAIN_LOG_ODDS, SkinTurns, Turn, fit_group, joined
+from skincal.axes.turn_fit import TurnFit
+from skincal.geometry import FloatArray, rotation_vector
+
+PLAN_TOLERANCE = float(np.radians(8.0))
+"""rad, standard deviation of a module's turn on the part from that of its plan: boards are glued by hand, and bend."""
+LOG_PRIOR_OF_MISTAKE = float(np.log(0.01))
+"""A wrong scene is rarer than a right one, by about this much for each kind of mistake."""
+MAX_LOG_LOSS = 15.0
+"""Largest part of a module in the loss of a permutation of the whole skin."""
+CLEAR_LOG_ODDS = float(np.log(5.0))
+"""Of the named mistake over every other one."""
+PUSH_TOLERANCE = float(np.radians(30.0))
+"""rad, standard deviation of the mean push on a taxel from its z: pokes lean."""
+AXIS_NAMES = ("x", "y", "z")
+SIGNED_PERMUTATIONS: tuple[FloatArray, ...] = tuple(
+    np.array([[sign[column] * (order[column] == row) for column in range(3)] for row in range(3)], dtype=np.float64)
+    for order in permutations(range(3))
+    for sign in product((1.0, -1.0), repeat=3)
+)
+"""The 48 ways to name three perpendicular axes, the usual one first; column k is the direction of axis k in the module."""
+
+
+class AxisMistakeKind(Enum):
+    """Plain mistake of the axes; the value is its key in JSON."""
+
+    OPPOSITE = "opposite sign"
+    """One axis has the opposite sign: x or y mirrored, or z negated."""
+    EXCHANGED = "axes exchanged"
+    """Two axes are exchanged."""
+    TURNED = "turned"
+    """The axes are turned about z by 90, 180 or 270 degrees."""
+    OTHER = "other axes"
+    """Another order with other signs."""
+    ORDER = "order of values"
+    """The values of a frame are grouped by axis and read as grouped by taxel, or the other way round."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisMistake:
+    """A plain mistake of the axes of the whole skin, or of one module."""
+
+    kind: AxisMistakeKind
+    module: int | None
+    """Id of the module; `None` for the whole skin."""
+    axes: tuple[str, ...]
+    """The axes that are opposite or exchanged; empty for others."""
+    turn_deg: float
+    """Turn about z, degrees, from the x axis of the plan to that of the readings; NaN for others."""
+    log_odds: float
+    """Natural logarithm of its odds over the scene's own axes."""
+    directions: tuple[str, ...]
+    """Axes of the module that x, y and z of the readings point along, such as `("y", "x", "z")`; `"-x"` for the opposite."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleTurn:
+    """The turn of a module's taxels together, and whether they share it."""
+
+    id: int
+    turn: Turn
+    log_odds_shared: float
+    """Natural logarithm of the odds of one turn over one for each taxel (4)."""
+    taxels: int
+    """Number of taxels with pokes."""
+    spread: float
+    """rad, root mean square angle between z of a taxel and of the module, without the part of noise; NaN with one taxel."""
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether one turn holds for all its taxels for certain."""
+        return self.taxels > 1 and self.log_odds_shared > CERTAIN_LOG_ODDS
+
+    @property
+    def is_separate(self) -> bool:
+        """Whether each taxel has a turn of its own for certain."""
+        return self.taxels > 1 and self.log_odds_shared < -CERTAIN_LOG_ODDS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModulePlan:
+    """What the layout says of a module."""
+
+    id: int
+    channels: tuple[int, ...]
+    rotation: FloatArray | None
+    """(3, 3) float: columns are x, y and the outward z of its plan in the link frame; `None` while its pose is unknown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisFindings:
+    """What the pokes say of modules and of the scene's axes."""
+
+    modules: tuple[ModuleTurn, ...]
+    log_odds_shared: float
+    """Natural logarithm of the odds that taxels report in the axes of their module, over all modules."""
+    mistakes: tuple[AxisMistake, ...]
+
+
+def find_axes(turns: SkinTurns, plans: Sequence[ModulePlan]) -> AxisFindings:
+    """Decide for each module, and name plain mistakes of the axes."""
+    modules: list[ModuleTurn] = []
+    for plan in plans:
+        own = [channel for channel in plan.channels if channel in turns.taxels]
+        if own:
+            modules.append(_module_turn(plan.id, own, turns))
+    known = {plan.id: plan.rotation for plan in plans}
+    mistakes = _plan_mistakes(modules, known) if any(each is not None for each in known.values()) else ()
+    if not mistakes:
+        mistakes = _normal_mistakes(turns)
+    return AxisFindings(tuple(modules), float(sum(each.log_odds_shared for each in modules)), mistakes)
+
+
+def _module_turn(number: int, channels: Sequence[int], turns: SkinTurns) -> ModuleTurn:
+    pokes = [turns.pokes[channel] for channel in channels]
+    turn = fit_group(tuple(channels), joined(pokes), turns.noise)
+    single = [turns.taxels[channel] for channel in channels]
+    # One hand for all taxels: they are of one kind.
+    together = max(fit.log_evidence for fit in turn.fits)
+    apart = max(sum(each.fits[hand].log_evidence for each in single) for hand in range(2))
+    return ModuleTurn(number, turn, together - apart if len(single) > 1 else 0.0, len(single), _spread(turn, single))
+
+
+def _spread(turn: Turn, single: Sequence[Turn]) -> float:
+    if len(single) < 2:
+        return float("nan")
+    hand = int(turn.log_odds_mirrored > 0)
+    z = turn.fits[hand].rotation[:, 2]
+    squares = [float(np.arccos(np.clip(each.fits[hand].rotation[:, 2] @ z, -1.0, 1.0))) ** 2 for each in single]
+    expected = [float(np.trace(each.fits[hand].covariance[:2, :2])) for each in single]
+    return float(np.sqrt(max(0.0, np.mean(squares) - np.mean(expected))))
+
+
+def _plan_mistakes(modules: Sequence[ModuleTurn], rotations: Mapping[int, FloatArray | None]) -> tuple[AxisMistake, ...]:
+    """Name mistakes against the plans of modules: the one of the whole skin, and those of single modules."""
+    scores: dict[int, FloatArray] = {}
+    for module in modules:
+        rotation = rotations[module.id]
+        if rotation is not None and not module.is_separate:
+            scores[module.id] = score_permutations(module.turn, rotation)
+    if not scores:
+        return ()
+    losses = [np.maximum(own - own.max(), -MAX_LOG_LOSS) for own in scores.values()]
+    common, log_odds = _likeliest(np.sum(losses, axis=0) + _LOG_PRIORS)
+    mistakes: list[AxisMistake] = []
+    if common != 0:
+        mistakes.append(describe_permutation(SIGNED_PERMUTATIONS[common], None, log_odds))
+    for number, own in scores.items():
+        best, log_odds = _likeliest(own + np.where(np.arange(len(own)) == common, 0.0, _LOG_PRIORS), common)
+        if best != common:
+            mistakes.append(describe_permutation(SIGNED_PERMUTATIONS[best], number, log_odds))
+    return tuple(mistakes)
+
+
+def _likeliest(scores: FloatArray, usual: int = 0) -> tuple[int, float]:
+    """Find the likeliest permutation by its scores (48,), with its log odds over the `usual` one.
+
+    It is the usual one unless another one is certain, and more likely than each third one.
+    """
+    first, second = (int(each) for each in np.argsort(-scores, kind="stable")[:2])
+    log_odds = float(scores[first] - scores[usual])
+    is_clear = scores[first] - scores[second] > CLEAR_LOG_ODDS or second == usual
+    return (first, log_odds) if first != usual and log_odds > CERTAIN_LOG_ODDS and is_clear else (usual, 0.0)
+
+
+def score_permutations(turn: Turn, plan: FloatArray) -> FloatArray:
+    """Compute the scores (48,) of `SIGNED_PERMUTATIONS` of a plan's axes (3, 3), without priors (5)."""
+    scores = np.empty(len(SIGNED_PERMUTATIONS))
+    for place, permutation in enumerate(SIGNED_PERMUTATIONS):
+        fit = turn.fits[int(np.linalg.det(permutation) < 0)]
+        variance = fit.covariance[:3, :3] + PLAN_TOLERANCE**2 * np.eye(3)
+        scores[place] = fit.log_evidence + _log_normal(_turn_between(plan @ permutation, fit), variance)
+    return scores
+
+
+def _turn_between(axes: FloatArray, fit: TurnFit) -> FloatArray:
+    """Compute the turn (3,), rad, from `axes` (3, 3) to those of a fit, in the axes of the fit."""
+    wanted = axes * np.array([1.0, -1.0, 1.0]) if np.linalg.det(axes) < 0 else axes
+    return rotation_vector(wanted.T @ fit.rotation)
+
+
+def _log_normal(miss: FloatArray, variance: FloatArray) -> float:
+    _, log_det = np.linalg.slogdet(variance)
+    return float(-0.5 * miss @ np.linalg.solve(variance, miss) - 0.5 * log_det)
+
+
+def describe_permutation(permutation: FloatArray, module: int | None, log_odds: float) -> AxisMistake:
+    """Name the mistake of axes that are a signed permutation (3, 3) of the plan's."""
+    towards = [int(np.abs(permutation[:, column]).argmax()) for column in range(3)]
+    signs = [float(permutation[towards[column], column]) for column in range(3)]
+    directions = tuple(("-" if sign < 0 else "") + AXIS_NAMES[axis] for axis, sign in zip(towards, signs, strict=True))
+    moved = [column for column in range(3) if towards[column] != column]
+    opposite = [column for column in range(3) if signs[column] < 0]
+    kind, axes, turn = AxisMistakeKind.OTHER, tuple[str, ...](), float("nan")
+    if not moved and len(opposite) == 1:
+        kind, axes = AxisMistakeKind.OPPOSITE, (AXIS_NAMES[opposite[0]],)
+    elif permutation[2, 2] > 0 and np.linalg.det(permutation) > 0:
+        kind, turn = AxisMistakeKind.TURNED, float(np.degrees(np.arctan2(permutation[1, 0], permutation[0, 0]))) % 360.0
+    elif len(moved) == 2 and not opposite:
+        kind, axes = AxisMistakeKind.EXCHANGED, tuple(AXIS_NAMES[column] for column in moved)
+    return AxisMistake(kind, module, axes, turn, log_odds, directions)
+
+
+def _normal_mistakes(turns: SkinTurns) -> tuple[AxisMistake, ...]:
+    """Name mistakes that pushes alone show: z against the pushes, or mirrored axes."""
+    inward, log_odds = 0, LOG_PRIOR_OF_MISTAKE
+    for turn in turns.taxels.values():
+        fit = turn.fits[int(turns.log_odds_mirrored > 0)]
+        push = turns.pokes[turn.channels[0]].forces.sum(axis=0)
+        angle = float(np.arccos(np.clip(fit.rotation[:, 2] @ push / np.linalg.norm(push), -1.0, 1.0)))
+        variance = PUSH_TOLERANCE**2 + fit.normal_sd**2
+        # z along the push in place of against it.
+        log_odds += 0.5 * ((np.pi - angle) ** 2 - angle**2) / variance
+        inward += angle < 0.5 * np.pi
+    is_mirrored = turns.log_odds_mirrored + LOG_PRIOR_OF_MISTAKE > CERTAIN_LOG_ODDS
+    if log_odds > CERTAIN_LOG_ODDS and inward == len(turns.taxels):
+        # Two axes of the opposite sign are no mirror.
+        signs = [1.0, 1.0, -1.0] if turns.log_odds_mirrored >= 0 else [1.0, -1.0, -1.0]
+        return (describe_permutation(np.diag(signs), None, float(log_odds)),)
+    if is_mirrored and not inward:
+        return (describe_permutation(np.diag([1.0, -1.0, 1.0]), None, turns.log_odds_mirrored + LOG_PRIOR_OF_MISTAKE),)
+    return ()
+
+
+def _log_prior(permutation: FloatArray) -> float:
+    """Compute the logarithm of the prior of a permutation: one mistake is rare, two at once are rarer."""
+    if np.array_equal(permutation, np.eye(3)):
+        return 0.0
+    is_single = describe_permutation(permutation, None, 0.0).kind is not AxisMistakeKind.OTHER
+    return LOG_PRIOR_OF_MISTAKE * (1.0 if is_single else 1.5)
+
+
+_LOG_PRIORS = np.array([_log_prior(permutation) for permutation in SIGNED_PERMUTATIONS])

@@ -1,0 +1,208 @@
+"""The turns of all taxels of a skin, from its contacts: the noise and the ratio of gains they share, and one fit each.
+
+All taxels are of one kind. So the noise of a reading's direction and the usual ratio of gains are found from all of them
+together, and each taxel is then fitted with both. The noise is that of the readings (raw units), or that of their directions
+(rad), whichever makes the misses likelier. Its size is that for which the median miss is the expected one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from skincal.axes.turn_fit import (
+    LOG_RATIO_SD,
+    START_ANGULAR_NOISE,
+    AxisNoise,
+    AxisPokes,
+    TurnFit,
+    fit_both_hands,
+)
+from skincal.chi_square import CHI2_2DOF_MEDIAN
+from skincal.contacts.outcome import Contact
+from skincal.geometry import FloatArray
+
+NOISE_ROUNDS = 3
+"""Fits of all taxels until their common noise is found; a fourth changes it by less than 1 %."""
+MIN_SHARE_OF_STRONGEST = 0.5
+"""Of the strongest answer of a poke. By simulation (docs/three-axes.md) these readings make the turn better by a third."""
+LOG_RATIO_MIN_SD = 0.05
+"""Of ln rho between taxels of one kind: gains of one batch differ by some percent."""
+UNKNOWNS_OF_TURN = 4
+"""Three of the rotation, and the ratio of gains."""
+CERTAIN_LOG_ODDS = float(np.log(20.0))
+"""Natural logarithm of the odds that make a finding certain."""
+MAX_ANGULAR_NOISE = 0.5
+"""rad. Readings that scatter by more than half a radian carry no direction."""
+
+
+class TurnState(Enum):
+    """State of a turn; the value is its word in files."""
+
+    IN_PLANE_UNKNOWN = "turn in the plane unknown"
+    """z is known, the turn about it is not: no poke leaned enough."""
+    KNOWN = "known"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """The turn of one taxel, or of the taxels of a module together."""
+
+    channels: tuple[int, ...]
+    fits: tuple[TurnFit, TurnFit]
+    """Right-handed axes, and mirrored ones."""
+
+    @property
+    def fit(self) -> TurnFit:
+        """The fit of right-handed axes."""
+        return self.fits[0]
+
+    @property
+    def state(self) -> TurnState:
+        """State of the turn."""
+        return TurnState.KNOWN if self.fit.is_in_plane_known else TurnState.IN_PLANE_UNKNOWN
+
+    @property
+    def pokes(self) -> int:
+        """Number of its pokes."""
+        return len(self.fit.misses)
+
+    @property
+    def log_odds_mirrored(self) -> float:
+        """Natural logarithm of the odds of mirrored axes over right-handed ones."""
+        return self.fits[1].log_evidence - self.fits[0].log_evidence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinTurns:
+    """The turns of all taxels that have pokes."""
+
+    taxels: Mapping[int, Turn]
+    noise: AxisNoise
+    """Noise of forces and readings, and the usual ratio of gains."""
+    pokes: Mapping[int, AxisPokes]
+
+    @property
+    def log_odds_mirrored(self) -> float:
+        """Natural logarithm of the odds that the axes of all taxels are mirrored."""
+        return float(sum(turn.log_odds_mirrored for turn in self.taxels.values()))
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the axes of the skin are mirrored for certain."""
+        return self.log_odds_mirrored > CERTAIN_LOG_ODDS
+
+
+def pokes_by_taxel(contacts: Sequence[Contact]) -> dict[int, AxisPokes]:
+    """Collect the readings of the taxels that each contact presses, with the force in the link frame.
+
+    A taxel counts if it answers `MIN_SHARE_OF_STRONGEST` of the strongest one: near the edge of the tip the skin is pulled
+    sideways. A reading with a value at an end of the range is left out.
+    """
+    rows: dict[int, list[tuple[FloatArray, FloatArray, int]]] = {}
+    for contact in contacts:
+        if contact.vectors is None:
+            continue
+        force = contact.link_from_sensor[:3, :3] @ contact.force
+        is_pressed = contact.responses >= MIN_SHARE_OF_STRONGEST * contact.responses.max()
+        usable = is_pressed & np.isfinite(contact.vectors).all(axis=1) & contact.vectors.any(axis=1)
+        for place in np.flatnonzero(usable).tolist():
+            rows.setdefault(int(contact.channels[place]), []).append((force, contact.vectors[place], contact.poke))
+    return {channel: _as_pokes(own) for channel, own in sorted(rows.items())}
+
+
+def _as_pokes(rows: Sequence[tuple[FloatArray, FloatArray, int]]) -> AxisPokes:
+    forces, readings, numbers = zip(*rows, strict=True)
+    return AxisPokes(np.array(forces), np.array(readings), np.array(numbers, dtype=np.int64))
+
+
+def joined(pokes: Sequence[AxisPokes]) -> AxisPokes:
+    """Join the pokes of taxels that share their axes."""
+    forces, readings, numbers = ([getattr(each, name) for each in pokes] for name in AxisPokes.__slots__)
+    return AxisPokes(np.concatenate(forces), np.concatenate(readings), np.concatenate(numbers))
+
+
+def find_turns(pokes: Mapping[int, AxisPokes], force_noise: float) -> SkinTurns:
+    """Fit the turn of every taxel in `pokes`; `force_noise` is the sd of each force component, N."""
+    noise = find_noise(list(pokes.values()), force_noise)
+    taxels = {channel: fit_group((channel,), own, noise) for channel, own in pokes.items()}
+    return SkinTurns(taxels, noise, pokes)
+
+
+def fit_group(channels: tuple[int, ...], pokes: AxisPokes, noise: AxisNoise) -> Turn:
+    """Fit one turn to the pokes of taxels that share their axes."""
+    return Turn(channels, fit_both_hands(pokes, noise))
+
+
+def find_noise(groups: Sequence[AxisPokes], force_noise: float) -> AxisNoise:
+    """Find the noise of the readings and the usual ratio of gains from all groups of pokes, each with axes of its own."""
+    noise = AxisNoise(force_noise, 0.0, START_ANGULAR_NOISE)
+    many = [pokes for pokes in groups if 2 * len(pokes) > UNKNOWNS_OF_TURN]
+    if not many:
+        # No group has a miss of its own.
+        return noise
+    fits: list[TurnFit] = []
+    starts: list[tuple[TurnFit, TurnFit] | None] = [None] * len(many)
+    for _ in range(NOISE_ROUNDS):
+        # Mirrored axes, too: else the noise of a mirrored skin would be the size of its mistake.
+        both = [fit_both_hands(pokes, noise, start) for pokes, start in zip(many, starts, strict=True)]
+        starts = [*both]
+        fits = [min(each, key=lambda fit: fit.cost) for each in both]
+        noise = _likelier_noise(many, fits, noise)
+    # Last: a fit with this ratio as its prior would confirm it.
+    return _with_usual_ratio(noise, fits)
+
+
+def _likelier_noise(groups: Sequence[AxisPokes], fits: Sequence[TurnFit], noise: AxisNoise) -> AxisNoise:
+    """Choose noise of readings or of directions, with the size that the median miss shows."""
+    size = np.concatenate([np.linalg.norm(pokes.readings, axis=1) for pokes in groups])
+    force_part = np.concatenate([fit.variances for fit in fits]) - (noise.reading / size) ** 2 - noise.angle**2
+    spare = [(2 * len(fit.misses)) / (2 * len(fit.misses) - UNKNOWNS_OF_TURN) for fit in fits]
+    misses = np.concatenate([fit.misses**2 * factor for fit, factor in zip(fits, spare, strict=True)])
+    found: list[tuple[float, AxisNoise]] = []
+    for shape, name in ((1.0 / size, "reading"), (np.ones(len(size)), "angle")):
+        scale = _scale_of(misses, np.maximum(force_part, 0.0), shape)
+        variances = np.maximum(force_part, 0.0) + (scale * shape) ** 2
+        # Of two normal directions each; capped, so that outliers do not decide.
+        cost = float(np.sum(np.minimum(misses / variances, 16.0) + 2.0 * np.log(variances)))
+        found.append((cost, replace(noise, **{"reading": 0.0, "angle": 0.0, name: scale})))
+    return min(found, key=lambda each: each[0])[1]
+
+
+def _scale_of(misses: FloatArray, force_part: FloatArray, shape: FloatArray) -> float:
+    """Find the scale for which the squared misses (n,) have the median expected of variances `force_part` + (scale shape)^2."""
+    low, high = 0.0, MAX_ANGULAR_NOISE / float(np.median(shape))
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        variances = force_part + (middle * shape) ** 2
+        if np.median(misses / np.maximum(variances, 1e-12)) > CHI2_2DOF_MEDIAN:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _with_usual_ratio(noise: AxisNoise, fits: Sequence[TurnFit]) -> AxisNoise:
+    """Set the expected ln rho to the mean of the fits that know it, and its sd to their scatter.
+
+    The scatter beyond their own errors is that of DerSimonian and Laird (1986).
+    """
+    values = np.array([fit.log_ratio for fit in fits])
+    variances = np.array([fit.covariance[3, 3] for fit in fits])
+    # A fit that hardly knows more than its prior repeats it.
+    knows = variances < (0.5 * LOG_RATIO_SD) ** 2
+    if not knows.any():
+        return noise
+    values, variances = values[knows], variances[knows]
+    weights = 1.0 / variances
+    mean = float(weights @ values / weights.sum())
+    between = 0.0
+    if len(values) > 1:
+        excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
+        between = max(0.0, excess / float(weights.sum() - (weights @ weights) / weights.sum()))
+    total = 1.0 / (variances + between)
+    sd = np.sqrt(between + 1.0 / float(total.sum()) + LOG_RATIO_MIN_SD**2)
+    return replace(noise, log_ratio=float(total @ values / total.sum()), log_ratio_sd=float(min(sd, LOG_RATIO_SD)))
