@@ -124,7 +124,7 @@ def _with_driver(address: DeviceAddress, questions: Questions) -> DeviceAddress:
     return replace(address, command=Command(words, "the maker's driver", DRIVER_START_MAX_S, has_input=True, is_driver=True))
 
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="bota:/dev/ttyUSB0",

@@ -137,7 +137,7 @@ _UDP_OPTIONS = ("format", "endian", "channels", "of")
 _VECTOR_VALUES: Sequence[float] = (1.5, -2.25, 30.0, 0.125, -0.5, 0.0625)
 _VECTOR_BYTES = pack(READING_KIND, struct.pack(f"<{WRENCH_VALUES}f", *_VECTOR_VALUES))
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="udp://:7000?format=float32&endian=little",

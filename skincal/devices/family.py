@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Protocol
 
@@ -157,6 +157,12 @@ class Route:
     @property
     def scheme(self) -> str:
         return self.usage.partition(":")[0]
+
+
+def over_tcp(route: Route) -> Route:
+    """Make the route to the same device behind a serial server, which hands on its bytes by TCP."""
+    usage = f"{route.scheme}://192.168.1.5:4001"
+    return replace(route, usage=usage, form=Form.HOST, transport="tcp", baud=0, bauds=())
 
 
 @dataclass(frozen=True, slots=True)

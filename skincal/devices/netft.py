@@ -209,7 +209,7 @@ def _with_page(address: DeviceAddress, questions: Questions) -> DeviceAddress:
 _RECORD_BYTES = bytes.fromhex("00000001000012670000000000BC4B20FFA97B9005D8E3200001E078FFED2BB000001388")
 _RECORD_WRENCH = (12.34, -5.67, 98.1, 0.123, -1.234, 0.005)
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="netft://192.168.1.1",

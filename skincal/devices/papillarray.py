@@ -134,7 +134,7 @@ _VECTOR_BYTES = bytes.fromhex(
 )  # fmt: skip
 """Number 42, 987654321 us, one sensor with two pillars."""
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="papillarray:/dev/ttyACM0",

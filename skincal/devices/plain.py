@@ -88,7 +88,7 @@ def _tcp_route(usage: str) -> Route:
     )
 
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         _tcp_route("socket://127.0.0.1:7000"),
         _tcp_route("lines://127.0.0.1:7000"),

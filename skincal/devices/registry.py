@@ -40,6 +40,14 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
         "ros2": Entry(("ros2",), ("ros2",)),
         "rosbridge": Entry(("rosbridge",), ("rosbridge",)),
         "papillarray": Entry(("papillarray",), ("papillarray",), ("papillarray",)),
+        "justfloat": Entry(("justfloat",), ("justfloat",)),
+        "flexitac": Entry(("flexitac",), ("flexitac",)),
+        "anyskin": Entry(("anyskin",), ("anyskin",)),
+        "leptrino": Entry(("leptrino",), ("leptrino",)),
+        "tsf85": Entry(("tsf85",), ("tsf85",)),
+        "paxini": Entry(("paxini",), ("paxini",)),
+        "paxini_module": Entry(("paxini-module",), ("paxini-module",)),
+        "inspire": Entry(("inspire",), ("inspire",)),
         "datagrams": Entry(("udp",), ("datagrams",)),
         "plain": Entry(("socket", "lines", "targets", "run")),
     }
@@ -57,7 +65,7 @@ _FILE_OF_FORMAT = {name: file for file, entry in FAMILIES.items() for name in en
 def load_family(file: str) -> Family:
     """Import a family's file."""
     module: Any = import_module(f"skincal.devices.{file}")
-    family: Family = module.FAMILY
+    family: Family = module.DEVICE_FAMILY
     return family
 
 

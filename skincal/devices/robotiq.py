@@ -117,7 +117,7 @@ class RobotiqTextDecoder(FrameDecoder):
 _VECTOR_BYTES = bytes.fromhex("204ED204C9FD52267B002EFB05007784")
 _TEXT_VECTOR = b"(1.50 , -2.25 , 30.00 , 0.1250 , -0.5000 , 0.0625)"
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="robotiq:/dev/ttyUSB0",

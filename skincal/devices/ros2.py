@@ -350,7 +350,7 @@ _VECTOR_CDR = bytes.fromhex(
 _VECTOR_HEAD = write_head(TopicChoice(("/ft/wrench",)), ("geometry_msgs/msg/WrenchStamped",), {})
 _VECTOR_BYTES = write_message(0, 81_200_300_000, 81_200_900_000, _VECTOR_CDR)
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="ros2:/ft/wrench",

@@ -154,7 +154,7 @@ _VECTOR_MESSAGE = {
 _VECTOR_HEAD = write_head(TopicChoice(("/ft",)), ("",), {}) + pack(1, json.dumps(_VECTOR_ANSWER).encode())
 _VECTOR_BYTES = pack(1, json.dumps(_VECTOR_MESSAGE).encode())
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="rosbridge://192.168.1.5:9090/ft/wrench",

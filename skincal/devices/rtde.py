@@ -136,7 +136,7 @@ _DATA_BYTES = bytes.fromhex(
 )  # fmt: skip
 """Recipe 1, 12.5 s, angles, wrench."""
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="rtde://192.168.1.2",

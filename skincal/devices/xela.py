@@ -82,7 +82,7 @@ def _is_number(key: str) -> bool:
 
 _VECTOR_BYTES = pack(1, b'{"message": 7, "2": {"data": "0003,0004,00FF"}, "1": {"data": "7F3C,7B6C,000A,0001,0002,000B"}}')
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         Route(
             usage="xela://127.0.0.1:5000",

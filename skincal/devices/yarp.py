@@ -390,7 +390,7 @@ _PORT_ROUTE = Route(
     prepare=find_port,
 )
 
-FAMILY = Family(
+DEVICE_FAMILY = Family(
     routes=(
         _PORT_ROUTE,
         replace(_PORT_ROUTE, usage="yarp://SERVER:10000/icub/right_arm/analog:o", form=Form.HOST_PATH, port=10000),

@@ -51,6 +51,7 @@ class Loss(Enum):
     SATURATED = "sensor says saturated"
     INVALID = "sensor says invalid"
     REPEATED = "the sensor repeats its last reading"
+    DEAD_BLOCK = "taxels all 0 below a sum that is not"
     LATE = "arrived too late to be paired"
     UNPAIRED = "no wrench at the time of the skin frame"
     OTHER_FRAME = "in another frame than the first reading"

@@ -22,6 +22,19 @@ from skincal.model.readings import SENSOR_STREAMS, Stream
 from skincal.model.scene import Scene
 from skincal.model.skin import RESPONSE_MIN_OF_UNIT
 from skincal.simulation.board_formats import Encoder
+from skincal.simulation.emulated_skins import (
+    INSPIRE_TAXELS,
+    TSF85_TAXELS,
+    AnySkinEncoder,
+    FlexiTacEncoder,
+    InspireEncoder,
+    JustFloatEncoder,
+    LeptrinoEncoder,
+    PaxiniEncoder,
+    PaxiniModuleEncoder,
+    Tsf85Encoder,
+)
+from skincal.simulation.plain_talk import PlainTalk
 from skincal.simulation.ros_outlets import Ros2Encoder
 
 NETFT_COUNTS_PER_UNIT = 1_000_000
@@ -136,26 +149,6 @@ class PapillArrayEncoder(Encoder):
         hub = struct.pack("<IQ", self._number(stream) + 1, t_us)
         data = struct.pack("<BHHHH", 2, 1, 9, 3, 9 + len(hub)) + hub + block
         return bytes.fromhex("55667788") + data + struct.pack("<H", sum(data) & 0xFFFF) + bytes.fromhex("aabbccdd")
-
-
-class PlainTalk:
-    """Dialogue of an emulated device that sends without being asked, with one host. Base of the other dialogues."""
-
-    ready = True
-    """The host has asked for readings."""
-    closing = False
-    """The device closes the connection after the last byte."""
-    heard = b""
-    """Bytes from the host that are not answered yet."""
-
-    def on_request(self, data: bytes) -> bytes:
-        """Return the answer to bytes from the host."""
-        self.heard += data
-        return b""
-
-    def frame(self, data: bytes) -> bytes:
-        """Wrap encoded readings as this host receives them."""
-        return data
 
 
 class RtdeTalk(PlainTalk):
@@ -386,6 +379,8 @@ class Maker:
     """Unit of its skin's values; empty for raw values."""
     skin_max: float = math.inf
     """Largest value of its skin, in that unit."""
+    channels_max: float = math.inf
+    """Largest number of channels of its skin."""
 
     def skin_factor(self, scene: Scene, top: float) -> float:
         """Return its value for each raw value of the simulated skin, whose largest is `top`.
@@ -393,6 +388,11 @@ class Maker:
         A threshold in the scene is in the unit of the skin; without one the default thresholds of both are one answer. Raises
         InputError: the scene's values do not fit the device.
         """
+        if scene.skin.channels > self.channels_max:
+            raise InputError(
+                f"The skin of {scene.name} has {scene.skin.channels} channels, and the device of --as {self.channels_max:g} at "
+                "most; take another device, or a smaller scene."
+            )
         defaults, given = RESPONSE_MIN_OF_UNIT, scene.contacts.response_min
         factor = 1.0 if scene.states_response_min else defaults.get(self.skin_unit, given) / given
         if top * factor > self.skin_max:
@@ -412,7 +412,19 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
         "rtde": Maker((Stream.WRENCH, Stream.JOINTS), RtdeEncoder, 125.0),
         "yarp": Maker(SENSOR_STREAMS, YarpEncoder, 0.0),
         "xela": Maker((Stream.SKIN,), XelaEncoder, 100.0),
-        "papillarray": Maker((Stream.SKIN,), PapillArrayEncoder, 100.0, serial=True, skin_unit="N"),
+        "papillarray": Maker(
+            (Stream.SKIN,), PapillArrayEncoder, 100.0, serial=True, skin_unit="N", channels_max=PAPILLARRAY_MAX_CHANNELS
+        ),
+        "justfloat": Maker((Stream.SKIN, Stream.WRENCH), JustFloatEncoder, 100.0, serial=True),
+        "flexitac": Maker((Stream.SKIN,), FlexiTacEncoder, 90.0, serial=True, skin_max=255.0),
+        "anyskin": Maker((Stream.SKIN,), AnySkinEncoder, 100.0, serial=True),
+        "leptrino": Maker((Stream.WRENCH,), LeptrinoEncoder, 0.0, serial=True),
+        "tsf85": Maker((Stream.SKIN,), Tsf85Encoder, 100.0, serial=True, skin_max=65535.0, channels_max=TSF85_TAXELS),
+        "inspire": Maker((Stream.SKIN,), InspireEncoder, 18.0, skin_max=4095.0, channels_max=INSPIRE_TAXELS),
+        "paxini": Maker((Stream.SKIN,), PaxiniEncoder, 91.0, serial=True, skin_unit="N", skin_max=25.5),
+        "paxini-module": Maker(
+            (Stream.SKIN,), PaxiniModuleEncoder, 100.0, serial=True, skin_unit="N", skin_max=25.5, channels_max=239
+        ),
         "ros2": Maker(SENSOR_STREAMS, Ros2Encoder, 0.0),
     }
 )

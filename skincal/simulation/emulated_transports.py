@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import struct
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -13,16 +15,19 @@ from skincal.model.readings import Stream
 from skincal.simulation.emulated_devices import (
     NameTalk,
     PageTalk,
-    PlainTalk,
     RtdeTalk,
     SkinManagerTalk,
     XelaTalk,
     YarpTalk,
 )
+from skincal.simulation.emulated_skins import InspireTalk, make_talks, part_query
 from skincal.simulation.outlets import Outlet, PtyOutlet, TcpOutlet
+from skincal.simulation.plain_talk import PlainTalk
 from skincal.simulation.ros_outlets import RosOutlet
 
 RDT_RECORD_BYTES = 36
+ANSWERS_MAX_S = 0.05
+"""s, longest time for the hosts of an Inspire hand to fetch one reading."""
 YARP_PORTS = {
     Stream.WRENCH: "/icub/right_arm/analog:o",
     Stream.SKIN: "/icub/skin/right_forearm",
@@ -151,6 +156,46 @@ class SilentPtyOutlet(PtyOutlet):
         return came, b""
 
 
+class TalkPtyOutlet(PtyOutlet):
+    """A serial device with a dialogue; `form` is the address, with {} for the port."""
+
+    def __init__(self, talk: PlainTalk, form: str) -> None:
+        super().__init__()
+        self.address = form.format(self.address)
+        self._talk = talk
+
+    @property
+    def _streams(self) -> bool:
+        return self._talk.ready
+
+    def poll(self) -> tuple[bool, bytes]:
+        came, said = super().poll()
+        if said:
+            super().write(self._talk.on_request(said))
+        return came, b""
+
+    def write(self, data: bytes) -> None:
+        if self._talk.ready:
+            super().write(self._talk.frame(data))
+
+
+class InspireOutlet(TalkOutlet):
+    """An Inspire hand. It hands out each reading at once, as its hosts ask for it piece by piece."""
+
+    def __init__(self, form: str) -> None:
+        super().__init__(InspireTalk, form)
+
+    def write(self, data: bytes) -> None:
+        super().write(data)
+        end_s = time.monotonic() + ANSWERS_MAX_S
+        while self._has_waiting_host() and time.monotonic() < end_s:
+            select.select(list(self._clients), [], [], ANSWERS_MAX_S / 10)
+            self.poll()
+
+    def _has_waiting_host(self) -> bool:
+        return any(isinstance(talk, InspireTalk) and talk.is_waiting for talk in self._talks.values())
+
+
 class SkinManagerOutlet(TalkOutlet):
     """The RPC port of a skinManager without positions."""
 
@@ -188,6 +233,13 @@ class MakerOutlets:
                 return TalkOutlet(XelaTalk, "xela://127.0.0.1:{}")
             case "ros2":
                 return RosOutlet(stream)
+            case "inspire":
+                return InspireOutlet(f"inspire://127.0.0.1:{{}}{part_query(maker, self._channels)}")
+            case _ if maker in (talks := make_talks(self._channels)):
+                query = part_query(maker, self._channels)
+                if tcp:
+                    return TalkOutlet(talks[maker], f"{maker}://127.0.0.1:{{}}{query}")
+                return TalkPtyOutlet(talks[maker](), f"{maker}:{{}}{query}")
             case "robotiq-text":
                 return TalkOutlet(PlainTalk, "robotiq://127.0.0.1:{}")
             case _ if tcp:

@@ -32,6 +32,7 @@ from skincal.model.skin import read_layout
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.simulation.emulated_devices import MAKERS, NameTalk, PageTalk, PlainTalk, RtdeTalk, YarpTalk
+from skincal.simulation.emulated_skins import InspireTalk, LeptrinoTalk, PaxiniModuleTalk, PaxiniTalk, Tsf85Talk
 from skincal.streams import opening
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder
 from tests.skincal.import_support import read_recording
@@ -324,6 +325,14 @@ TALKS = {
     "robotiq": ("robotiq:x", PlainTalk),
     "rtde": ("rtde://h", RtdeTalk),
     "papillarray": ("papillarray:x", PlainTalk),
+    "justfloat": ("justfloat:x", PlainTalk),
+    "flexitac": ("flexitac:x", PlainTalk),
+    "anyskin": ("anyskin:x", PlainTalk),
+    "leptrino": ("leptrino:x", LeptrinoTalk),
+    "tsf85": ("tsf85:x?channels=0-23&of=56", Tsf85Talk),
+    "inspire": ("inspire://h?channels=0-23&of=1062", InspireTalk),
+    "paxini": ("paxini:x", lambda: PaxiniTalk(24)),
+    "paxini-module": ("paxini-module:x?taxels=24", PaxiniModuleTalk),
 }
 """Of each maker the address, and its device's side of the talk."""
 

@@ -4,9 +4,9 @@ import pytest
 
 from tests.skincal.simulation import test_guided_protocols as guided
 
-part = guided.part
+parts = guided.parts
 
 
 @pytest.mark.parametrize(("wrench", "skin"), guided.all_pairs())
-def test_a_guided_session_over_each_pair_comes_to_its_end(part, wrench, skin):
-    guided.come_to_the_end(part, wrench, skin)
+def test_a_guided_session_over_each_pair_comes_to_its_end(parts, wrench, skin):
+    guided.come_to_the_end(parts, wrench, skin)

@@ -22,8 +22,12 @@ from skincal.streams.links import LinkSpec, Reader
 
 PTYS = hasattr(os, "openpty")
 PATIENCE_S = 10.0
-WRENCHES = ("netft", "bota", "robotiq", "robotiq-text", "rtde", "yarp", "skb", "lines")
-SKINS = ("xela", "papillarray", "yarp", "skb", "lines")
+WRENCHES = ("netft", "bota", "robotiq", "robotiq-text", "rtde", "yarp", "skb", "lines", "leptrino", "justfloat")
+SKINS = ("xela", "papillarray", "yarp", "skb", "lines", "justfloat", "anyskin", "inspire")
+NARROW_SKINS = ("flexitac", "paxini", "paxini-module")
+"""Skins whose values do not reach the 12 bits of the flat patch."""
+FINGERS = ("tsf85", "paxini-module")
+"""Skins that have too few taxels for the shipped scenes of their range."""
 OWN = {"skb": "skb", "lines": "text"}
 """Boards of one's own, and the format that they speak."""
 
@@ -67,6 +71,8 @@ class Orchestra:
                 else:
                     maker = MAKERS[name]
                     hz, encoder = maker.hz or hz, maker.encoder()
+                    if stream is Stream.SKIN:
+                        encoder.skin_factor = maker.skin_factor(line.rig.scene, line.rig.range[1])
                     self.outlets[link] = makers.open(name, stream, tcp=not PTYS)
                 if name == "lines":
                     self.outlets[link].address = self.outlets[link].address.replace("socket:", "lines:")
@@ -92,6 +98,7 @@ class Orchestra:
             while brought.sizes[link] < wanted:
                 assert time.monotonic() < end, f"{link}: bytes were lost"
                 brought.wait(0.1)
+                self.outlets[link].poll()
 
     def _talk(self, brought):
         """Let the devices answer until all are asked for readings."""

@@ -26,7 +26,16 @@ from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
 from skincal.studies.error_numbers import inside_95_ellipsoid
 from skincal.taxels.result import Method
-from tests.skincal.simulation.orchestra_support import SKINS, WRENCHES, Brought, Orchestra, pairs_of_each, reading
+from tests.skincal.simulation.orchestra_support import (
+    FINGERS,
+    NARROW_SKINS,
+    SKINS,
+    WRENCHES,
+    Brought,
+    Orchestra,
+    pairs_of_each,
+    reading,
+)
 
 MOST = 40
 """Pokes. A protocol that spoils them makes the guide ask for more."""
@@ -47,13 +56,23 @@ place_mm = [0.0, 0.0]
 NOISE = "contact = 0.001\nreach = 0.002\nskin = 0.0005\nforce = 0.03\nmoment = 0.001\n"
 
 
+PAIRS_OF_SMALL_SKINS = [("leptrino", "paxini"), ("justfloat", "tsf85"), ("netft", "paxini-module")]
+
+
 @pytest.fixture(scope="module")
-def part(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("patch")
-    text = (resource("scenes/flat-patch") / "scene.toml").read_text(encoding="utf-8")
-    (folder / "scene.toml").write_text(text.replace("channels = 64", "channels = 4") + NOISE, encoding="utf-8")
-    (folder / "modules.toml").write_text(BOARD, encoding="utf-8")
-    return load_part(folder / "scene.toml")
+def parts(tmp_path_factory):
+    """The part for skins of 12 bits, and the same for skins of 8 bits, without a threshold of its own."""
+    found = {}
+    for name in ("wide", "narrow"):
+        folder = tmp_path_factory.mktemp(name)
+        text = (resource("scenes/flat-patch") / "scene.toml").read_text(encoding="utf-8")
+        text = text.replace("channels = 64", "channels = 4") + NOISE
+        if name == "narrow":
+            text = text.replace("4095", "255").replace("response_min", "# response_min")
+        (folder / "scene.toml").write_text(text, encoding="utf-8")
+        (folder / "modules.toml").write_text(BOARD, encoding="utf-8")
+        found[name] = load_part(folder / "scene.toml")
+    return found
 
 
 def guided_to_the_end(part, wrench, skin):
@@ -88,16 +107,19 @@ def guided_to_the_end(part, wrench, skin):
 
 
 def all_pairs():
-    return [(wrench, skin) for wrench in WRENCHES for skin in SKINS]
+    return [(wrench, skin) for wrench in WRENCHES for skin in (*SKINS, *dict.fromkeys((*NARROW_SKINS, *FINGERS)))]
 
 
-@pytest.mark.parametrize(("wrench", "skin"), pairs_of_each()[::2])
-def test_a_guided_session_over_a_pair_comes_to_its_end(part, wrench, skin):
-    come_to_the_end(part, wrench, skin)
+@pytest.mark.parametrize(
+    ("wrench", "skin"), [*pairs_of_each()[::2], ("leptrino", "paxini"), ("justfloat", "tsf85"), ("netft", "paxini-module")]
+)
+def test_a_guided_session_over_a_pair_comes_to_its_end(parts, wrench, skin):
+    come_to_the_end(parts, wrench, skin)
 
 
-def come_to_the_end(part, wrench, skin):
+def come_to_the_end(parts, wrench, skin):
     """A whole session over two protocols: nothing lost, all done, each estimate within what it predicts."""
+    part = parts["narrow" if skin in NARROW_SKINS else "wide"]
     pipeline, rig, guidance = guided_to_the_end(part, wrench, skin)
     snapshot = pipeline.snapshot()
     outcomes = [record.outcome for record in snapshot.pokes]
