@@ -14,12 +14,8 @@ from skincal.devices.paxini_module import ModuleHandshake
 from skincal.devices.paxini_module import read_request as module_request
 from skincal.devices.registry import load_family, parse_device
 from skincal.devices.tsf85 import read_fields, start_request
-<<<<<<< HEAD
-from skincal.model.readings import TEMPERATURE_NAME, Loss, Stream
-=======
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE_NAME, Loss, Stream
->>>>>>> 94b7f9af (One PaXini module on its converter board is read, with an emulator)
 from skincal.simulation.emulated_devices import MAKERS
 from skincal.streams.decoders.auto_detect import make_decoder
 
