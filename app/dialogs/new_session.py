@@ -453,6 +453,7 @@ class NewSessionDialog(Dialog):
                 self.pose.addItem(plain_text(name), name)
         has_tool = scene is not None and scene.tool is not None
         self.rows[Stream.TOOL].set_used(has_tool)
+        self.rows[Stream.WRENCH].set_used(scene is None or scene.has_sensor)
         for stream in (Stream.JOINTS, Stream.TIP):
             self.rows[stream].set_used(not has_tool)
         self._show_pose()

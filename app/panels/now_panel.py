@@ -289,6 +289,7 @@ class NowPanel(QFrame):
         # Without devices the last reading is out of date.
         force = float(np.linalg.norm(progress.force)) if state.connected else 0.0
         self.gauge.set(force, limits.force_min, limits.force_max)
+        self.gauge.setVisible(state.scene.has_sensor)
         self.say(now, progress.still)
 
     def say(self, now: Now, share: float = 0.0) -> None:

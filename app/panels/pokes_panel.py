@@ -173,8 +173,9 @@ class PokeTable(QAbstractTableModel):
         return self._names.short(peak) + (f" +{more}" if more else "")
 
     def _measured(self, contact: Contact, column: int) -> str:
-        if column == 3:
-            return number(force_of(contact), 1)
+        force = force_of(contact)
+        if force is None or column == 3:
+            return number(force, 1)
         if column == 4:
             return cell(tilt_of(contact, self._estimates), "rad", 0)
         return cell(pitch_of(contact), "m")

@@ -163,6 +163,8 @@ class RigPanel(Panel):
 def _words(state: ViewState) -> str:
     if not state.snapshot.decisions.landmarks:
         return NO_LANDMARKS
+    if not state.scene.has_sensor:
+        return ""
     if state.review is None:
         return REVIEW_RUNNING if state.snapshot.at_landmarks else NO_LANDMARK_POKES
     return "\n".join(

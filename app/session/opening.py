@@ -102,7 +102,8 @@ def same_rig_command(folder: Path, scene: Path, part: int) -> tuple[str, ...]:
 
 def check_addresses(addresses: Addresses) -> None:
     """Raise `InputError` if only one of the two devices that a poke needs is named, or an address has an unknown form."""
-    if addresses and not (addresses.wrench and addresses.skin):
+    # A rig with a tool may have no sensor: the scene tells (`check_streams`).
+    if addresses and not ((addresses.wrench or addresses.tool) and addresses.skin):
         missing = "force/torque sensor" if not addresses.wrench else "skin"
         raise InputError(f"No address for the {missing}. A poke needs force/torque sensor and skin: enter both, or none.")
     if addresses:

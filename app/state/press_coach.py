@@ -132,6 +132,8 @@ def follow_press(memory: CoachMemory, at: ViewState) -> CoachMemory:
 
 def _force_level(before: ForceLevel, at: ViewState) -> ForceLevel:
     progress, limits = at.live.progress, at.scene.contacts
+    if not at.scene.has_sensor:
+        return ForceLevel.RIGHT
     size = float(np.linalg.norm(progress.force))
     low = limits.force_min + (FORCE_HINT_HYSTERESIS_N if before is ForceLevel.LOW else 0.0)
     # A poke that is held still counts, so its force is high enough.

@@ -229,6 +229,8 @@ def _landed_words(channel: int, names: ChannelNames) -> str:
 
 def force_words(memory: CoachMemory, at: ViewState) -> tuple[str, str]:
     """Ask for more or less force (empty if it is right), and give the force with its limit."""
+    if not at.scene.has_sensor:
+        return "", "Pressing"
     force, limits = newtons(float(np.linalg.norm(at.live.progress.force))), at.scene.contacts
     if memory.force is ForceLevel.LOW:
         return "Press harder", f"{force}, needs {newtons(limits.force_min)}"

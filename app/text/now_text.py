@@ -272,6 +272,8 @@ def _calm(phase: PressPhase, at: ViewState) -> Now:
     if phase is PressPhase.TARING and not at.lacks_pose:
         following = _next(at)
         what = f". {following}" if following else " while nothing touches the part"
+        if not at.scene.has_sensor:
+            return Now(Tone.WAIT, "Hold the tip above the part", f"Measuring the skin at rest{what}")
         return Now(Tone.WAIT, "Hands off", f"Zeroing the sensor{what}")
     return _guided(at)
 
@@ -300,13 +302,15 @@ def _guided(at: ViewState) -> Now:
         )
     limits = at.scene.contacts
     low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)
-    return Now(Tone.GO, "Ready", f"Press a taxel with {low} to {high} and hold still for {number(limits.still_s, 1)} s")
+    how = f" with {low} to {high}" if at.scene.has_sensor else ""
+    return Now(Tone.GO, "Ready", f"Press a taxel{how} and hold still for {number(limits.still_s, 1)} s")
 
 
 def _ask_pose(at: ViewState) -> Now:
     """Ask for the arm pose, without which no poke counts."""
     if at.scene.tool is not None:
-        return Now(Tone.WAIT, "Waiting for the tool", "Its poses say where the sensor is. Pokes count only then")
+        thing = "sensor" if at.scene.has_sensor else "tip"
+        return Now(Tone.WAIT, "Waiting for the tool", f"Its poses say where the {thing} is. Pokes count only then")
     if any(Stream.JOINTS in link.carries for link in at.live.links):
         return Now(Tone.WAIT, "Waiting for the joints", "They give the arm pose. Pokes count only then")
     names = list(at.scene.arm.poses) if at.scene.arm is not None else []

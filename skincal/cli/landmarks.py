@@ -290,6 +290,8 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
     others = f", {points} of them at {'another' if points == 1 else 'others'}" if points and len(pokes) else ""
     use = f"a correction of the rig needs {MIN_LANDMARK_POKES} at {MIN_LANDMARKS} landmarks: {more} more{others}"
     use = use if more else f"`skincal solve {folder} --correct` uses them"
+    if not session.scene.has_sensor:
+        use = "they show the part's pose in the base of the tool's poses"
     return [*(lines or nothing), f"{plural(len(pokes), 'poke')} at landmarks; {use}"]
 
 
@@ -330,6 +332,8 @@ def _outcomes(session: Session) -> Iterator[Outcome]:
 def _nearest(session: Session) -> dict[int, NearestLandmark]:
     from skincal.session.landmark_pokes import nearest_landmarks
 
+    if not session.snapshot().is_placed:
+        return {}
     return nearest_landmarks(_outcomes(session), session.decisions.landmarks, session.surface)
 
 

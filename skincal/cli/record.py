@@ -75,10 +75,13 @@ def find_scene(path: Path) -> Scene:
 
 
 def record(
-    wrench: LinkOption,
     skin: LinkOption,
     scene: SceneOption,
     out: OutOption,
+    wrench: Annotated[
+        str | None,
+        typer.Option(help="Link of the force/torque sensor, as --skin; leave it out if the rig has none (docs/tool.md)."),
+    ] = None,
     joints: Annotated[str | None, typer.Option(help="Link of the joint angles, if they are streamed.")] = None,
     tip: Annotated[
         str | None,
@@ -86,7 +89,7 @@ def record(
     ] = None,
     tool: Annotated[
         str | None,
-        typer.Option(help="Link of the tool's poses, if the sensor sits on the tool: [tool] in the scene (docs/tool.md)."),
+        typer.Option(help="Link of the tool's poses, if the scene has [tool]: a sensor on it, or none (docs/tool.md)."),
     ] = None,
     pose: Annotated[str | None, typer.Option(help="Name of the arm pose, if joints are not streamed.")] = None,
     seconds: Annotated[
@@ -122,7 +125,7 @@ def record(
 
     loaded = find_scene(scene)
     check_pose(loaded, pose, streamed=joints is not None)
-    check_tool_streams(loaded, {Stream.JOINTS: joints, Stream.TIP: tip, Stream.TOOL: tool})
+    check_tool_streams(loaded, {Stream.WRENCH: wrench, Stream.JOINTS: joints, Stream.TIP: tip, Stream.TOOL: tool})
     if method is not None and targets is None:
         raise InputError("--method says whose needs a robot is asked to meet; expected --targets PORT with it.")
     named = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TIP: tip, Stream.TOOL: tool}

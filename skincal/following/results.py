@@ -71,7 +71,9 @@ class SessionResults:
 
     @cached_property
     def _rig_diagnosis(self) -> tuple[FrameDiagnosis | None, RigAnswer | None]:
-        return diagnose_rig(ReviewRequest.from_session(self.session)) if len(self.session.landmark_pokes) else (None, None)
+        if not self.session.scene.has_sensor or not len(self.session.landmark_pokes):
+            return None, None
+        return diagnose_rig(ReviewRequest.from_session(self.session))
 
     @property
     def frame(self) -> FrameDiagnosis | None:

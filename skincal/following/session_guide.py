@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.part.part import Part
 from skincal.rig.closing import CLOSING_CHECK_MIN_PLACES, CLOSING_CHECK_PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG
-from skincal.rig.correction_fit import RigAnswer, landmark_agreement
+from skincal.rig.correction_fit import MIN_LANDMARKS, LandmarkAgreement, RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import (
     MAX_PREDICTED_ARM_POSES,
     Gain,
@@ -66,6 +66,9 @@ from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Estimate, Method, State
+
+if TYPE_CHECKING:
+    from skincal.rig.part_pose import PartPose
 
 Answer = TypeVar("Answer")
 MAX_REMEMBERED_LANDMARK_ANSWERS = 4 * MAX_PREDICTED_ARM_POSES
@@ -194,10 +197,12 @@ class SessionGuide:
         """
         guidance = self.remaining_work(snapshot, method)
         estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.decisions.corrections.get(RIG)
-        landmarks = landmark_agreement(rig, used)
+        landmarks = landmark_agreement(rig, used) if self._scene.has_sensor else _agreement_with_part(snapshot.part_pose)
         verdict = verdict_of(guidance, snapshot, noise, self._surface, self._module_model, landmarks)
         pokes = snapshot.counting_landmark_pokes
-        unchecked = unchecked_of(used, landmarks, estimates, snapshot.contacts, pokes, noise)
+        unchecked = None
+        if self._scene.has_sensor:
+            unchecked = unchecked_of(used, landmarks, estimates, snapshot.contacts, pokes, noise)
         left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
         doubt = frame_in_doubt(snapshot.wrench_frames, snapshot.contacts)
         closings = closings_of(snapshot, noise)
@@ -246,6 +251,19 @@ class SessionGuide:
         if is_question and search is not None:
             search = search.unpoked()
         return Guide(self.plan, self._scene.noise, method, search=search, surroundings=self.surroundings)
+
+
+def _shows_part(snapshot: Snapshot, poked: set[str]) -> bool:
+    """Whether the poked landmarks are enough to show the part's pose, where no sensor needs a correction."""
+    part, known = snapshot.part_pose, {landmark.name for landmark in snapshot.decisions.landmarks}
+    return part is not None and part.is_known and len(poked) >= min(MIN_LANDMARKS, len(known))
+
+
+def _agreement_with_part(pose: PartPose | None) -> LandmarkAgreement | None:
+    """Compare the touches of landmarks with the part's pose, which follows from them; `None` with too few."""
+    if pose is None or not pose.is_known or pose.landmarks < MIN_LANDMARKS:
+        return None
+    return LandmarkAgreement(pose.landmarks, pose.ratio, False)
 
 
 class LandmarkGuide:
@@ -303,6 +321,8 @@ class LandmarkGuide:
             return []
         skips = [skip for skip in decisions.skips if isinstance(skip, SkipLandmark)]
         made = snapshot.counting_landmark_pokes
+        if not self._scene.has_sensor and _shows_part(snapshot, set(made.name.tolist())):
+            return []
         # If the arm carries the part to each poke, no pose gets all its landmarks: those of every pose count here.
         any_pose = changes_pose_at_most_pokes(snapshot)
         of_pokes = zip(made.pose.tolist(), made.name.tolist(), strict=True)

@@ -15,6 +15,8 @@ def check_tool_streams(scene: Scene, addresses: Mapping[Stream, str | None]) -> 
     Raises InputError: the tool's poses are missing, or a stream is named that the scene has no use for.
     """
     named = {stream for stream, address in addresses.items() if address}
+    if scene.has_sensor and Stream.WRENCH in addresses and Stream.WRENCH not in named:
+        raise InputError(f"In {scene.name} pokes need the force/torque sensor; expected its link: add --wrench.")
     if scene.tool is None:
         if Stream.TOOL in named:
             raise InputError(

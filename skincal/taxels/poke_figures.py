@@ -9,6 +9,7 @@ from itertools import islice
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
+from skincal.model.tool_rig import TIP_ARM_POSE
 from skincal.pokes import Pokes
 from skincal.taxels.result import Estimate, State
 
@@ -25,9 +26,9 @@ def peak_channel(outcome: Outcome) -> int | None:
     return int(outcome.channels[0])
 
 
-def force_of(contact: Contact) -> float:
-    """Magnitude of the contact force, N."""
-    return float(np.linalg.norm(contact.force))
+def force_of(contact: Contact) -> float | None:
+    """Magnitude of the contact force, N; `None` of a rig without a force sensor."""
+    return None if contact.pose == TIP_ARM_POSE else float(np.linalg.norm(contact.force))
 
 
 def pitch_of(contact: Contact) -> float:

@@ -38,7 +38,8 @@ def accepted_words(contact: Contact, names: ChannelNames, asked: int | None = No
     peak = peak_channel(contact)
     taxel = "" if peak is None else names.taxel(peak)
     if asked is None:
-        return f"accepted: {taxel}, {newtons(force_of(contact))}"
+        force = force_of(contact)
+        return f"accepted: {taxel}" if force is None else f"accepted: {taxel}, {newtons(force)}"
     return f"accepted for {taxel} (asked: {names.taxel(asked)})"
 
 
