@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.following.results import SessionResults
 from skincal.mesh.load import load_surface
 from skincal.model.actions import AskLandmark, AtLandmark
 from skincal.model.errors import InputError
@@ -19,8 +20,11 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.tool_streams import check_tool_streams
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
+from skincal.words.outcome_words import outcome_headline
 from skincal.words.poke_words import rejection_advice, rejection_words
 from skincal.words.tool_words import tool_findings
+from skincal.words.units import ChannelNames
+from skincal.words.verdict_words import verdict_sentence
 from tests.skincal.session.test_tool_rig import BASE_FROM_PART, MESH, STREAMS, TAXELS, TIP, line
 
 RADIUS, ABOVE = 0.002, 0.03
@@ -202,6 +206,20 @@ def test_a_replay_is_equal_to_the_last_bit(tmp_path):
     for one, other in zip(outcomes_of(first), outcomes_of(pipeline), strict=True):
         assert one.link_from_sensor.tobytes() == other.link_from_sensor.tobytes()
         assert one.force.tobytes() == other.force.tobytes()
+
+
+def test_results_say_nothing_of_a_sensor_and_landmarks_check_the_part(recorded):
+    results = SessionResults(recorded)
+    assert results.frame is None
+    assert results.rig is None
+    verdict = results.verdict(Method.SURFACE)
+    assert verdict.unchecked is None
+    assert "Landmarks agree" in verdict_sentence(verdict)
+    (said,) = results.tool
+    assert said.startswith("Part: its pose in the base is known to")
+    names = ChannelNames(None)
+    contact = next(each for each in outcomes_of(recorded) if isinstance(each, Contact))
+    assert outcome_headline(contact, names) == f"accepted: taxel {contact.strongest_channel}"
 
 
 @pytest.mark.parametrize(
