@@ -64,6 +64,8 @@ class GrowingPokeColumns:
     def __init__(self) -> None:
         self._rows: NDArray[Any] = np.zeros(_INITIAL_POKE_ROWS, dtype=_POKE_COLUMNS_DTYPE)
         self._count = 0
+        self._shared = 0
+        """Rows of which a `PokeColumns` shows views."""
         self._pose_names: list[str] = []
         self._pose_of: dict[str, int] = {}
 
@@ -72,6 +74,8 @@ class GrowingPokeColumns:
         row = self._count
         if row and outcome.poke <= self._rows["number"][row - 1]:
             row = int(np.searchsorted(self._rows["number"][: self._count], outcome.poke))
+        if row < self._shared:
+            self._rows, self._shared = self._rows.copy(), 0
         if row == self._count or self._rows["number"][row] != outcome.poke:
             self._insert(row)
         if outcome.pose not in self._pose_of:
@@ -84,13 +88,14 @@ class GrowingPokeColumns:
 
     def _insert(self, row: int) -> None:
         if self._count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+            self._rows, self._shared = np.concatenate([self._rows, np.zeros_like(self._rows)]), 0
         self._count += 1
         self._rows[row + 1 : self._count] = self._rows[row : self._count - 1].copy()
 
     def now(self) -> PokeColumns:
-        """Copy the present columns."""
-        rows = self._rows[: self._count].copy()
+        """Show the present columns, which later pokes do not change."""
+        self._shared = self._count
+        rows = self._rows[: self._count]
         return PokeColumns(
             rows["number"], rows["counting"], rows["excluded"], rows["strongest"], rows["pose"], self._pose_names
         )

@@ -42,6 +42,33 @@ def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
     return tuple(method for method in Method if there.get(method, True))
 
 
+class OrderedEstimates(dict[int, Estimate]):
+    """Estimates of one method by channel, of which all are listed after each poke; changed with `enter` only."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._listed: list[Estimate] = []
+        self._order: Sequence[int] = ()
+        self._row_of: dict[int, int] = {}
+        self._changed = set[int]()
+
+    def enter(self, found: Mapping[int, Estimate]) -> None:
+        """Enter estimates, by channel."""
+        self.update(found)
+        self._changed.update(found)
+
+    def of_channels(self, channels: Sequence[int]) -> tuple[Estimate, ...]:
+        """List the estimates of `channels`. As long as these stay, only changed ones are looked up."""
+        if channels is not self._order:
+            self._order, self._row_of = channels, {channel: row for row, channel in enumerate(channels)}
+            self._listed = [self[channel] for channel in channels]
+        else:
+            for channel in self._changed & self._row_of.keys():
+                self._listed[self._row_of[channel]] = self[channel]
+        self._changed.clear()
+        return tuple(self._listed)
+
+
 class Solving:
     """Solves the taxels that changed; parameters as for `Session`."""
 
@@ -68,7 +95,7 @@ class Solving:
         self._alone = [method for method in self.methods if method in PER_TAXEL]
         self._table = self._shown = ContactTable()
         """Input of the next solution, and of the shown one; they differ only while taxels wait."""
-        self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
+        self._estimates = {method: OrderedEstimates() for method in self.methods}
         self._alike: dict[Method, dict[int, Estimate]] = {method: {} for method in self._alone}
         """The same without shared errors: start of the search for the modules, which shared errors may not change."""
         self._claimed: dict[int, Estimate] = {}
@@ -150,7 +177,7 @@ class Solving:
 
     def _update_placed(self, found: Mapping[int, Estimate]) -> None:
         """Enter estimates of the modules method, by channel."""
-        self._estimates[Method.MODULES].update(found)
+        self._estimates[Method.MODULES].enter(found)
         self._contradicted.difference_update(found)
         self._contradicted.update(channel for channel, estimate in found.items() if estimate.is_contradicted)
 
@@ -162,11 +189,11 @@ class Solving:
         placed = self._estimates[Method.MODULES]
         found = withdraw_claimed(placed, self._alike[self._alone[-1]] if self._alone else {})
         self._claimed = {channel: placed[channel] for channel in found}
-        placed.update(found)
+        placed.enter(found)
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
         """Look up by method the estimates of some channels, one a channel."""
-        return {method: tuple(map(of.__getitem__, channels)) for method, of in self._estimates.items()}
+        return {method: of.of_channels(channels) for method, of in self._estimates.items()}
 
     def take_fresh(self) -> IntArray:
         """Give the channels that were solved since the last call, ascending."""
@@ -203,7 +230,7 @@ class Solving:
             moved = add_shared_errors(evidence, list(estimates.values()), self._noise, self.shared)
             if self.tips is not None and method is Method.FREE:
                 moved = self.tips.with_depth(moved, evidence)
-            self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
+            self._estimates[method].enter({estimate.channel: estimate for estimate in moved})
         if not self.is_placed:
             self._leave_unplaced(channels, dead)
         elif self.module_model is not None:
@@ -224,7 +251,7 @@ class Solving:
             if method is Method.FREE:
                 continue
             found = {channel: _unplaced(channel, method, dead) for channel in channels}
-            self._estimates[method].update(found)
+            self._estimates[method].enter(found)
             if method in self._alike:
                 self._alike[method].update(found)
             if method is Method.MODULES and self._fitted is not None:

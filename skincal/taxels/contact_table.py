@@ -201,7 +201,7 @@ class ContactTable:
         answers = self._answers.take(np.concatenate(lists) if lists else np.empty(0, dtype=np.int64))
         taxels = np.arange(len(known)).repeat(counts)
         if self._dropped:
-            live = self._contacts["live"].take(answers["contact"])
+            live = self._contacts["live"][answers["contact"]]
             answers, taxels = answers[live], taxels[live]
             counts = np.bincount(taxels, minlength=len(known))
             if not counts.all():
@@ -214,8 +214,9 @@ class ContactTable:
             channels=np.array(known, dtype=np.int64),
             starts=np.concatenate([[0], counts.cumsum()]),
             taxels=taxels,
-            pokes=self._contacts["poke"].take(rows),
-            poses=self._contacts["pose"].take(rows),
+            # `take` would copy the whole column first, since it is one field of a row.
+            pokes=self._contacts["poke"][rows],
+            poses=self._contacts["pose"][rows],
             columns=self._columns.take(rows, axis=1),
             weights=answers["weight"].take(order),
             trust=np.ones(len(rows)),
