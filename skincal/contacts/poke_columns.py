@@ -65,7 +65,7 @@ class GrowingPokeColumns:
         self._rows: NDArray[Any] = np.zeros(_INITIAL_POKE_ROWS, dtype=_POKE_COLUMNS_DTYPE)
         self._count = 0
         self._shared = 0
-        """Rows of which a `PokeColumns` shows views."""
+        """Rows that a `PokeColumns` has as views."""
         self._pose_names: list[str] = []
         self._pose_of: dict[str, int] = {}
 

@@ -43,7 +43,7 @@ def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
 
 
 class OrderedEstimates(dict[int, Estimate]):
-    """Estimates of one method by channel, of which all are listed after each poke; changed with `enter` only."""
+    """Estimates of one method by channel. `enter` changes them, and `of_channels` lists them after each poke."""
 
     def __init__(self) -> None:
         super().__init__()
