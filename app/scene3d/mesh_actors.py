@@ -45,6 +45,9 @@ class MeshActor(ABC):
         self.actor = plotter.add_mesh(
             self.mesh, scalars="rgb", rgb=True, copy_mesh=False, show_scalar_bar=False, reset_camera=False, render=False, **look
         )
+        # pyvista puts a filter in Python before the mapper, which selects the colours; VTK would ask it several times a picture.
+        self.mesh.set_active_scalars("rgb")
+        self.actor.mapper.SetInputData(self.mesh)
         self.actor.visibility = False
 
     @abstractmethod
@@ -61,6 +64,7 @@ class MeshActor(ABC):
             else:
                 other = self.connect(points)
                 other["rgb"] = np.zeros((len(points), 3), np.uint8)
+                other.set_active_scalars("rgb")
                 self.mesh.shallow_copy(other)
             self.mesh.point_data["rgb"][:] = colours  # pyright: ignore[reportArgumentType]
         self.update_visibility()
