@@ -349,10 +349,16 @@ class Controller(QObject):
 
     def _start_recording(self) -> None:
         """Start a new recording once part and links are there."""
-        part, links, storage, truth = self._part, self._pending_links, self._storage, self._truth
-        if part is not None and links and storage is not None:
+        part, links, storage, truth, guided = self._part, self._pending_links, self._storage, self._truth, self.guided
+        if part is not None and guided is not None and links and storage is not None:
+
+            def begin() -> Pipeline:
+                # Before there is a recording, the window's thread does not ask the guide.
+                guided.guide.prepare(guided.method)
+                return begin_session(part, links, storage.prepare(), truth)
+
             self.compute(
-                lambda: begin_session(part, links, storage.prepare(), truth),
+                begin,
                 lambda pipeline: self._take_new(Recording(pipeline, storage)),
                 dropped=lambda pipeline: _drop(pipeline, storage),
             )

@@ -109,6 +109,10 @@ class SessionGuide:
         self.costs = costs_of(self.plan, methods_of(part.scene, part.surface), part.scene.noise, self.surroundings)
         """Approximate pokes that each method takes until it is enough; empty if no layout places the taxels."""
 
+    def prepare(self, method: Method) -> None:
+        """Make what a method's targets need, which takes long for many taxels; `next_target` does it otherwise."""
+        self._guide_of(method)
+
     def next_target(self, snapshot: Snapshot, pose: CurrentPose, method: Method, now_s: float) -> Guidance | None:
         """Choose the next target; `None` while guidance is off. The same snapshot and method cost nothing again.
 

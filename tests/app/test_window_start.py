@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from app.__main__ import main
 from app.preflight import QT_LIBRARIES, X_LIBRARIES, objection
 from app.session.opening import OpenRequest
 from app.state.running import Running
+from skincal.following.session_guide import SessionGuide
 from tests.approved import approved
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -177,3 +179,18 @@ def test_a_log_that_cannot_be_written_leaves_the_window_at_work(bench, tmp_path,
     run.begin(bench.window, OpenRequest(session=tmp_path / "none"))
     bench.until(lambda: bench.controller.running is Running.OFFLINE, 20_000)
     assert any("the log cannot be written" in message.text for message in said)
+
+
+def test_the_guide_of_a_new_session_is_made_beside_the_windows_thread(bench, monkeypatch):
+    makers: list[threading.Thread] = []
+    make = SessionGuide._new_guide
+
+    def noted(guide: SessionGuide, *arguments, **options):
+        makers.append(threading.current_thread())
+        return make(guide, *arguments, **options)
+
+    monkeypatch.setattr(SessionGuide, "_new_guide", noted)
+    bench.open_served()
+    assert bench.window.session_view.state.target is not None
+    assert makers
+    assert threading.main_thread() not in makers
