@@ -45,7 +45,7 @@ class MeshActor(ABC):
         self.actor = plotter.add_mesh(
             self.mesh, scalars="rgb", rgb=True, copy_mesh=False, show_scalar_bar=False, reset_camera=False, render=False, **look
         )
-        # pyvista puts a filter in Python before the mapper, which selects the colours; VTK would ask it several times a picture.
+        # pyvista puts a filter in Python before the mapper, to select the colours. VTK would ask it several times a picture.
         self.mesh.set_active_scalars("rgb")
         self.actor.mapper.SetInputData(self.mesh)
         self.actor.visibility = False

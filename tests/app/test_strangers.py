@@ -171,7 +171,7 @@ def test_addresses_of_the_command_line_are_named_by_the_operator(bench, folder, 
     monkeypatch.setattr(run, "start_log", lambda: "")
     named = Addresses(*(f"file:{tmp_path}/{stream}.none" for stream in ("wrench", "skin")))
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
-        run.begin(bench.window, OpenRequest(session=folder, addresses=named))
+        run.start_log_and_open(bench.window, OpenRequest(session=folder, addresses=named))
     bench.open(OpenRequest(session=folder))
     assert {link.address for link in bench.controller.links} == {named.wrench, named.skin}
     bench.controller.toggle()

@@ -176,7 +176,7 @@ def test_a_log_that_cannot_be_written_leaves_the_window_at_work(bench, tmp_path,
     monkeypatch.setattr(QStandardPaths, "writableLocation", lambda _: str(tmp_path / "data" / "skincal"))
     said = []
     monkeypatch.setattr(bench.window, "tell", said.append)
-    run.begin(bench.window, OpenRequest(session=tmp_path / "none"))
+    run.start_log_and_open(bench.window, OpenRequest(session=tmp_path / "none"))
     bench.until(lambda: bench.controller.running is Running.OFFLINE, 20_000)
     assert any("the log cannot be written" in message.text for message in said)
 
