@@ -352,13 +352,13 @@ class Controller(QObject):
         part, links, storage, truth, guided = self._part, self._pending_links, self._storage, self._truth, self.guided
         if part is not None and guided is not None and links and storage is not None:
 
-            def begin() -> Pipeline:
+            def begin_guided() -> Pipeline:
                 # Before there is a recording, the window's thread does not ask the guide.
                 guided.guide.prepare(guided.method)
                 return begin_session(part, links, storage.prepare(), truth)
 
             self.compute(
-                begin,
+                begin_guided,
                 lambda pipeline: self._take_new(Recording(pipeline, storage)),
                 dropped=lambda pipeline: _drop(pipeline, storage),
             )
