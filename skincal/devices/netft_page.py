@@ -47,6 +47,8 @@ ANGLE_UNITS = {
 """rad, by the unit's name."""
 FILTER_HZ_OF_CODE = {1: 838, 2: 326, 3: 152, 4: 73, 5: 35, 6: 18, 7: 8, 8: 5, 9: 1500, 10: 2000, 11: 2500, 12: 3000}
 """Hz, cut-off of the box's low-pass filter by the number in `setuserfilter`; 0 is no filter."""
+MIN_TORQUE_COUNTS_SHARE = 0.01
+"""Counts for each N m over those for each N. Boxes have 1 by default, a HEX has 10; counts for N mm look like 0.001."""
 KEEP_TRANSFORM = "<skincal>keep</skincal>"
 """Added to the stored page if the operator chose to read wrenches in the frame of the tool transform."""
 ANY_ERROR_BIT = 1 << 31
@@ -143,7 +145,7 @@ class SensorPage:
     frame_words: str
     """Words on the frame of the wrenches; empty if it is the sensor's own without a tool transform."""
     notice: str
-    """Sentence for the operator on the tool transform; empty without one."""
+    """Sentence for the operator on the tool transform, or on counts that look wrong; empty without both."""
     settings: str
     """Serial number, rate and filter; empty if the page names none."""
 
@@ -177,8 +179,14 @@ def read_page(page: bytes) -> SensorPage:
         per_unit.append(number / size)
         sizes.append(size)
     own_from_reported, frame_words, notice = _read_transform(text, is_hex=table is HEX_STATUS)
+    has_transform = bool(notice)
+    if per_unit[1] < MIN_TORQUE_COUNTS_SHARE * per_unit[0]:
+        notice = notice or (
+            f"There are {per_unit[1]:g} counts for each N m and {per_unit[0]:g} for each N: if the first are for N mm, moments "
+            "are 1000 times too large; then give 1000 times as many by cpt"
+        )
     ranges = _numbers(_field(text, "cfgmr"))
-    has_limits = not notice and len(ranges) == 6 and all(0 < value < math.inf for value in ranges)
+    has_limits = not has_transform and len(ranges) == 6 and all(0 < value < math.inf for value in ranges)
     limits = tuple(value * sizes[axis // 3] for axis, value in enumerate(ranges)) if has_limits else ()
     return SensorPage(
         per_newton=per_unit[0],

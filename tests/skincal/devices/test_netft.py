@@ -165,6 +165,15 @@ def test_a_reading_beyond_the_ranges_of_the_page_is_saturated():
     assert turned.limits == (), "the page does not name the frame of its ranges"
 
 
+@pytest.mark.parametrize(("address", "words"), [("cpf=1000000&cpt=1000", "1000 times too large"), ("cpf=10000&cpt=100000", "")])
+def test_counts_for_newton_millimetres_are_asked_about(address, words):
+    """The override of the package pynetft is in N mm."""
+    decoder = make_decoder("rdt", None, (Stream.WRENCH,))
+    decoder.feed(prepared(f"netft://h?{address}", b""))
+    assert words in decoder.device_message
+    assert bool(words) == bool(decoder.device_message)
+
+
 @pytest.mark.parametrize(
     ("product", "status", "invalid", "words"),
     [
