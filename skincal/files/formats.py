@@ -154,7 +154,8 @@ class ExportOptions:
             )
         if self.prefix is not None and not _PREFIX_RE.fullmatch(self.prefix):
             raise InputError(
-                f"--prefix is {self.prefix!r}; expected letters, digits and _ . - /, not / at the beginning, such as left_arm_."
+                f"The prefix (--prefix) is {self.prefix!r}; expected letters, digits and _ . - /, not / at the beginning, such "
+                "as left_arm_."
             )
 
 

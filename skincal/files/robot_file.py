@@ -25,7 +25,7 @@ from skincal.model.urdf_xml import parse_xml
 _XACRO_EXPRESSION_RE = re.compile(r"\$[({][^)}]*[)}]")
 _INCLUDE_SENTENCE = (
     ' Links and names of models that it includes with merge="true" are in other files, which are not compared: a name '
-    "that is there, too, is refused by Gazebo (choose another --prefix)."
+    "that is there, too, is refused by Gazebo (choose another prefix, --prefix)."
 )
 SDF_MIN_VERSION = (1, 7)
 """Older ones have no frames that are attached to a link."""

@@ -207,7 +207,9 @@ class Segment:
         self.has_hole = not lines.closed
         # The lines are closed after the MCAP file, which was whole then.
         if lines.closed and not is_closed(self.path):
-            self.finding = "its end is missing or damaged; no poke is lost, and --replay uses its other readings."
+            self.finding = (
+                "its end is missing or damaged; no poke is lost, and `skincal solve --replay` uses its other readings."
+            )
 
     def items(self) -> Iterator[LogItem]:
         """Yield items up to the first damage; only those that the lines confirm, if there are lines."""

@@ -61,7 +61,7 @@ class LinkMesh:
         if not self.scales.all():
             raise InputError(
                 f"{where}: the mesh of link {self.link} is scaled by {self.scales.tolist()}; expected numbers that are not 0: "
-                "correct the scale in a copy of the URDF, or name another mesh by --mesh."
+                "correct the scale in a copy of the URDF, or name another mesh (--mesh)."
             )
         scale = abs(float(self.scales[0]))
         if self.is_uniform:

@@ -44,8 +44,8 @@ def choose_unit(path: Path) -> str:
     name = name_unit(mesh.unit)
     if not name:
         raise InputError(
-            f"{path}: its unit is {mesh.unit:g} m; expected m, cm, mm or in: export the part in one of them, or name the unit "
-            "of its numbers by --unit."
+            f"{path}: its unit is {mesh.unit:g} m; expected m, cm, mm or in: export the part in one of them, or choose the "
+            "unit of its numbers (--unit)."
         )
     return name
 

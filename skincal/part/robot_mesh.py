@@ -21,9 +21,9 @@ from skincal.part.part_draft import IDENTITY_POSE, PartDraft, pose_rows
 
 COLLISION_OFFER_MAX_CHARS = 200
 """The rest of a sentence is for the error."""
-VISUAL_MESH_ADVICE = "leave --unit out, or save it in its true shape under another name, and give its --unit"
+VISUAL_MESH_ADVICE = "leave its unit (--unit) out, or save it in its true shape under another name, and give its unit"
 COLLISION_MESH_ADVICE = (
-    "leave --mesh out, and put it with its <origin> in place of the link's visual shapes, in a copy of the URDF"
+    "leave the mesh (--mesh) out, and put it with its <origin> in place of the link's visual shapes, in a copy of the URDF"
 )
 """A file under another name would lie where the visual mesh does."""
 
@@ -81,8 +81,8 @@ def _visual_mesh_file(robot: Robot, draft: PartDraft, sensor_joint: str) -> Path
     found = robot.mesh_for(draft.link, sensor_joint)
     if found is None:
         raise InputError(
-            f"--unit is that of a mesh, and {describe_shapes(robot, draft.link, sensor_joint)}; leave --unit out, or name the "
-            "part's mesh (--mesh FILE)."
+            f"The unit (--unit) is that of a mesh, and {describe_shapes(robot, draft.link, sensor_joint)}; leave it out, or "
+            "name the part's mesh (--mesh FILE)."
         )
     return find_mesh(robot, found[0], dict(draft.packages))
 
@@ -117,8 +117,12 @@ def offer_collision_mesh(robot: Robot, draft: PartDraft) -> str:
     except InputError:
         return ""
     named = f'"{path}"' if " " in str(path) else str(path)
-    offer = f" Or use the collision mesh of link {found[0].link}: --mesh {named}"
-    return offer if len(offer) <= COLLISION_OFFER_MAX_CHARS else f" Or use the link's collision mesh, {path.name}: --mesh FILE"
+    offer = f" Or use the collision mesh of link {found[0].link} as the part's mesh: --mesh {named}"
+    return (
+        offer
+        if len(offer) <= COLLISION_OFFER_MAX_CHARS
+        else f" Or use the link's collision mesh, {path.name}, as the part's mesh: --mesh FILE"
+    )
 
 
 def with_offer(error: InputError, offer: str) -> InputError:

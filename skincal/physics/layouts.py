@@ -103,7 +103,7 @@ def moving_part(scene: Scene, surface: Surface) -> RigLayout:
     if mimics:
         raise InputError(
             f"{scene.path}: joint {mimics[0]} follows another joint; the physics engine has no such joints: simulate without "
-            "--physics."
+            "it (--physics)."
         )
     drivers = {**dict.fromkeys((joint.name for joint in spec.chain.moving), 0.0), **spec.chain.fixed}
     fixed = {step.joint.name: step.angle(drivers) for step in spec.chain.steps}

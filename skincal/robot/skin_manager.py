@@ -86,7 +86,7 @@ def file_positions(path: Path, part: str | None) -> Positions:
 
 def _positions(part: str, width: int, channels: Sequence[int], rows: FloatArray) -> Positions:
     if part not in SKIN_PARTS:
-        raise InputError(f"the part is named {part!r}; expected --part with one of {', '.join(SKIN_PARTS)}.")
+        raise InputError(f"the part is named {part!r}; expected one of {', '.join(SKIN_PARTS)} (`skincal apply --part`).")
     if not len(channels):
         raise InputError("no taxel has a position yet; poke first, or choose another method.")
     return Positions(part, width, dict(zip(channels, rows, strict=True)))
@@ -209,7 +209,7 @@ class _Upload:
         if names and self._positions.part not in names:
             raise InputError(
                 f"this skinManager has {', '.join(names)}, and not {self._positions.part}: ask the one that runs this part, "
-                f"or give --part. {NOTHING_CHANGED}"
+                f"or name another part (`skincal apply --part`). {NOTHING_CHANGED}"
             )
 
     def _read_poses(self, so_far: str) -> FloatArray:

@@ -166,7 +166,7 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
     if scene.tool is not None:
         raise InputError(
             f"{scene.path.name}: the sensor sits on the tool, and recordings of its poses cannot be imported; record the "
-            "devices with `skincal record --tool`."
+            "devices (New session, or `skincal record --tool`)."
         )
     files = replace(request.files, channels=scene.skin.frame_width)
     recording = files.open(joint_columns(scene), lambda share: go_on(read_share * share))

@@ -26,9 +26,9 @@ def check_tool_streams(scene: Scene, addresses: Mapping[Stream, str | None]) -> 
         return
     rig = "the sensor sits on the tool" if scene.tool.has_sensor else "there is no force/torque sensor"
     if Stream.TOOL not in named:
-        raise InputError(f"In {scene.name} {rig}; expected the link of the tool's poses: add --tool.")
+        raise InputError(f"In {scene.name} {rig}; expected the link of the tool's poses (field Tool, or --tool).")
     if Stream.WRENCH in named and not scene.tool.has_sensor:
-        raise InputError(f"A link of the wrench is named, and in {scene.name} {rig}; leave out --wrench.")
+        raise InputError(f"A link of the wrench is named, and in {scene.name} {rig}; leave it out (--wrench).")
     for stream, word in ((Stream.JOINTS, "joint angles"), (Stream.TIP, "the tip")):
         if stream in named:
             raise InputError(

@@ -38,7 +38,7 @@ def unsaid_kind_finding(layout: Layout) -> str:
 
 SHEET_WITHOUT_MESH = (
     "no mesh: a soft sheet has the shape of its part, so each taxel is placed by its own pokes alone (free method). If the "
-    'skin is a rigid board, say so (kind = "board" in the layout, --kind board of scene new); else name the part\'s mesh'
+    'skin is a rigid board, say so (kind = "board" in the layout, or `scene new --kind board`); else name the part\'s mesh'
 )
 
 

@@ -124,11 +124,14 @@ def tool_findings(tool: ToolSpec, wrench_sign: int, *, finds_part_pose: bool) ->
             "the force on the tool: its opposite acts on the part" if wrench_sign < 0 else "the force of the tool on the part"
         )
         found = [
-            "the sensor sits on the tool: --tool names the stream of its poses",
+            "the sensor sits on the tool: a session needs the stream of its poses (field Tool, or --tool)",
             f"by [wrench] sign = {wrench_sign} the sensor reports {acts}",
         ]
     else:
-        found = ["there is no force sensor: a poke is the place of the tip, and --tool names the stream of the tool's poses"]
+        found = [
+            "there is no force sensor: a poke is the place of the tip, and a session needs the stream of the tool's poses "
+            "(field Tool, or --tool)"
+        ]
     if finds_part_pose:
         found.append("pokes show the part's pose in the base of the tool's poses: all positions are in the base until then")
     else:

@@ -154,7 +154,10 @@ class ArrayStreams:
                 name, unit = split_unit(spec.time)
                 return self._named(name, "the time"), unit
             if not 0 < rate < 1e5:
-                raise InputError(f"{self.path}: {rate:g} is no rate; expected rows a second, such as --time 100.")
+                raise InputError(
+                    f"{self.path}: {rate:g} is no rate; expected rows a second, such as 100 (--time 100, or ?time=100 "
+                    "after the array)."
+                )
             return rate, ""
         found = self.times_for(array)
         if len(found) > 1:
@@ -170,8 +173,8 @@ class ArrayStreams:
         lengths = ", ".join(f"{each.name} has {prod(each.shape)}" for each in list(self.times.values())[:3])
         seen = f"the lengths differ: {lengths}" if lengths else "no array is named as a time (t, time, timestamp)"
         raise InputError(
-            f"{self.path}: no time of {array.name} {list(array.shape)} was found; {seen}. Name it (--time NAME), or the rows a "
-            "second if they have a steady rate (--time 100)."
+            f"{self.path}: no time of {array.name} {list(array.shape)} was found; {seen}. Name it (--time NAME, or "
+            "?time=NAME after the array), or the rows a second if they have a steady rate (--time 100, or ?time=100)."
         )
 
     def _named(self, name: str, what: str) -> NamedArray:
@@ -215,14 +218,16 @@ class ArrayStreams:
         word = time_unit_of(f"t_{stated}") or (stated if stated in TIME_UNITS else "")
         if stated and not word:
             raise InputError(
-                f"{self.path}: the unit {stated!r} of {time.name} is not known; expected s, ms, us or ns: --time {time.name}:s."
+                f"{self.path}: the unit {stated!r} of {time.name} is not known; expected s, ms, us or ns, such as "
+                f"{time.name}:s (--time)."
             )
         if word:
             return seconds * TIME_UNITS[word], "" if unit else f"time {time.name}: read as {word}.", False
         first = next((each for each in seconds.tolist() if np.isfinite(each)), 0.0)
         if UNIX_NS[0] <= first <= UNIX_NS[1]:
             return seconds * 1e-9, f"time {time.name}: read as nanoseconds since 1970, as its values are.", False
-        return seconds, f"time {time.name} names no unit and was read as seconds; else: --time {time.name}:ms.", True
+        advice = f"else name it with its unit: --time {time.name}:ms, or ?time={time.name}:ms after the array"
+        return seconds, f"time {time.name} names no unit and was read as seconds; {advice}.", True
 
     # ---- rows
 
@@ -419,7 +424,7 @@ def _single_rows(path: object, array: NamedArray) -> int:
     if list(array.shape).count(longest) > 1:
         raise InputError(
             f"{path}: {array.name} {list(array.shape)} has two axes of {longest}; which of them is time is unknown. Name its "
-            "times (--time NAME)."
+            "times (--time NAME, or ?time=NAME after the array)."
         )
     return longest
 

@@ -247,7 +247,8 @@ def _select_episode(
         end = float(shifted[after - 1]) + EPISODE_GAP_S
     arrays[TIME_COLUMN] = replace(arrays[TIME_COLUMN], kind="f", read=lambda: shifted.reshape(arrays[TIME_COLUMN].shape))
     return arrays, [
-        f"{len(starts)} episodes are placed one after another with {EPISODE_GAP_S:g} s between them; --episode N reads one."
+        f"{len(starts)} episodes are placed one after another with {EPISODE_GAP_S:g} s between them; "
+        "--episode N reads one, as does ?episode=N after the array."
     ]
 
 

@@ -124,7 +124,7 @@ def _checked(found: _Frames) -> ArrayFile:
         if len(found.times) != len(frames):
             raise InputError(
                 f"{path}: {plural(len(found.times), 'title')} of {plural(len(frames), 'frame')} name a time; expected all of "
-                "them, or none and the rate (--time 100)."
+                "them, or none and the rate (--time 100, or ?time=100 after the name)."
             )
         times: FloatArray = np.array(found.times)
         name = "time" if "" in found.units else "time_s"

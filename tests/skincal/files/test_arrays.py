@@ -72,7 +72,7 @@ def test_an_archive_of_numpy(tmp_path):
     assert_right(
         opened,
         "wrench: read as fx fy fz mx my mz, in N and N m, as the file states no unit (else: wrench:N,Nmm); no frame",
-        "time t names no unit and was read as seconds; else: --time t:ms.",
+        "time t names no unit and was read as seconds; else name it with its unit: --time t:ms, or ?time=t:ms after the array.",
         "frames of 4 x 4 are counted along the rows: channel 0 is [0, 0], channel 1 is [0, 1]; the other way is tactile?order=",
     )
     assert opened.frame_shape == (4, 4)

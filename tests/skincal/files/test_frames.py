@@ -230,7 +230,7 @@ def test_a_prefix_begins_every_name(calibration, text_of, prefix):
 
 @pytest.mark.parametrize("prefix", ["a b", "/arm", "::", "a\n", "<", "a&"])
 def test_a_prefix_that_cannot_begin_a_name_is_refused(calibration, prefix, tmp_path):
-    with pytest.raises(InputError, match=r"^--prefix is .*; expected letters, digits"):
+    with pytest.raises(InputError, match=r"^The prefix \(--prefix\) is .*; expected letters, digits"):
         write_calibration(calibration, "urdf", tmp_path / "a.urdf", Method.FREE, ExportOptions(prefix=prefix))
     assert not list(tmp_path.iterdir())
 

@@ -85,7 +85,7 @@ def test_a_mirror_turns_the_outside_of_a_flat_patch_with_it(robot, scale, up, ca
 def test_a_scale_of_zero_is_refused_and_another_mesh_helps(robot, capsys):
     code, _, said = run(robot, shape("../meshes/part.stl", "1 0 1"), capsys=capsys)
     assert code == 2
-    assert "name another mesh by --mesh" in said
+    assert "name another mesh (--mesh)" in said
     wedge().export(robot.parents[2] / "own.stl")
     code, part, _ = run(robot, shape("../meshes/part.stl", "1 0 1"), "--mesh", str(robot.parents[2] / "own.stl"), capsys=capsys)
     assert same_shape(part, wedge().apply_scale(1e-3))
@@ -139,11 +139,12 @@ def test_a_unit_without_a_mesh_is_refused(robot, capsys):
     code, _, said = run(robot, "", "--unit", "cm", capsys=capsys)
     assert code == 2
     assert (
-        "--unit is that of a mesh, and link part has no shape; leave --unit out, or name the part's mesh (--mesh FILE)" in said
+        "The unit (--unit) is that of a mesh, and link part has no shape; leave it out, or name the part's mesh (--mesh FILE)"
+        in said
     )
     code, _, said = run(robot, shape("../meshes/part.stl", "0.001 -0.001 0.001"), "--unit", "mm", capsys=capsys)
     assert code == 2
-    assert "leave --unit out" in said
+    assert "leave its unit (--unit) out" in said
 
 
 UNREADABLE = ["damaged.stl", "gone.stl", "part.xyz", "package://arm/meshes/damaged.stl"]
@@ -163,7 +164,7 @@ def test_a_visual_mesh_that_cannot_be_read_is_named_and_the_collision_mesh_offer
     assert code == 2
     assert name.rpartition("/")[2] in said
     assert "not found" not in said or name == "gone.stl"
-    offer = re.search(r"Or use the collision mesh of link part: (--mesh .*)$", said.strip())[1]
+    offer = re.search(r"Or use the collision mesh of link part as the part's mesh: (--mesh .*)$", said.strip())[1]
     code, part, _ = run(robot, visual + collision, *shlex.split(offer), capsys=capsys)
     assert code == 0
     truth = wedge().apply_scale(1e-3)
@@ -186,7 +187,10 @@ def test_the_advice_on_a_collision_mesh_without_a_unit_keeps_its_place(robot, sc
     visual = shape("../meshes/gone.stl", origin='<origin xyz="0.3 0 0"/>')
     code, _, said = run(robot, visual + collision, "--mesh", str(mesh), capsys=capsys)
     assert code == 2
-    assert "leave --mesh out, and put it with its <origin> in place of the link's visual shapes, in a copy of the URDF" in said
+    assert (
+        "leave the mesh (--mesh) out, and put it with its <origin> in place of the link's visual shapes, in a copy of the URDF"
+        in said
+    )
     code, part, _ = run(robot, collision.replace("collision", "visual"), capsys=capsys)
     truth = wedge().apply_scale([float(word) for word in scale.split()])
     truth.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.0, 0.2, "sxyz"))
@@ -215,7 +219,7 @@ def test_the_urdfs_own_mesh_may_be_named_and_a_mirrored_one_not_with_a_unit(robo
         assert same_shape(part, wedge().apply_scale(expected))
     code, _, said = run(robot, shape("../meshes/part.stl", "1 -1 1"), "--mesh", mesh, "--unit", "mm", capsys=capsys)
     assert code == 2
-    assert "leave --unit out" in said
+    assert "leave its unit (--unit) out" in said
 
 
 @pytest.mark.parametrize(

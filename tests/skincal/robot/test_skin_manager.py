@@ -271,7 +271,7 @@ def test_orders_that_cannot_be_right_are_refused(capsys, sample, tmp_path):
     capsys.readouterr()
     for source, address, more, words in (
         (file, "yarp:/x", ("--correct",), "since only a session is solved"),
-        (sample, "yarp:/x", ("--method", "free", "--part", "left_ear"), "expected --part with one of l_hand"),
+        (sample, "yarp:/x", ("--method", "free", "--part", "left_ear"), "expected one of l_hand"),
         (sample, "/dev/ttyUSB0", (), "is not a YARP port. Example: yarp:"),
         (sample, "netft://192.0.2.1", ("--dry-run",), "is not a YARP port. Example: yarp:"),
     ):

@@ -243,9 +243,9 @@ def test_a_scene_without_a_sensor_refuses_what_belongs_to_one(tmp_path, change, 
 def test_streams_of_a_rig_without_a_sensor(tmp_path):
     scene = scene_of(tmp_path, scene_text())
     check_tool_streams(scene, {Stream.TOOL: "a", Stream.SKIN: "b"})
-    with pytest.raises(InputError, match="there is no force/torque sensor; leave out --wrench"):
+    with pytest.raises(InputError, match="there is no force/torque sensor; leave it out"):
         check_tool_streams(scene, {Stream.TOOL: "a", Stream.WRENCH: "b"})
-    with pytest.raises(InputError, match="add --tool"):
+    with pytest.raises(InputError, match="field Tool, or --tool"):
         check_tool_streams(scene, {Stream.TOOL: None})
     said = tool_findings(scene.tool, scene.wrench_sign, finds_part_pose=scene.finds_part_pose)
     assert said[0].startswith("there is no force sensor")

@@ -368,7 +368,7 @@ def test_streams_must_fit_where_the_sensor_sits(tmp_path):
     tool, below = scene_of(tmp_path), scene_of(tmp_path, "below")
     check_tool_streams(tool, {Stream.TOOL: "a"})
     check_tool_streams(below, {Stream.TIP: "a"})
-    with pytest.raises(InputError, match="add --tool"):
+    with pytest.raises(InputError, match="field Tool, or --tool"):
         check_tool_streams(tool, {Stream.TOOL: None})
     with pytest.raises(InputError, match="leave out --joints"):
         check_tool_streams(tool, {Stream.TOOL: "a", Stream.JOINTS: "b"})
