@@ -25,11 +25,14 @@ FRAME_END = b"\r\n"
 VALUES_PER_CHIP, CHIP_BYTES = 4, 16
 MIN_MAGNITUDE, MAX_MAGNITUDE = 1e-12, 1e6
 """Numbers other than 0 beyond these are no values of a magnetometer: a byte was damaged, or the frame begins elsewhere."""
+TEXT_BYTES = frozenset(b"\t\n\r" + bytes(range(32, 127)))
 TEMPERATURE_MIN_DEGC, TEMPERATURE_MAX_DEGC = -40.0, 125.0
 
 
 def is_plausible(payload: bytes) -> bool:
-    """Check whether each value of a payload is one that a magnetometer can have."""
+    """Check whether each value of a payload is one that a magnetometer can have. Text, as some boards send it, has none."""
+    if all(byte in TEXT_BYTES for byte in payload):
+        return False
     values = np.abs(np.frombuffer(payload, "<f4"))
     return bool(np.isfinite(values).all() and ((values == 0) | ((values > MIN_MAGNITUDE) & (values < MAX_MAGNITUDE))).all())
 

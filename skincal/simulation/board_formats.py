@@ -39,6 +39,8 @@ class Encoder:
         """Names of the scene's columns of joint angles; empty if it has none."""
         self.skin_factor = 1.0
         """Value that a maker's device sends for each raw value of the skin."""
+        self.skin_axes = 1
+        """Values of each taxel in a frame of the skin: 1, or 3 in the order x, y, z."""
 
     def header(self, t_us: int, fields: str, width: int) -> bytes:
         """Encode the header: `key=value,...` and the number of values in a reading. A maker's device has none."""
@@ -56,6 +58,13 @@ class Encoder:
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
         """Encode one reading."""
         raise NotImplementedError
+
+    def _taxel_vectors(self, values: list[float]) -> FloatArray:
+        """Return x, y and z (n, 3) of the taxels in a frame of the skin, in the device's unit; x and y are 0 with one value."""
+        found: FloatArray = np.array(values, dtype=np.float64) * self.skin_factor
+        if self.skin_axes == 3:
+            return found.reshape(-1, 3)
+        return np.column_stack([np.zeros((len(found), 2)), found])
 
     def _number(self, stream: Stream | None) -> int:
         self._next_number[stream] += 1

@@ -398,6 +398,7 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
             encoder, link, hz = maker.encoder(), LossyLink(latency, damage, own), maker.hz or hz
             if stream is Stream.SKIN:
                 encoder.skin_factor = maker.skin_factor(rig.scene, top)
+                encoder.skin_axes = 1 if rig.scene.skin.axes is None else 3
             encoder.joint_names = () if rig.scene.robot is None else rig.scene.robot.columns
         else:
             encoder = board_encoder(settings.format, stream, top, header.width)

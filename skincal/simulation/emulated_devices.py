@@ -123,8 +123,12 @@ class XelaEncoder(Encoder):
     """Messages of XELA's server, one a line, of one sensor. The pressure is in z."""
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
-        words = ",".join(f"8000,8000,{int(value) & 0xFFFF:04X}" for value in values)
-        sensor = {"sensor": "1", "model": "XR1944", "taxels": len(values), "time": t_us / 1e6, "data": words}
+        if self.skin_axes == 3:
+            words = ",".join(f"{int(value) & 0xFFFF:04X}" for value in values)
+        else:
+            words = ",".join(f"8000,8000,{int(value) & 0xFFFF:04X}" for value in values)
+        taxels = len(values) // self.skin_axes
+        sensor = {"sensor": "1", "model": "XR1944", "taxels": taxels, "time": t_us / 1e6, "data": words}
         return json.dumps({"message": self._number(stream) + 1, "1": sensor}).encode() + b"\n"
 
 
@@ -138,14 +142,16 @@ class PapillArrayEncoder(Encoder):
     """Frames of Contactile's hub. The pressure is in Fz."""
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
-        most = PAPILLARRAY_MAX_CHANNELS
-        if len(values) > most:
-            raise InputError(f"A PapillArray has at most {most} channels here; the scene has {len(values)}.")
-        sensors = [values[at : at + PILLARS_PER_SENSOR] for at in range(0, len(values), PILLARS_PER_SENSOR)]
+        most, pillars = PAPILLARRAY_MAX_CHANNELS, self._taxel_vectors(values).tolist()
+        if len(pillars) > most:
+            raise InputError(f"A PapillArray has at most {most} channels here; the scene has {len(pillars)}.")
+        if self.skin_axes == 1:  # its z is negative under a push
+            pillars = [(0.0, 0.0, -z) for _, _, z in pillars]
+        sensors = [pillars[at : at + PILLARS_PER_SENSOR] for at in range(0, len(pillars), PILLARS_PER_SENSOR)]
         block = struct.pack("<H", len(sensors)) + bytes(2 * len(sensors))
         for sensor in sensors:
             block += struct.pack("<H", len(sensor)) + bytes(2 * len(sensor))
-            block += b"".join(struct.pack("<H6f", 2, 0, 0, -value * self.skin_factor, 0, 0, 0) for value in sensor)
+            block += b"".join(struct.pack("<H6f", 2, *pillar, 0, 0, 0) for pillar in sensor)
         hub = struct.pack("<IQ", self._number(stream) + 1, t_us)
         data = struct.pack("<BHHHH", 2, 1, 9, 3, 9 + len(hub)) + hub + block
         return bytes.fromhex("55667788") + data + struct.pack("<H", sum(data) & 0xFFFF) + bytes.fromhex("aabbccdd")
@@ -381,6 +387,8 @@ class Maker:
     """Largest value of its skin, in that unit."""
     channels_max: float = math.inf
     """Largest number of channels of its skin."""
+    has_vectors: bool = False
+    """Whether its taxels can have three values."""
 
     def skin_factor(self, scene: Scene, top: float) -> float:
         """Return its value for each raw value of the simulated skin, whose largest is `top`.
@@ -392,6 +400,11 @@ class Maker:
             raise InputError(
                 f"The skin of {scene.name} has {scene.skin.channels} channels, and the device of --as {self.channels_max:g} at "
                 "most; take another device, or a smaller scene."
+            )
+        if scene.skin.axes is not None and not self.has_vectors:
+            raise InputError(
+                f"The skin of {scene.name} has axes = 3, and a taxel of the device of --as one value; take another device, or "
+                "leave out axes = 3."
             )
         defaults, given = RESPONSE_MIN_OF_UNIT, scene.contacts.response_min
         factor = 1.0 if scene.states_response_min else defaults.get(self.skin_unit, given) / given
@@ -410,22 +423,35 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
         "robotiq": Maker((Stream.WRENCH,), RobotiqEncoder, 100.0, serial=True),
         "robotiq-text": Maker((Stream.WRENCH,), RobotiqTextEncoder, 125.0),
         "rtde": Maker((Stream.WRENCH, Stream.JOINTS), RtdeEncoder, 125.0),
-        "yarp": Maker(SENSOR_STREAMS, YarpEncoder, 0.0),
-        "xela": Maker((Stream.SKIN,), XelaEncoder, 100.0),
+        "yarp": Maker(SENSOR_STREAMS, YarpEncoder, 0.0, has_vectors=True),
+        "xela": Maker((Stream.SKIN,), XelaEncoder, 100.0, has_vectors=True),
         "papillarray": Maker(
-            (Stream.SKIN,), PapillArrayEncoder, 100.0, serial=True, skin_unit="N", channels_max=PAPILLARRAY_MAX_CHANNELS
+            (Stream.SKIN,),
+            PapillArrayEncoder,
+            100.0,
+            serial=True,
+            skin_unit="N",
+            channels_max=PAPILLARRAY_MAX_CHANNELS,
+            has_vectors=True,
         ),
-        "justfloat": Maker((Stream.SKIN, Stream.WRENCH), JustFloatEncoder, 100.0, serial=True),
+        "justfloat": Maker((Stream.SKIN, Stream.WRENCH), JustFloatEncoder, 100.0, serial=True, has_vectors=True),
         "flexitac": Maker((Stream.SKIN,), FlexiTacEncoder, 90.0, serial=True, skin_max=255.0),
-        "anyskin": Maker((Stream.SKIN,), AnySkinEncoder, 100.0, serial=True),
+        "anyskin": Maker((Stream.SKIN,), AnySkinEncoder, 100.0, serial=True, has_vectors=True),
         "leptrino": Maker((Stream.WRENCH,), LeptrinoEncoder, 0.0, serial=True),
         "tsf85": Maker((Stream.SKIN,), Tsf85Encoder, 100.0, serial=True, skin_max=65535.0, channels_max=TSF85_TAXELS),
         "inspire": Maker((Stream.SKIN,), InspireEncoder, 18.0, skin_max=4095.0, channels_max=INSPIRE_TAXELS),
-        "paxini": Maker((Stream.SKIN,), PaxiniEncoder, 91.0, serial=True, skin_unit="N", skin_max=25.5),
+        "paxini": Maker((Stream.SKIN,), PaxiniEncoder, 91.0, serial=True, skin_unit="N", skin_max=25.5, has_vectors=True),
         "paxini-module": Maker(
-            (Stream.SKIN,), PaxiniModuleEncoder, 100.0, serial=True, skin_unit="N", skin_max=25.5, channels_max=239
+            (Stream.SKIN,),
+            PaxiniModuleEncoder,
+            100.0,
+            serial=True,
+            skin_unit="N",
+            skin_max=25.5,
+            channels_max=239,
+            has_vectors=True,
         ),
-        "ros2": Maker(SENSOR_STREAMS, Ros2Encoder, 0.0),
+        "ros2": Maker(SENSOR_STREAMS, Ros2Encoder, 0.0, has_vectors=True),
     }
 )
 """Key: the name in `--as`."""

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from skincal.geometry import IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.simulation.board_formats import Encoder
@@ -51,15 +51,14 @@ class FlexiTacEncoder(Encoder):
 
 
 class AnySkinEncoder(Encoder):
-    """Frames of an AnySkin board with a chip for each channel; the length of the field is the value."""
+    """Frames of an AnySkin board. With one value for each chip, that is the length of its field."""
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
         del stream, t_us
-        chips = b"".join(
-            struct.pack("<4f", CHIP_TEMPERATURE_DEGC, 0.6 * value * self.skin_factor, 0.0, -0.8 * value * self.skin_factor)
-            for value in values
-        )
-        return chips + b"\r\n"
+        fields = self._taxel_vectors(values)
+        if self.skin_axes == 1:
+            fields = fields[:, 2:] * (0.6, 0.0, -0.8)
+        return b"".join(struct.pack("<4f", CHIP_TEMPERATURE_DEGC, *field) for field in fields.tolist()) + b"\r\n"
 
 
 def _whole_frame(values: list[float], width: int, name: str, top: int) -> IntArray:
@@ -197,6 +196,13 @@ def paxini_modules(channels: int) -> list[int]:
     return [min(PAXINI_MAX_TAXELS, channels - at) for at in range(0, channels, PAXINI_MAX_TAXELS)]
 
 
+def _paxini_steps(vectors: FloatArray) -> list[bytes]:
+    """Encode the forces of taxels (n, 3), N, as steps: x and y int8, z uint8."""
+    steps = np.rint(vectors * 10.0)
+    across, along = np.clip(steps[:, :2], -128, 127).astype("i1"), np.clip(steps[:, 2:], 0, 255).astype("u1")
+    return [across[row].tobytes() + along[row].tobytes() for row in range(len(steps))]
+
+
 def _with_lrc(frame: bytes) -> bytes:
     return frame + bytes(((256 - sum(frame) % 256) % 256,))
 
@@ -206,11 +212,11 @@ class PaxiniEncoder(Encoder):
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
         del stream, t_us
-        steps = np.clip(np.rint(np.array(values) * self.skin_factor * 10.0), 0, 255).astype(np.int64).tolist()
+        steps = _paxini_steps(self._taxel_vectors(values))
         payload, at = b"", 0
         for count in paxini_modules(len(steps)):
             taxels = steps[at : at + count]
-            payload += struct.pack("<3H", 0, 0, min(sum(taxels), 255)) + b"".join(bytes((0, 0, value)) for value in taxels)
+            payload += struct.pack("<3H", 0, 0, min(sum(each[2] for each in taxels), 255)) + b"".join(taxels)
             at += count
         return _with_lrc(b"\xaa\x56\x00" + struct.pack("<HB", len(payload) + 1, 0) + payload)
 
@@ -249,8 +255,8 @@ class PaxiniModuleEncoder(Encoder):
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
         del stream, t_us
-        steps = np.clip(np.rint(np.array(values) * self.skin_factor * 10.0), 0, 255).astype(np.int64).tolist()
-        data = bytes((0, 0, min(sum(steps), 255))) + bytes(27) + b"".join(bytes((0, 0, value)) for value in steps)
+        steps = _paxini_steps(self._taxel_vectors(values))
+        data = bytes((0, 0, min(sum(each[2] for each in steps), 255))) + bytes(27) + b"".join(steps)
         head = struct.pack("<2sHBBBIH", b"\xaa\x55", 10 + len(data), PAXINI_MODULE_NUMBER, 0, 0xFB, 0x03F0, len(data))
         return _with_lrc(head + b"\x01" + data)
 

@@ -5,6 +5,7 @@ import struct
 import numpy as np
 import pytest
 
+from skincal.devices.decoding import pack
 from skincal.devices.flexitac import FRAME_MARK
 from skincal.devices.inspire import TAXEL_READS, InspireHandshake, read_request
 from skincal.devices.justfloat import FRAME_END
@@ -16,6 +17,7 @@ from skincal.devices.registry import load_family, parse_device
 from skincal.devices.tsf85 import read_fields, start_request
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE_NAME, Loss, Stream
+from skincal.model.scene import load_scene
 from skincal.simulation.emulated_devices import MAKERS
 from skincal.streams.decoders.auto_detect import make_decoder
 
@@ -196,6 +198,14 @@ def test_the_end_of_an_anyskin_frame_inside_a_float_is_told_by_the_values():
     found = values_of(decoder, (frame * 30)[11:])
     assert len(found) >= 26
     assert np.unique(found, axis=0) == pytest.approx(np.array([[odd, 1.0, 2.0, 3.0, 4.0, 5.0]]))
+
+
+def test_lines_of_text_are_no_frames_of_a_magnetometer():
+    """ReSkin boards may send text; the bytes of its digits are small floats."""
+    line = b"25.10\t-3.1\t40.25\t7.123456\t3.0000"[:32] + b"\r\n"
+    decoder = make_decoder("anyskin", 2, SKIN)
+    assert values_of(decoder, line * 50).size == 0
+    assert decoder.valid_records == 0
 
 
 def test_values_that_no_sensor_has_are_no_reading():
@@ -495,3 +505,45 @@ def test_modules_are_tried_in_turn_until_one_answers_and_a_missing_number_of_tax
 def test_the_request_of_a_module_is_that_of_the_published_program():
     """The maker's program asks for 03 bytes at 03F0 and so on; the package builds the same head and check byte."""
     assert module_request(1, 2).hex() == "55aa0900" + "0100fb" + "f0030000" + "2400" + "e5"
+
+
+# ------------------------------------------------------------------ taxels of three axes
+
+VECTOR_SCENE = """name = "tip"
+link = "tip"
+[skin]
+channels = 4
+axes = 3
+unit = "N"
+"""
+
+
+@pytest.mark.parametrize("name", ["paxini", "paxini-module", "anyskin", "justfloat", "papillarray", "xela"])
+def test_a_scene_of_three_axes_reads_the_vectors_of_each_device_that_has_them(tmp_path, name):
+    (tmp_path / "scene.toml").write_text(VECTOR_SCENE)
+    scene = load_scene(tmp_path / "scene.toml")
+    vectors = np.array([[0.1, -0.2, 3.0], [0.0, 0.0, 0.4], [-1.2, 2.5, 7.1], [0.3, 0.0, 0.0]])
+    frame = (100 * vectors + 300 if name == "xela" else vectors).ravel().tolist()
+    encoder = MAKERS[name].encoder()
+    encoder.skin_axes = 3
+    records = [encoder.record(Stream.SKIN, 1000 * at, frame) for at in range(5)]
+    if name == "xela":
+        records = [pack(1, record) for record in records]
+    first = b""
+    if name == "paxini":
+        first = PAXINI.data[: -len(PAXINI.repeat)][:-65]
+        taxels = struct.pack("<2sBBHH", b"\xaa\x55", 0, 3, 0x30, 56) + bytes(12) + b"\x04\x00" + bytes(42)
+        first += taxels + bytes((lrc(taxels),))
+    decoder = make_decoder(name, scene.skin.frame_width, SKIN)
+    found = values_of(decoder, first + b"".join(records))
+    assert found[-1] == pytest.approx(np.trunc(frame) if name == "xela" else frame, abs=1e-6)
+    on_taxel = scene.skin.axes.sort_values(found[-1])
+    assert (on_taxel[:, 2] <= 0).all(), "a push has a negative z"
+    assert MAKERS[name].has_vectors
+    assert MAKERS[name].skin_factor(scene, 20.0) == 1.0
+
+
+def test_a_device_of_one_value_a_taxel_is_not_emulated_for_a_scene_of_three_axes(tmp_path):
+    (tmp_path / "scene.toml").write_text(VECTOR_SCENE)
+    with pytest.raises(InputError, match="axes = 3, and a taxel of the device of --as one value"):
+        MAKERS["tsf85"].skin_factor(load_scene(tmp_path / "scene.toml"), 20.0)
