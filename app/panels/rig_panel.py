@@ -179,6 +179,8 @@ def _tip_words(state: ViewState) -> str:
         from skincal.words.part_words import tool_rig_sentences
 
         return "\n".join(
-            tool_rig_sentences(snapshot.tip_frame, snapshot.part_pose, snapshot.typed_pose_error, snapshot.at_landmarks)
+            tool_rig_sentences(
+                snapshot.tip_frame, snapshot.part_pose, snapshot.part_mistake, snapshot.typed_pose_error, snapshot.at_landmarks
+            )
         )
     return "" if snapshot.tip_frame is None else tip_sentence(snapshot.tip_frame)

@@ -102,7 +102,11 @@ class SessionResults:
         from skincal.words.part_words import tool_rig_sentences
 
         return tool_rig_sentences(
-            self.snapshot.tip_frame, self.snapshot.part_pose, self.snapshot.typed_pose_error, self.snapshot.at_landmarks
+            self.snapshot.tip_frame,
+            self.snapshot.part_pose,
+            self.snapshot.part_mistake,
+            self.snapshot.typed_pose_error,
+            self.snapshot.at_landmarks,
         )
 
     @cached_property

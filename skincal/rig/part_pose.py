@@ -63,7 +63,9 @@ DISAGREES_ABOVE_SDS = 5.0
 """Misses over expected ones. Above this the part, a landmark or the tip is another one."""
 RIVAL_MIN_DISTANCE_M, RIVAL_MAX_CHI2_INCREASE = 0.010, 16.0
 """m, rms over the part, between two poses that are rivals; a rival fits no worse than by 4 standard deviations."""
-FIT_STEPS = 40
+FIRST_FIT_STEPS, FIT_STEPS = 5, 30
+DROPPED_ABOVE_COST_FACTOR = 3.0
+"""After the first steps a start with a cost above this multiple of the least goes no further."""
 TIP_MIN_SD_M = 1e-6
 """m, added to the error of a tip, so that an exact one has an inverse."""
 CONVERGED_STEP_SDS = 1e-6
@@ -104,6 +106,8 @@ class PartPose:
     """(3,) float, metres: error of the tip that the touches show, in the frame of `PartShape.tip_covariance`."""
     ratio: float = 1.0
     """Misses over the expected ones: the root of chi-square over its degrees of freedom."""
+    freedom: int = 0
+    """Equations beyond the six unknowns."""
     worst_landmark: int = 0
     """Number of the landmark touch that misses most; 0 without landmarks."""
     worst_miss: float = 0.0
@@ -260,16 +264,23 @@ def fit_part_pose(touches: PartTouches, shape: PartShape, starts: tuple[FloatArr
     used = sum(counts[:2]) + counts[2]
     if max(counts) < MIN_TOUCHES and used < 2 * MIN_TOUCHES:
         return replace(NO_PART_POSE, landmarks=counts[0], taxels=counts[1], points=counts[2])
-    fits: list[_Fit] = []
-    for turn, shift in zip(*(start_poses(touches, shape) if starts is None else starts), strict=True):
-        fit = _Fit.at(touches, shape, turn, shift)
-        for _ in range(FIT_STEPS):
-            if fit.is_converged:
-                break
-            fit = fit.next(touches, shape)
-        fits.append(fit)
+    turns, shifts = start_poses(touches, shape) if starts is None else starts
+    fits = [_Fit.at(touches, shape, turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
+    fits = [_advanced(fit, touches, shape, FIRST_FIT_STEPS) for fit in fits]
+    least = min(fit.cost for fit in fits)
+    hopeful = [fit for fit in fits if fit.cost <= DROPPED_ABOVE_COST_FACTOR * least + RIVAL_MAX_CHI2_INCREASE]
+    fits = [_advanced(fit, touches, shape, FIT_STEPS) for fit in hopeful]
     best = min(fits, key=lambda fit: fit.cost)
     return _judge(best, fits, touches, shape, counts)
+
+
+def _advanced(fit: _Fit, touches: PartTouches, shape: PartShape, steps: int) -> _Fit:
+    """Make up to `steps` Gauss-Newton steps."""
+    for _ in range(steps):
+        if fit.is_converged:
+            break
+        fit = fit.next(touches, shape)
+    return fit
 
 
 def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartShape, counts: tuple[int, int, int]) -> PartPose:
@@ -299,6 +310,7 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
         points=counts[2],
         tip_shift=best.tip_shift,
         ratio=ratio,
+        freedom=equations - 6,
         worst_landmark=worst_landmark,
         worst_miss=worst_miss,
         sd=sd,

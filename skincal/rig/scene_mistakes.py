@@ -63,6 +63,10 @@ class MistakeKind(Enum):
     """Their rotation has another form."""
     TOOL_WRENCH = "tool wrench"
     """The wrench has the axes of the base."""
+    TOOL_TIP = "tool tip"
+    """The tip is elsewhere in the frame of the tool."""
+    TOOL_AXES = "tool axes"
+    """The poses have left-handed axes, or the positions other axes than the rotations."""
     TOOL_PART = "tool part"
     """The part lies elsewhere in the base of the tool's poses."""
     TOOL_UNEXPLAINED = "tool unexplained"
@@ -92,7 +96,7 @@ class Mistake:
     degrees: float = 0.0
     mirrored: bool = False
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """(3,) float, m, link frame: from where the mesh is to where it belongs."""
+    """(3,) float, m, link frame: from where the mesh is to where it belongs; of `TOOL_TIP` of the tip, sensor frame."""
 
     @property
     def is_reaction(self) -> bool:

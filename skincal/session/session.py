@@ -374,6 +374,7 @@ class Session:
             clocks=self._clocks,
             tip_frame=self.tip_frame,
             part_pose=None if self.tool is None else self.tool.part,
+            part_mistake=None if self.tool is None else self.tool.mistake,
             typed_pose_error=None if self.tool is None else self.tool.typed_error,
             wrench_frames=self.wrench_frames,
             part_size=self._part_size(estimates),

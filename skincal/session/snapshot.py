@@ -22,6 +22,7 @@ from skincal.model.scene import NoiseSettings, Scene
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes
 from skincal.rig.correction import FRAME, RIG
+from skincal.rig.scene_mistakes import Mistake
 from skincal.rig.tip_frame import TipFrame, TipState
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions
@@ -101,6 +102,8 @@ class Snapshot:
     """Frame of the tip positions; `None` without a tip stream."""
     part_pose: PartPose | None = None
     """Pose of the part in the base of a tool's poses; `None` unless it is found from the pokes."""
+    part_mistake: Mistake | None = None
+    """Mistake of the tool's poses or tip that explains why no pose of the part fits; `None` without one."""
     typed_pose_error: PartPose | None = None
     """Pose of the part that the pokes show in place of a given one; `None` if they agree with it."""
     wrench_frames: tuple[WrenchFrame, ...] = ()

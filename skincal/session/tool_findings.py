@@ -20,6 +20,7 @@ from skincal.model.scene import Landmark, Scene
 from skincal.pokes import Pokes
 from skincal.rig.part_pose import NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
 from skincal.rig.part_touches import PartShape, PartTouches, motion_rows
+from skincal.rig.scene_mistakes import Mistake
 from skincal.rig.tip_frame import REFIT_AT_POKE_COUNT_RATIO, TipState, pokes_of_fit
 from skincal.rig.tip_fusion import CHI2_2DOF_QUANTILE_9999
 from skincal.rig.tool_tip import ToolTip, find_tool_tip, used_tip
@@ -34,6 +35,8 @@ TOUCHES_MAX = 150
 """Pokes on the skin in a fit; of more an even selection is used."""
 CORNERS_MAX = 200
 """Vertices of the mesh at which an error of the part's pose is measured."""
+EXPLAIN_ABOVE_RATIO = 2.5
+"""Misses over expected ones from which a usual mistake is looked for."""
 PART_POSE_MISMATCH_CHI2 = 27.9
 """A given pose of the part disagrees with the touches above it: one in 10,000 (chi-square, six degrees of freedom)."""
 PART_POSE_MISMATCH_MIN_M = 0.003
@@ -58,6 +61,8 @@ class ToolFindings:
         """Pose of the part; `None` if the scene gives it, or has none."""
         self.typed_error: PartPose | None = None
         """Pose that the touches show, in place of the given one; `None` if they agree, or show nothing."""
+        self.mistake: Mistake | None = None
+        """Mistake that explains why no pose of the part fits; `None` without one."""
         self._tip_fitted: tuple[Contact, ...] = ()
         self._part_fitted: tuple[object, ...] = ()
         self._placed: dict[int, tuple[Outcome, PartPose | None, ToolTip, Outcome]] = {}
@@ -106,25 +111,32 @@ class ToolFindings:
         if len(used) > TOUCHES_MAX:
             rows: list[int] = np.linspace(0, len(used) - 1, TOUCHES_MAX).round().astype(np.int64).tolist()
             used = [used[row] for row in rows]
-        touches = self.touches(used, marked, landmarks)
-        corners = self._corners(landmarks.values(), touches)
+        pokes, marks = Pokes.collect([*used, *marked.values()]), [landmarks[poke] for poke in marked]
+        touches = self._touches(pokes, used, marks)
         error = self.tip.covariance[3:, 3:] if self.tip.state is TipState.USED else np.zeros((3, 3))
-        shape = PartShape(self._surface, corners, self._scene.noise, error)
+        shape = PartShape(self._surface, self._corners(marks, touches), self._scene.noise, error)
         if self.part is None:
             self.typed_error = _typed_error(touches, shape)
             return
-        self.part = fit_part_pose(touches, shape)
+        self.part, self.mistake = fit_part_pose(touches, shape), None
         self._with_error.clear()
+        if self.part.ratio > EXPLAIN_ABOVE_RATIO:
+            from skincal.rig.part_mistakes import explain_misfit  # rarely needed
 
-    def touches(self, skin: Sequence[Contact], marked: Mapping[int, Outcome], landmarks: Mapping[int, Landmark]) -> PartTouches:
+            def fit(other: Pokes, tip_error: FloatArray | None) -> PartPose:
+                of_tip = error if tip_error is None else tip_error
+                return fit_part_pose(self._touches(other, used, marks), replace(shape, tip_covariance=of_tip))
+
+            self.mistake = explain_misfit(pokes, self._tool, self.part, fit)
+            if self.mistake is not None:
+                self.part = replace(self.part, state=PartPoseState.DISAGREES)
+
+    def _touches(self, pokes: Pokes, skin: Sequence[Contact], marks: Sequence[Landmark]) -> PartTouches:
         """Gather touches of the part: pokes on the skin with the plan of their strongest taxel, then those at landmarks."""
-        outcomes: list[Outcome] = [*skin, *marked.values()]
-        pokes = Pokes.collect(outcomes)
         places, precision = self._measured(pokes)
         nowhere = np.full((len(pokes), 3), np.nan)
         landmark, planned, normal, module = nowhere, nowhere.copy(), nowhere.copy(), np.full(len(pokes), -1)
-        marks = [landmarks[poke].place for poke in marked]
-        landmark[len(skin) :] = np.reshape(marks, (-1, 3))
+        landmark[len(skin) :] = np.reshape([mark.place for mark in marks], (-1, 3))
         layout, laid = self._scene.skin.layout, self._placed_layout
         if laid is not None and layout is not None and skin:
             channels: IntArray = np.array([contact.strongest_channel for contact in skin], np.int64)

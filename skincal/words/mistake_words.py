@@ -90,6 +90,10 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
         "the base of the tool's poses is turned by half a turn about its z axis against that of base_from_link",
         "give base_from_link in the base of the poses: base and base_link of Universal Robots differ so",
     ),
+    MistakeKind.TOOL_AXES: (
+        "the poses of the tool have left-handed axes, or their positions other axes than their rotations",
+        "send positions and rotations in one right-handed frame",
+    ),
     MistakeKind.TOOL_WRENCH: (
         "the wrench has the axes of the base, not those of the sensor",
         "send it in the axes of the sensor",
@@ -114,6 +118,12 @@ def mistake_words(mistake: Mistake) -> tuple[str, str]:
         return f"the rotation of the tool's poses is a {form_words(mistake.form)}", "correct rotation of [tool], or the sender"
     if mistake.kind is MistakeKind.LAYOUT:
         return _layout_words(mistake)
+    if mistake.kind is MistakeKind.TOOL_TIP:
+        shift = ", ".join(f"{value * 1e3:.0f}" for value in mistake.shift)
+        return (
+            f"the tip is elsewhere in the tool's frame than tip_mm, by ({shift}) mm",
+            "check that the tool centre point is that of this tool, and make the fixed-point test",
+        )
     if mistake.kind is MistakeKind.MESH_ORIGIN:
         shift = ", ".join(f"{value * 1e3:.0f}" for value in mistake.shift)
         if mistake.names:
