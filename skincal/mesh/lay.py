@@ -7,6 +7,7 @@ doubly curved part is neglected.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from skincal.mesh.geodesics import MeshPoints, geodesics_of
 from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
-from skincal.model.skin import Anchor, Layout
+from skincal.model.skin import Anchor, Layout, Module
 
 OUTLINE_PIECE_MAX_LENGTH_M = 0.002
 """Longest piece of a drawn outline: on a forearm of 40 mm radius it leaves the surface by 0.01 mm."""
@@ -49,27 +50,41 @@ def place_layout(layout: Layout, anchor: Anchor | None, surface: Surface | None)
     if all(own is None for own in anchors):
         return None
     places, normals = np.full((layout.width, 3), np.nan), np.full((layout.width, 3), np.nan)
-    outlines: list[FloatArray] = []
-    for module, own in zip(layout.modules, anchors, strict=True):
-        if own is None:
-            outlines.append(np.empty((0, 3)))
-            continue
-        outline = subdivide_outline(module.outline)
-        flat = np.concatenate([module.pads, outline]) - own.at
-        name = f"the anchor of module {module.id}"
-        if surface is None:
-            normal = own.normal / np.linalg.norm(own.normal)
-            x, y = tangent_axes(own.x, normal)
-            points = own.point + flat[:, :1] * x + flat[:, 1:] * y
-            sides = np.broadcast_to(normal, points.shape)
-        else:
-            start = place_anchor(surface, own, name).select(np.zeros(len(flat), dtype=np.int64))
-            end = geodesics_of(surface).walk(start, flat)
-            points, sides = end.points, surface.normals[end.triangles]
-        count = len(module.channels)
-        places[module.channels], normals[module.channels] = points[:count], sides[:count]
-        outlines.append(points[count:])
+    outlines = [np.empty((0, 3))] * len(anchors)
+    with_anchor = [(index, own) for index, own in enumerate(anchors) if own is not None]
+    flats = [_flat_points(layout.modules[index], own) for index, own in with_anchor]
+    names = [f"the anchor of module {layout.modules[index].id}" for index, _ in with_anchor]
+    owns, ends = [own for _, own in with_anchor], np.cumsum([len(flat) for flat in flats])[:-1]
+    points, sides = _placed_points(owns, flats, names, surface)
+    for (index, _), own_points, own_sides in zip(with_anchor, np.split(points, ends), np.split(sides, ends), strict=True):
+        channels = layout.modules[index].channels
+        count = len(channels)
+        places[channels], normals[channels] = own_points[:count], own_sides[:count]
+        outlines[index] = own_points[count:]
     return PlacedLayout(places, normals, tuple(outlines))
+
+
+def _flat_points(module: Module, anchor: Anchor) -> FloatArray:
+    """Return a module's taxels and then its outline, (n, 2) float, metres from its anchor in the flat layout."""
+    return np.concatenate([module.pads, subdivide_outline(module.outline)]) - anchor.at
+
+
+def _placed_points(
+    anchors: Sequence[Anchor], flats: Sequence[FloatArray], names: Sequence[str], surface: Surface | None
+) -> tuple[FloatArray, FloatArray]:
+    """Place the flat points of each anchor; return all points and the normals there, (n, 3) float each."""
+    if surface is not None:
+        rows = np.repeat(np.arange(len(flats)), [len(flat) for flat in flats])
+        start = place_anchors(surface, anchors, names).select(rows)
+        end = geodesics_of(surface).walk(start, np.concatenate(flats))
+        return end.points, surface.normals[end.triangles]
+    points, sides = [np.empty((0, 3))], [np.empty((0, 3))]
+    for own, flat in zip(anchors, flats, strict=True):
+        normal = own.normal / np.linalg.norm(own.normal)
+        x, y = tangent_axes(own.x, normal)
+        points.append(own.point + flat[:, :1] * x + flat[:, 1:] * y)
+        sides.append(np.broadcast_to(normal, points[-1].shape))
+    return np.concatenate(points), np.concatenate(sides)
 
 
 def anchor_remarks(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> tuple[str, ...]:
@@ -109,15 +124,23 @@ def subdivide_outline(outline: FloatArray) -> FloatArray:
 
 def place_anchor(surface: Surface, anchor: Anchor, name: str) -> MeshPoints:
     """Find an anchor's point on a surface; `InputError` as for `place_layout`."""
+    return place_anchors(surface, [anchor], [name])
+
+
+def place_anchors(surface: Surface, anchors: Sequence[Anchor], names: Sequence[str]) -> MeshPoints:
+    """Find the points of anchors on a surface; `InputError` as for `place_layout`, on the first bad one."""
     # Only triangles that face as the anchor does: the inner wall of a cover may be as near.
-    found = nearest_in_metric(surface, np.eye(3)[None], anchor.point[None], -anchor.normal[None])
-    if found.triangles[0] < 0:
-        raise InputError(f"{name}: no triangle of the surface faces its normal {anchor.normal.tolist()}; correct the normal.")
-    gap = float(np.sqrt(found.values[0]))
-    if gap > ANCHOR_TO_SURFACE_MAX_M:
+    points, normals = (np.stack(rows) for rows in zip(*((own.point, own.normal) for own in anchors), strict=True))
+    found = nearest_in_metric(surface, np.broadcast_to(np.eye(3), (len(points), 3, 3)), points, -normals)
+    gaps = np.sqrt(found.values)
+    for row in np.flatnonzero((found.triangles < 0) | (gaps > ANCHOR_TO_SURFACE_MAX_M)).tolist()[:1]:
+        if found.triangles[row] < 0:
+            raise InputError(
+                f"{names[row]}: no triangle of the surface faces its normal {anchors[row].normal.tolist()}; correct the normal."
+            )
         raise InputError(
-            f"{name} lies {gap * 1e3:.1f} mm from the surface; at most {ANCHOR_TO_SURFACE_MAX_M * 1e3:.0f} mm was expected: "
-            "check point_mm, the mesh's unit and its pose."
+            f"{names[row]} lies {gaps[row] * 1e3:.1f} mm from the surface; at most {ANCHOR_TO_SURFACE_MAX_M * 1e3:.0f} mm was "
+            "expected: check point_mm, the mesh's unit and its pose."
         )
-    x, _ = tangent_axes(anchor.x, surface.normals[found.triangles[0]])
-    return MeshPoints(found.triangles, found.points, x[None])
+    x = [tangent_axes(own.x, surface.normals[triangle])[0] for own, triangle in zip(anchors, found.triangles, strict=True)]
+    return MeshPoints(found.triangles, found.points, np.stack(x))
