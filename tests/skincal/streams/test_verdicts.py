@@ -19,7 +19,6 @@ from skincal.streams.links import LinkSpec
 MS = 1_000_000
 SECOND = 1000 * MS
 CHANNELS, JOINTS = 64, 7
-RNG = np.random.default_rng(5)
 
 
 def line(values) -> bytes:
@@ -27,7 +26,7 @@ def line(values) -> bytes:
 
 
 def noise(width, digits=4):
-    return lambda _: line(np.round(RNG.normal(0, 0.1, width), digits))
+    return lambda index: line(np.round(np.random.default_rng([5, index]).normal(0, 0.1, width), digits))
 
 
 def still(width):
@@ -94,7 +93,7 @@ def test_a_link_that_is_away_gives_no_answer_at_once_and_is_judged_anew_when_it_
 
 def test_bytes_that_are_no_reading_are_said_with_the_rates_that_were_tried():
     played = Played(Stream.WRENCH, address="/dev/ttyUSB0")
-    garbage = lambda _: bytes(RNG.integers(128, 256, 40, dtype=np.uint8))  # noqa: E731
+    garbage = lambda index: bytes(np.random.default_rng([5, index]).integers(128, 256, 40, dtype=np.uint8))  # noqa: E731
     assert played.send(garbage, 0.9).answer is LinkAnswer.LISTENING
     assert played.send(garbage, 0.5).answer is LinkAnswer.NO_READING
     assert played.found.tried == ()
@@ -127,7 +126,7 @@ def test_a_board_that_sends_one_of_two_streams_is_not_good():
     assert both.send(noise(6), 3.5).found.stream is Stream.SKIN
     assert both.answer is LinkAnswer.NO_READING
     rows = iter((6, 20) * 1000)
-    assert both.send(lambda _: noise(next(rows))(0), 3.5).answer is LinkAnswer.OTHER_WIDTH
+    assert both.send(lambda index: noise(next(rows))(index), 3.5).answer is LinkAnswer.OTHER_WIDTH
     assert (both.found.width, both.found.expected) == (20, CHANNELS)
 
 
@@ -185,7 +184,7 @@ def test_the_end_of_a_file_is_judged_as_it_was():
 
 def test_how_the_bytes_are_cut_changes_no_verdict():
     whole, cut = Played(Stream.SKIN), Played(Stream.SKIN)
-    text = b"".join(noise(20)(0) for _ in range(200))
+    text = b"".join(noise(20)(index) for index in range(200))
     for at in range(0, len(text), 1000):
         whole.now_ns = cut.now_ns = whole.now_ns + 30 * MS
         whole.link.feed(Chunk("link", whole.now_ns, text[at : at + 1000]))
