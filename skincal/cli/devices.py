@@ -26,6 +26,8 @@ LISTEN_TIME_PER_PORT_S = 3.0
 WATCH_LINE_PERIOD_S = 1.0
 """s between two lines of `watch`."""
 WRENCH_VALUES = 6
+STARTED_SCHEMES = ("robotiq", "bota", "leptrino", "tsf85", "paxini")
+"""Schemes of serial devices that are silent until they are started."""
 
 
 class Carries(Enum):
@@ -203,7 +205,9 @@ def devices(as_json: Json = False) -> None:
     say(ros_trouble if ros_trouble else plural(len(topics), "topic") + " of ROS 2", err=True)
     if proposed:
         say(f"Proposed: {' '.join(f'--{stream} {address}' for stream, address in proposed.items())}", err=True)
-    say("Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST.")
+    say(
+        "Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST, inspire://HOST."
+    )
 
 
 def _ports() -> list[tuple[str, str]]:
@@ -243,7 +247,8 @@ def _on_port(name: str, description: str) -> dict[str, str]:
         return {"address": f"{name}@{link.baud}", "what": f"{description}: {figures['format']}, {_words(figures)}"}
     if came:
         return {"address": name, "what": f"{description}: {figures['verdict']}"}
-    return {"address": name, "what": f"{description}: silent; one that must be started? robotiq:{name}, bota:{name}"}
+    started = ", ".join(f"{scheme}:{name}" for scheme in STARTED_SCHEMES)
+    return {"address": name, "what": f"{description}: silent; one that must be started? {started}"}
 
 
 def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:

@@ -9,6 +9,7 @@ import pytest
 
 from skincal.cli import devices, main
 from skincal.devices.link import FailureKind, LinkError
+from skincal.devices.registry import parse_device
 from skincal.model.errors import plain_text
 from skincal.model.readings import Chunk, Stream
 from skincal.simulation.emulated_devices import MAKERS
@@ -156,6 +157,23 @@ def test_devices_says_what_answers_on_a_port_and_what_to_type(capsys, monkeypatc
     assert f"{address}@115200  USB serial: Bota gen0, wrench" in said.out  # a pty has every rate
     assert "gone: There is no port" in said.out
     assert "skincal watch ADDRESS" in said.out
+
+
+def test_devices_names_what_a_silent_port_may_need_and_each_of_these_starts_its_device(capsys, monkeypatch):
+    monkeypatch.setattr(devices, "LISTEN_TIME_PER_PORT_S", 0.3)
+    outlet = MakerOutlets(4).open("leptrino", Stream.WRENCH, tcp=False)
+    port = outlet.address.removeprefix("leptrino:")
+    monkeypatch.setattr(devices, "_ports", lambda: [(port, "USB serial")])
+    try:
+        assert main(["devices"]) == 0
+    finally:
+        outlet.close()
+    said = capsys.readouterr().out
+    assert f"robotiq:{port}, bota:{port}, leptrino:{port}, tsf85:{port}, paxini:{port}" in said
+    for scheme in devices.STARTED_SCHEMES:
+        route = parse_device(f"{scheme}:{port}").route
+        handshake = route.handshake((Stream.WRENCH, Stream.SKIN))
+        assert handshake.opening() or handshake.on_silence()
 
 
 def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path):
