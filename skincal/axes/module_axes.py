@@ -6,6 +6,7 @@ pokes: a single turn R, or a turn for each taxel with any of them as likely befo
     ln odds = E(all pokes of the module) - sum of E(pokes of a taxel),                                        (4)
 
 with E the logarithm of a fit's evidence (`TurnFit.log_evidence`): the fit that explains no more, with fewer unknowns, wins.
+Each hypothesis has the noise that it finds, from the misses of modules or of taxels.
 
 A module's plan has axes, too: x and y of the layout, and z out of the skin. A scene whose axes are right has R close to these
 in the module's pose. If the axes of the readings are close to another signed permutation P of the plan's axes, a plain mistake
@@ -27,8 +28,9 @@ from itertools import permutations, product
 
 import numpy as np
 
-from skincal.axes.skin_turns import CERTAIN_LOG_ODDS, SkinTurns, Turn, fit_group, joined
+from skincal.axes.skin_turns import CERTAIN_LOG_ODDS, SkinTurns, Turn, find_noise, fit_group, joined
 from skincal.axes.turn_fit import TurnFit
+from skincal.contacts.value_order import LOG_PRIOR_OF_WRONG_ORDER, OrderOfValues
 from skincal.geometry import FloatArray, rotation_vector
 
 PLAN_TOLERANCE = float(np.radians(8.0))
@@ -126,24 +128,27 @@ class AxisFindings:
     mistakes: tuple[AxisMistake, ...]
 
 
-def find_axes(turns: SkinTurns, plans: Sequence[ModulePlan]) -> AxisFindings:
-    """Decide for each module, and name plain mistakes of the axes."""
-    modules: list[ModuleTurn] = []
-    for plan in plans:
-        own = [channel for channel in plan.channels if channel in turns.taxels]
-        if own:
-            modules.append(_module_turn(plan.id, own, turns))
+def find_axes(turns: SkinTurns, plans: Sequence[ModulePlan], order: OrderOfValues | None = None) -> AxisFindings:
+    """Decide for each module, and name plain mistakes of the axes; `order` is what the frames say of the order of values."""
+    own = {plan.id: tuple(channel for channel in plan.channels if channel in turns.taxels) for plan in plans}
+    own = {number: channels for number, channels in own.items() if channels}
+    pokes = {number: joined([turns.pokes[channel] for channel in channels]) for number, channels in own.items()}
+    noise = find_noise(list(pokes.values()), turns.noise.force)
+    modules = [_module_turn(number, fit_group(own[number], pokes[number], noise), turns) for number in own]
+    log_odds = float(sum(each.log_odds_shared for each in modules))
+    if order is not None and order.log_odds_wrong > LOG_PRIOR_OF_WRONG_ORDER:
+        # Readings of other taxels say nothing about axes.
+        wrong = (AxisMistake(AxisMistakeKind.ORDER, None, (), float("nan"), order.log_odds_wrong, ()),)
+        return AxisFindings(tuple(modules), log_odds, wrong if order.is_wrong else ())
     known = {plan.id: plan.rotation for plan in plans}
     mistakes = _plan_mistakes(modules, known) if any(each is not None for each in known.values()) else ()
     if not mistakes:
         mistakes = _normal_mistakes(turns)
-    return AxisFindings(tuple(modules), float(sum(each.log_odds_shared for each in modules)), mistakes)
+    return AxisFindings(tuple(modules), log_odds, mistakes)
 
 
-def _module_turn(number: int, channels: Sequence[int], turns: SkinTurns) -> ModuleTurn:
-    pokes = [turns.pokes[channel] for channel in channels]
-    turn = fit_group(tuple(channels), joined(pokes), turns.noise)
-    single = [turns.taxels[channel] for channel in channels]
+def _module_turn(number: int, turn: Turn, turns: SkinTurns) -> ModuleTurn:
+    single = [turns.taxels[channel] for channel in turn.channels]
     # One hand for all taxels: they are of one kind.
     together = max(fit.log_evidence for fit in turn.fits)
     apart = max(sum(each.fits[hand].log_evidence for each in single) for hand in range(2))

@@ -27,8 +27,9 @@ from skincal.geometry import FloatArray
 
 NOISE_ROUNDS = 3
 """Fits of all taxels until their common noise is found; a fourth changes it by less than 1 %."""
-MIN_SHARE_OF_STRONGEST = 0.5
-"""Of the strongest answer of a poke. By simulation (docs/three-axes.md) these readings make the turn better by a third."""
+MIN_SHARE_OF_STRONGEST = 0.7
+"""Of the strongest answer of a poke. By simulation readings of less make the turn worse, and more pokes are lost with a higher
+share (docs/three-axes.md)."""
 LOG_RATIO_MIN_SD = 0.05
 """Of ln rho between taxels of one kind: gains of one batch differ by some percent."""
 UNKNOWNS_OF_TURN = 4

@@ -40,7 +40,7 @@ but their measured forces lean by the noise, so J'J pretends to know it. With f 
 to the information on omega in the mean, and as much to that on ln rho. (4) is taken away, with `SURPLUS_MARGIN_SDS` standard
 deviations of its own chance. No angle is less known than a uniform one, whose variance is pi^2/3. If the turn about the push
 itself is unknown, z lies anywhere on a cone about it. Its half angle c gives z the variance
-sin^2 c (1 + exp(2 var(ln rho)))/2 in each direction. A ratio of which the pokes know less than its prior is held at the prior.
+sin^2 c (1 + exp(2 var(ln rho)))/2 in each direction. The ratio is held at its prior if pokes say less.
 """
 
 from __future__ import annotations
@@ -147,13 +147,15 @@ class TurnFit:
 
     @property
     def log_evidence(self) -> float:
-        """Logarithm of the probability of the pokes if any turn is as likely, up to a constant of the pokes (Laplace).
+        """Logarithm of the probability density of the misses if any turn is as likely (Laplace).
 
-        exp(-C/2) is integrated over omega, whose volume is 8 pi^2, and over ln rho with its prior.
+        exp(-C/2), with the normal density 1/(2 pi s^2) of each poke's two directions, is integrated over omega, whose volume is
+        8 pi^2, and over ln rho with its prior.
         """
         _, log_volume = np.linalg.slogdet(2.0 * np.pi * self.covariance)
         prior = np.log(8.0 * np.pi**2) + 0.5 * np.log(2.0 * np.pi * self.log_ratio_sd**2)
-        return float(-0.5 * self.cost + 0.5 * log_volume - prior)
+        density = -np.log(2.0 * np.pi * self.variances).sum()
+        return float(density - 0.5 * self.cost + 0.5 * log_volume - prior)
 
     @property
     def axes(self) -> FloatArray:

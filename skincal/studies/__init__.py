@@ -26,6 +26,7 @@ class Entry(NamedTuple):
 
 
 STUDIES: Mapping[str, Entry] = {
+    "axes": Entry("axes_study", "The turn of taxels of three axes: error against pokes, module or taxel, and mistakes."),
     "stability": Entry("stability", "Every solver against 80-digit arithmetic on stiff and extreme cases.", "mpmath"),
     "guidance": Entry("guidance_study", "How many pokes are needed: guided, unguided, and with a printed recipe."),
     "paper": Entry("paper", "Repeat the paper's experiment. Add the modules method and landmark corrections."),

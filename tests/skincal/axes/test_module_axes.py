@@ -7,7 +7,9 @@ from skincal.axes.module_axes import AxisMistakeKind, ModulePlan, find_axes
 from skincal.axes.skin_turns import TurnState, find_noise, find_turns, joined, pokes_by_taxel
 from skincal.axes.turn_fit import AxisPokes
 from skincal.contacts.outcome import Contact
+from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts
 from skincal.geometry import rotation_by
+from skincal.model.skin_axes import ValueOrder
 from tests.skincal.axes.axis_support import FORCE_NOISE_N, READING_NOISE, make_pokes, random_rotation
 
 MODULES, TAXELS, POKES = 3, 4, 5
@@ -104,6 +106,17 @@ def test_one_turned_module_is_named_with_its_angle(matrix, turn):
     assert mistake.turn_deg == pytest.approx(turn)
 
 
+def test_a_wrong_order_of_values_comes_before_all_other_mistakes():
+    """Readings of other taxels look like any mistake: they are not named, also while the order is only doubted."""
+    pokes, plans = skin(9, change=EXCHANGED_XY)
+    turns = find_turns(pokes, FORCE_NOISE_N)
+    for counts, kinds in ((ValueOrderCounts(12, 4, 12), [AxisMistakeKind.ORDER]), (ValueOrderCounts(3, 1, 2), [])):
+        found = find_axes(turns, plans, OrderOfValues(counts, ValueOrder.BY_TAXEL))
+        assert [mistake.kind for mistake in found.mistakes] == kinds
+    right = find_axes(turns, plans, OrderOfValues(ValueOrderCounts(12, 12, 4), ValueOrder.BY_TAXEL))
+    assert [mistake.kind for mistake in right.mistakes] == [AxisMistakeKind.EXCHANGED]
+
+
 def test_without_a_plan_pushes_tell_a_negated_z_and_a_mirror():
     for change, axes in ((np.diag([1.0, 1.0, -1.0]), ("z",)), (np.diag([-1.0, 1.0, 1.0]), ("y",)), (np.eye(3), None)):
         pokes, _ = skin(6, change=change)
@@ -125,7 +138,7 @@ def test_contacts_give_forces_in_the_link_frame_and_only_readings_of_pressed_tax
     turned[:3, :3] = rotation_by(np.array([0.0, 0.0, np.pi / 2.0]))
     vectors = np.array([[1.0, 2.0, -8.0], [0.5, 0.1, -5.0], [0.1, 0.2, -1.0], [np.nan, np.nan, np.nan]])
     contact = Contact(
-        7, 0.0, 0.3, np.array([1.0, 2.0, -6.0]), np.zeros(3), np.array([4, 5, 6, 9]), np.array([8.0, 5.0, 1.0, 7.0]), turned,
+        7, 0.0, 0.3, np.array([1.0, 2.0, -6.0]), np.zeros(3), np.array([4, 5, 6, 9]), np.array([8.0, 6.0, 1.0, 7.0]), turned,
         "", 0.0, True, vectors=vectors,
     )  # fmt: skip
     found = pokes_by_taxel([contact])

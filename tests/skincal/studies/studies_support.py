@@ -8,6 +8,7 @@ from typing import Any
 
 from skincal.simulation.poking_strategies import Conditions
 from skincal.studies import load_study
+from skincal.studies.axes_study import AxesSizes
 from skincal.studies.guidance_study import GuidanceSizes
 from skincal.studies.paper import PaperSizes
 from skincal.studies.robot import RobotSizes
@@ -24,6 +25,7 @@ STABILITY_CASES = (
 )  # fmt: skip
 SIZES: dict[str, Any] = {
     "stability": CaseSizes(contacts=6, grid=4, many=300, only=frozenset(STABILITY_CASES)),
+    "axes": AxesSizes(seeds=1, mistake_seeds=2, leans_deg=(15.0,), taxel_pokes=(20,), module_pokes=(8,)),
     "guidance": GuidanceSizes(
         seeds=1, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
         modules_seeds=1, long=40, cases={"drift 0.25 N": Conditions(drift=0.25)},

@@ -1,0 +1,79 @@
+"""Order of the values of a skin of three axes: grouped by taxel or by axis, as the pokes show it.
+
+A push is mostly along z, so the strongest value of a frame is the z of a pressed taxel. If values that are grouped by axis are
+read as grouped by taxel, it falls on x, y and z alike. With k of n pokes on z, the log odds of the right order over a wrong
+one are k ln(3 p) + (n - k) ln(3 (1 - p)/2), with p = `SHARE_ON_Z`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.model.skin_axes import AXES_PER_TAXEL, SkinAxes, ValueOrder
+
+SHARE_ON_Z = 0.95
+"""Share of pokes with a z as the strongest value. The rest lean by more than 45 degrees, or miss the taxels."""
+LOG_PRIOR_OF_WRONG_ORDER = float(np.log(0.01))
+CERTAIN_LOG_ODDS = float(np.log(20.0))
+
+
+@dataclass(frozen=True, slots=True)
+class ValueOrderCounts:
+    """Pokes by the axis of their strongest value, in both orders."""
+
+    pokes: int = 0
+    on_z_by_taxel: int = 0
+    """Pokes whose strongest value is a z if values are grouped by taxel."""
+    on_z_by_axis: int = 0
+
+    def plus(self, newer: ValueOrderCounts) -> ValueOrderCounts:
+        """Add the counts of a later part of the session."""
+        return ValueOrderCounts(
+            self.pokes + newer.pokes, self.on_z_by_taxel + newer.on_z_by_taxel, self.on_z_by_axis + newer.on_z_by_axis
+        )
+
+    def on_z(self, order: ValueOrder) -> int:
+        """Count the pokes whose strongest value is a z in an order."""
+        return self.on_z_by_taxel if order is ValueOrder.BY_TAXEL else self.on_z_by_axis
+
+    def log_odds_wrong(self, order: ValueOrder) -> float:
+        """Natural logarithm of the odds that the values have the other order than this one."""
+        other = next(each for each in ValueOrder if each is not order)
+        gain, loss = np.log(3.0 * SHARE_ON_Z), np.log(1.5 * (1.0 - SHARE_ON_Z))
+        right, wrong = self.on_z(order), self.on_z(other)
+        return float((wrong - right) * (gain - loss) + LOG_PRIOR_OF_WRONG_ORDER)
+
+    def is_wrong(self, order: ValueOrder) -> bool:
+        """Whether the values have the other order for certain."""
+        other = next(each for each in ValueOrder if each is not order)
+        return self.log_odds_wrong(order) > CERTAIN_LOG_ODDS and self.on_z(other) >= 0.75 * self.pokes
+
+
+@dataclass(frozen=True, slots=True)
+class OrderOfValues:
+    """What the pokes say of the order that a scene names."""
+
+    counts: ValueOrderCounts
+    order: ValueOrder
+
+    @property
+    def log_odds_wrong(self) -> float:
+        """Natural logarithm of the odds that the values have the other order."""
+        return self.counts.log_odds_wrong(self.order)
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the values have the other order for certain."""
+        return self.counts.is_wrong(self.order)
+
+
+def count_strongest(axes: SkinAxes, change: FloatArray) -> ValueOrderCounts:
+    """Count one poke, by how far the values of a frame are from their rest, (3 n,) raw units."""
+    sizes = np.abs(np.where(np.isfinite(change), change, 0.0))
+    strongest, taxels, z = int(sizes.argmax()), len(change) // AXES_PER_TAXEL, axes.places[2]
+    if not sizes[strongest] > 0:
+        return ValueOrderCounts()
+    return ValueOrderCounts(1, int(strongest % AXES_PER_TAXEL == z), int(strongest // taxels == z))
