@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import overload
 
 from skincal.model.actions import Action, Exclude, Restore
 from skincal.session.decisions import Decisions, describe_action
@@ -24,6 +25,46 @@ class ActionEntry:
 
 HistoryEntry = ActionEntry | int
 """A poke is its number alone: there are thousands."""
+
+
+class Entries(Sequence[HistoryEntry]):
+    """Entries in a row that never change. One with one more shares their list, so that a long history is not copied."""
+
+    __slots__ = ("_count", "_items")
+
+    def __init__(self, entries: Iterable[HistoryEntry] = ()) -> None:
+        self._items = list(entries)
+        self._count = len(self._items)
+
+    def with_entry(self, entry: HistoryEntry) -> Entries:
+        """Add an entry."""
+        # A list that another row uses farther stays as it is.
+        items = self._items if len(self._items) == self._count else self._items[: self._count]
+        items.append(entry)
+        return self._first(items, self._count + 1)
+
+    @staticmethod
+    def _first(items: list[HistoryEntry], count: int) -> Entries:
+        entries = Entries()
+        entries._items, entries._count = items, count
+        return entries
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, at: int) -> HistoryEntry: ...
+    @overload
+    def __getitem__(self, at: slice) -> Entries: ...
+    def __getitem__(self, at: int | slice) -> HistoryEntry | Entries:
+        if isinstance(at, slice):
+            return Entries(self._items[: self._count][at])
+        return self._items[range(self._count)[at]]
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Entries) and other._items is self._items:
+            return other._count == self._count
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
 
 def describe_entry(entry: HistoryEntry) -> str:
@@ -57,7 +98,7 @@ class History:
     A poke that arrives meanwhile leaves the undone entries alone.
     """
 
-    entries: tuple[HistoryEntry, ...] = ()
+    entries: Entries = field(default_factory=Entries)
     """The newest last, with pokes that were excluded by hand."""
     undone: tuple[HistoryEntry, ...] = ()
     """The next one to redo last."""
@@ -73,16 +114,16 @@ class History:
 
     def with_poke(self, poke: int) -> History:
         """Add an accepted poke."""
-        return replace(self, entries=(*self.entries, poke))
+        return replace(self, entries=self.entries.with_entry(poke))
 
     def without_poke(self, poke: int) -> History:
         """Drop the entries of a poke that is no longer accepted."""
-        entries = tuple(entry for entry in self.entries if entry != poke)
+        entries = Entries(entry for entry in self.entries if entry != poke)
         return replace(self, entries=entries, undone=tuple(entry for entry in self.undone if not _is_of(entry, poke)))
 
     def with_action(self, entry: ActionEntry, *, is_operator: bool) -> History:
         """Add an action; one that the pipeline found leaves the undone entries alone."""
-        done = replace(self, entries=(*self.entries, entry))
+        done = replace(self, entries=self.entries.with_entry(entry))
         return _with_operation(done, OperationKind.DONE, entry, undone=()) if is_operator else done
 
     def after_undo(self, at: int) -> History:
@@ -93,7 +134,7 @@ class History:
 
     def after_redo(self, entry: HistoryEntry) -> History:
         """Move the newest undone entry back, as `entry`."""
-        done = replace(self, entries=(*self.entries, entry))
+        done = replace(self, entries=self.entries.with_entry(entry))
         return _with_operation(done, OperationKind.REDONE, entry, undone=self.undone[:-1])
 
 
