@@ -62,9 +62,9 @@ class Entries(Sequence[HistoryEntry]):
         return self._items[range(self._count)[at]]
 
     def __eq__(self, other: object) -> bool:
-        if isinstance(other, Entries) and other._items is self._items:
-            return other._count == self._count
-        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+        if not isinstance(other, Entries) or other._count != self._count:
+            return False
+        return other._items is self._items or tuple(self) == tuple(other)
 
 
 def describe_entry(entry: HistoryEntry) -> str:
