@@ -165,9 +165,10 @@ class Pipeline:
 
     def _feed_run(self, items: Sequence[Chunk | Tick]) -> None:
         """Process chunks of known links at which the journal counts no readings."""
-        self._begin_ns = self._begin_ns or items[0].host_ns
+        chunks = [item for item in items if isinstance(item, Chunk)]
+        self._begin_ns = self._begin_ns or (chunks[0].host_ns if chunks else 0)
         unwritten, decoded_due_ns = self._unwritten, self._decoded_due_ns
-        fed = self._intake.feed_many([item for item in items if isinstance(item, Chunk)])
+        fed = self._intake.feed_many(chunks)
         try:
             for item in items:
                 if isinstance(item, Tick):
@@ -184,7 +185,7 @@ class Pipeline:
                     self._decoded_wrenches(item.host_ns)
                     decoded_due_ns = self._decoded_due_ns
         finally:
-            self._now_ns = max(self._now_ns, *(item.host_ns for item in items if isinstance(item, Chunk)))
+            self._now_ns = max([self._now_ns, *(item.host_ns for item in chunks)])
             self._write_waiting()
 
     def _process_decoded(self, chunk: Chunk, samples: Sequence[Sample], *, changes_frozen: bool) -> None:

@@ -125,6 +125,7 @@ def run_poker(folder, until, step, kill_at=None):
     code = f"from tests.long.test_fifty_thousand_pokes import poke_on; poke_on({str(folder)!r}, {until}, {step})"
     figures, last = [], 0
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=CHECKOUT) as process:
+        assert process.stdout is not None
         for text in process.stdout:
             found = json.loads(text)
             if "poke" in found:
@@ -164,7 +165,7 @@ def test_a_whole_body_is_poked_killed_opened_and_poked_on(tmp_path):
 def write_pokes(folder, scene, contacts):
     """Write a session as its recording leaves it, but for the readings: both outcomes of each poke, and an end."""
     links = [LinkSpec(name, f"simulated:{name}", (Stream(name),)) for name in ("wrench", "skin")]
-    journal = create_session(folder, scene, links)
+    journal, at_ns = create_session(folder, scene, links), SESSION_START_TIME_NS
     for contact in contacts:
         at_ns = SESSION_START_TIME_NS + round(2e9 * contact.poke)
         first = replace(contact, tare_change=float("nan"), final=False)

@@ -274,3 +274,17 @@ def test_items_of_an_unknown_link_are_refused_after_those_before_them(tmp_path):
     with pytest.raises(pipeline_module.InputError, match="other"):
         pipeline.feed_many([*items[:50], Chunk("other", START_NS, b"")])
     assert repr(pipeline.totals()) == repr(fed(scene, items[:50], None).totals())
+
+
+def test_ticks_alone_are_no_items(tmp_path):
+    """All boards are silent for a block."""
+    scene = write_scene(tmp_path / "scene")
+    items = as_items(plain(scene))
+    ticks: list[Chunk | LinkEvent | Tick] = [Tick(START_NS + number * MS) for number in range(3)]
+    silent = Pipeline(scene, LINKS, None)
+    silent.feed_many([*ticks, *items, *ticks])
+    silent.feed_many(ticks)
+    alone = fed(scene, items, None)
+    assert silent.freeze_findings() == alone.freeze_findings()
+    assert (silent._begin_ns, silent._now_ns) == (alone._begin_ns, alone._now_ns)
+    assert same_estimates(silent.snapshot(), alone.snapshot())
