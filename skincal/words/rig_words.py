@@ -100,7 +100,7 @@ def rig_error_sentences(
     answer: RigAnswer | None,
     moved: str = "",
     *,
-    has_arm: bool = True,
+    has_arm: bool,
 ) -> list[str]:
     """List the errors of the rig that landmark pokes show, most important first.
 

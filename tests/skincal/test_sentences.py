@@ -213,15 +213,23 @@ def test_a_correction_in_use_takes_the_place_of_the_offered_one_unless_the_pokes
     frame, rig = (UsedCorrection(of, Correction(np.eye(6)), 0.0074, 0.0012, 21) for of in (FRAME, RIG))
     trust, distances = {1: 1.0, 2: 0.0}, {1: 0.001, 2: 0.014}
     good = RigAnswer(Correction(np.eye(6)), True, 0.0074, 0.0012, 6, trust, distances, NEITHER, NEITHER)
-    offer, doubted = rig_sentences(good)
-    begin, in_use = [frame_sentence(RIGHT), correction_sentence(frame)], correction_sentence(rig)
-    assert rig_error_sentences(RIGHT, {FRAME: frame}, good) == [*begin, offer, doubted]
-    assert rig_error_sentences(RIGHT, {FRAME: frame, RIG: rig}, good, "Moved.") == [*begin, in_use, "Moved.", doubted]
+    offer, doubted = rig_sentences(good, has_arm=True)
+    begin, in_use = (
+        [frame_sentence(RIGHT, has_arm=True), correction_sentence(frame, has_arm=True)],
+        correction_sentence(rig, has_arm=True),
+    )
+    assert rig_error_sentences(RIGHT, {FRAME: frame}, good, has_arm=True) == [*begin, offer, doubted]
+    assert rig_error_sentences(RIGHT, {FRAME: frame, RIG: rig}, good, "Moved.", has_arm=True) == [
+        *begin,
+        in_use,
+        "Moved.",
+        doubted,
+    ]
     bad = replace(good, used=False, after=0.006)
-    left = rig_sentences(bad)[0]
+    left = rig_sentences(bad, has_arm=True)[0]
     unsupported = f"{approved('rig.unsupported')} {left}"
-    assert rig_error_sentences(None, {RIG: rig}, bad) == [in_use, unsupported, doubted]
-    assert rig_error_sentences(None, {}, None) == []
+    assert rig_error_sentences(None, {RIG: rig}, bad, has_arm=True) == [in_use, unsupported, doubted]
+    assert rig_error_sentences(None, {}, None, has_arm=True) == []
 
 
 def test_a_part_without_joints_hears_of_its_sensor_alone():
