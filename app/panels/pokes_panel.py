@@ -30,7 +30,7 @@ from skincal.model.actions import MissedLandmark
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.poke_figures import doubting, force_of, peak_channel, pitch_of, tilt_of
 from skincal.taxels.result import Estimate
-from skincal.words.poke_words import REASON_WORDS, missed_words, poke_count_words, rejection_words, short_rejection
+from skincal.words.poke_words import missed_words, poke_count_words, rejection_words, short_rejection, words_of_reason
 from skincal.words.taxel_words import doubt_mark, doubt_words
 from skincal.words.units import DASH, ChannelNames, cell, number
 
@@ -275,5 +275,6 @@ MAX_NAMED_REASONS = 4  # Reasons of rejections that are counted apart
 def tally_words(snapshot: Snapshot) -> str:
     """Count the pokes and the reasons of rejections."""
     rejected = list(snapshot.poke_counts.rejected.items())[:MAX_NAMED_REASONS]
-    counted = ", ".join(f"{REASON_WORDS[reason]}: {n}" for reason, n in rejected)
+    arm_pose = next((record.outcome.pose for record in reversed(snapshot.pokes) if record.outcome.pose), "")
+    counted = ", ".join(f"{words_of_reason(reason, arm_pose)}: {n}" for reason, n in rejected)
     return poke_count_words(snapshot.poke_counts, f" ({counted})" if counted else "")

@@ -23,7 +23,7 @@ from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.session.snapshot import Snapshot
-from skincal.words.poke_words import REASON_WORDS
+from skincal.words.poke_words import reason_words
 
 SAMPLE_RATE_HZ = 48_000  # Hz, the usual rate of sound devices
 MAX_CUE_LENGTH_S = 0.120  # No sound is longer: the next may follow at once
@@ -151,7 +151,7 @@ def _poking_cue(before: CueMemory, now: CueMemory) -> DueCue | None:
         return DueCue(Cue.ENOUGH)
     verdict = now.outcome if now.outcome is not None and is_news(before.outcome, now.outcome) else None
     if isinstance(verdict, Rejection) and not now.at_landmark:
-        return DueCue(Cue.REJECTED, REASON_WORDS[verdict.reason])
+        return DueCue(Cue.REJECTED, reason_words(verdict))
     if _is_new_poke(before.outcome, now.outcome) and newly_done(before.guidance, now.guidance):
         return DueCue(Cue.DONE)
     if verdict is not None:

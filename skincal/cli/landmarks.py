@@ -394,10 +394,10 @@ def _landmark_line(session: Session) -> str:
 
 def _row_line(row: dict[str, Any]) -> str:
     from skincal.contacts.outcome import Reason
-    from skincal.words.poke_words import REASON_WORDS
+    from skincal.words.poke_words import words_of_reason
 
     reason = None if row["outcome"] == "accepted" else Reason(row["outcome"])
-    outcome = "accepted" if reason is None else REASON_WORDS[reason]
+    outcome = "accepted" if reason is None else words_of_reason(reason, row["pose"])
     pose = f", pose {row['pose']}" if row["pose"] else ""
     words = f"poke {row['poke']}, {row['start_s']:.1f} s{pose}: {outcome}"
     if row["landmark"]:

@@ -18,13 +18,14 @@ from skincal.geometry import FloatArray
 from skincal.guide.verdict import Verdict
 from skincal.journal.documents import LinkTotals
 from skincal.model.readings import LinkHealth, LinkState
+from skincal.model.scene import Scene
 from skincal.model.skin import Layout
 from skincal.modules.health import spacing_ratio
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.words.link_words import beside_words, outage_words
-from skincal.words.poke_words import REASON_WORDS
+from skincal.words.poke_words import words_of_reason
 from skincal.words.taxel_words import predicted_words, unchecked_sentence
 from skincal.words.verdict_words import verdict_sentence
 
@@ -122,9 +123,10 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
     return {"links": counts, "frames_without_wrench": unpaired}
 
 
-def poke_lines(counts: Mapping[str, Any]) -> list[str]:
+def poke_lines(counts: Mapping[str, Any], scene: Scene) -> list[str]:
     """Return the text for `poke_counts`."""
-    rejected = ", ".join(f"{REASON_WORDS[Reason(key)]}: {count}" for key, count in counts["rejected"].items())
+    arm_pose = "" if scene.tool is None else scene.tool.arm_pose
+    rejected = ", ".join(f"{words_of_reason(Reason(key), arm_pose)}: {count}" for key, count in counts["rejected"].items())
     pokes = "1 poke" if counts["pokes"] == 1 else f"{counts['pokes']} pokes"
     line = f"{pokes}: {counts['accepted']} accepted, {sum(counts['rejected'].values())} rejected"
     line += f" ({rejected})" if rejected else ""

@@ -364,8 +364,13 @@ def finish(
         unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds, live.links)]
     frames = frame_sentences(pipeline.session.wrench_frames, snapshot.contacts)
     found = [*frames, *unpoked, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
-    setup = setup_sentences(SessionResults(pipeline).setup)
-    text = [*found, *output.poke_lines(counts), *(output.method_line(name, summary) for name, summary in methods.items())]
+    results = SessionResults(pipeline)
+    setup = (*results.tool, *setup_sentences(results.setup))
+    text = [
+        *found,
+        *output.poke_lines(counts, pipeline.scene),
+        *(output.method_line(name, summary) for name, summary in methods.items()),
+    ]
     text += setup
     # Without a byte of one of its devices no poke can ever be found in a recording.
     no_result = not counts["accepted"] if imported else not snapshot.pokes

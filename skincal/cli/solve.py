@@ -153,7 +153,14 @@ def solve(
         "files": files,
         "findings": findings,
     }
-    text = [*output.poke_lines(counts), *output.method_lines(methods, leads), *results.skin, *setup, *rig_lines, *tip_lines]
+    text = [
+        *output.poke_lines(counts, pipeline.scene),
+        *output.method_lines(methods, leads),
+        *results.skin,
+        *setup,
+        *rig_lines,
+        *tip_lines,
+    ]
     text += [
         *output.unchecked_lines(results, unchecked),
         *_session_lines(results),

@@ -28,7 +28,7 @@ from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
 from skincal.words.link_words import beside_words, outage_words
 from skincal.words.mistake_words import frame_sentence, setup_sentences
-from skincal.words.poke_words import REASON_WORDS, poke_count_words
+from skincal.words.poke_words import poke_count_words, reason_words
 from skincal.words.rig_words import rig_error_sentences
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words, unchecked_sentence
 from skincal.words.units import DASH, millimetres
@@ -340,8 +340,8 @@ def _pokes(facts: SessionFacts) -> ReportSection:
     said = [f"{poke_count_words(snapshot.poke_counts)}.", *([f"Excluded: poke {', '.join(out)}."] if out else [])]
     said += [f"Channel {channel} is not used: {why}." for channel, why in facts.results.snapshot.dead.items()]
     rows = [
-        (REASON_WORDS[reason], str(len(found)), ", ".join(str(each.poke) for each in found))
-        for reason, found in facts.rejected.items()
+        (reason_words(found[0]), str(len(found)), ", ".join(str(each.poke) for each in found))
+        for found in facts.rejected.values()
     ]
     tables = (ReportTable(("Reason", "Pokes", "Their numbers"), rows, "Rejected pokes"),) if rows else ()
     return ReportSection("Pokes", said, tables=tables)

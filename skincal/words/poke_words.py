@@ -112,10 +112,13 @@ def is_of_tool(rejection: Rejection) -> bool:
 
 def reason_words(rejection: Rejection) -> str:
     """Say why a poke was rejected, without its number."""
-    words = REASON_WORDS[rejection.reason]
-    return {TOOL_ARM_POSE: _TOOL_REASON_WORDS, TIP_ARM_POSE: _TIP_REASON_WORDS}.get(rejection.pose, {}).get(
-        rejection.reason, words
-    )
+    return words_of_reason(rejection.reason, rejection.pose)
+
+
+def words_of_reason(reason: Reason, arm_pose: str) -> str:
+    """Say why pokes in an arm pose were rejected: a rig with a tool has words of its own for some reasons."""
+    words = REASON_WORDS[reason]
+    return {TOOL_ARM_POSE: _TOOL_REASON_WORDS, TIP_ARM_POSE: _TIP_REASON_WORDS}.get(arm_pose, {}).get(reason, words)
 
 
 def rejection_words(rejection: Rejection) -> str:

@@ -15,6 +15,7 @@ def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, ru
     options = [f"--{name}=file:{tmp_path / name}.txt" for name in lines]
     code, out, _ = run("record", *options, "--scene", tmp_path / "scene.toml", "--out", tmp_path / "s")
     assert (code, "2 accepted" in out) == (0, True)
+    assert "Part: its pose in the base is not known yet" in out
     marks = [word for row in range(4) for word in ("--at", f"{row + 1}=m{row}")]
     code, out, _ = run("landmarks", tmp_path / "s", *marks)
     assert (code, "they show the part's pose" in out) == (0, True)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from skincal.cli.output import poke_counts, poke_lines
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.following.results import SessionResults
 from skincal.mesh.load import load_surface
@@ -250,3 +251,14 @@ def test_streams_of_a_rig_without_a_sensor(tmp_path):
     said = tool_findings(scene.tool, scene.wrench_sign, finds_part_pose=scene.finds_part_pose)
     assert said[0].startswith("there is no force sensor")
     assert not any("wrench" in each for each in said)
+
+
+def test_a_summary_names_the_poses_of_the_tool_and_no_arm(tmp_path):
+    pipeline = calibrate(
+        scene_of(tmp_path, scene_text()),
+        (chunk for chunk in chunks(TAXELS[:2]) if chunk.link == "skin" or not 1.5e9 < chunk.host_ns < 2.9e9),
+    )
+    (late, _) = outcomes_of(pipeline)
+    assert rejection_words(late).startswith("tool pose unknown: its last pose is")
+    (line_of_pokes,) = poke_lines(poke_counts(pipeline.snapshot()), pipeline.scene)
+    assert line_of_pokes == "2 pokes: 1 accepted, 1 rejected (tool pose unknown: 1)"
