@@ -22,4 +22,4 @@ def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, ru
     code, out, _ = run("solve", tmp_path / "s", "--json")
     assert (code, json.loads(out)["tip"]["part"]["state"]) == (0, "known")
     code, _, err = run("record", options[0], "--scene", tmp_path / "scene.toml", "--out", tmp_path / "t")
-    assert (code, "add --tool" in err) == (2, True)
+    assert (code, "or --tool" in err) == (2, True)
