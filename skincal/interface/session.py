@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from skincal.axes.module_axes import AxisFindings
+    from skincal.axes.skin_turns import SkinTurns
     from skincal.reporting.session_facts import SessionFacts
 
 
@@ -146,6 +148,21 @@ class Session:
         # The normals of the smooth part, as in files.
         estimates = self.results.session.calibration().estimates[chosen]
         return taxels_of(estimates, self.results.session.scene, chosen, snapshot.part_size)
+
+    def turns(self, method: str | None = None) -> tuple[SkinTurns, AxisFindings]:
+        """Find the turns of taxels of three axes, and what they say of modules and of the scene (`docs/three-axes.md`).
+
+        The plans of modules are placed by the positions of a method; `None` for the leading one.
+
+        Raises
+        ------
+        InputError
+
+            The skin has one axis, or no accepted poke has a reading.
+        """
+        from skincal.interface.turns import turns_of_session  # only for skins of three axes
+
+        return turns_of_session(self.results.session, self.results.snapshot.estimates[self._method(method)])
 
     def verdict(self, method: str | None = None) -> Judgement:
         """Judge the estimates of a method; `None` for the leading one. Raises as `taxels`."""

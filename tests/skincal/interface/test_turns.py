@@ -1,0 +1,78 @@
+"""Turns of the taxels of a session that is solved from arrays, from the scene's file to the answer."""
+
+import numpy as np
+import pytest
+
+import skincal
+from skincal.axes.module_axes import AxisMistakeKind
+from skincal.geometry import rotation_by
+from skincal.model.errors import InputError
+from tests.skincal.axes.axis_support import random_rotation, turn_between
+
+PADS_MM = [(x, y) for y in (-4, 0, 4) for x in (-4, 0, 4)]
+PLAN = f"""[kinds.pad]
+pads_mm = {[list(pad) for pad in PADS_MM]}
+outline_mm = [[-6, -6], [6, -6], [6, 6], [-6, 6]]
+centre_pad = 4
+[[modules]]
+id = 3
+kind = "pad"
+first_channel = 0
+"""
+
+
+def make_scene(folder, axes="axes = 3\nunit = 'N'\n"):
+    (folder / "m.toml").write_text(PLAN)
+    path = folder / "scene.toml"
+    path.write_text(f"name = 'tip'\nlink = 'tip'\n[skin]\nchannels = 9\nmodules = 'm.toml'\n{axes}[contacts]\ntaxels_max = 9\n")
+    return skincal.Scene.load(path)
+
+
+def poke_arrays(change=None, seed=1):
+    """Six pokes on each taxel of a module that lies anywhere: wrenches, values of frames, and the module's axes."""
+    rng = np.random.default_rng(seed)
+    plan = random_rotation(rng)
+    axes = plan @ rotation_by(np.radians(2.0) * rng.normal(size=3))
+    at = np.array([0.02, -0.03, 0.05])
+    wrenches, frames = [], []
+    for taxel, pad in enumerate(PADS_MM * 6):
+        tilt, azimuth = np.radians(rng.uniform(4, 20)), rng.uniform(0, 2 * np.pi)
+        towards = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), -np.cos(tilt)])
+        force = rng.uniform(5, 8) * plan @ towards
+        place = at + plan @ np.array([*pad, 0.0]) * 1e-3
+        wrenches.append(np.concatenate([force, np.cross(place, force)]) + 1e-4 * rng.normal(size=6))
+        vectors = np.zeros((9, 3))
+        vectors[taxel % 9] = 0.4 * (axes.T @ force) * [0.6, 0.6, 1.0] + 0.005 * rng.normal(size=3)
+        if change is not None:
+            vectors = vectors @ change.T
+        # The device's z rises under a push.
+        frames.append((vectors * [1, 1, -1]).ravel())
+    return np.array(wrenches), np.array(frames), axes
+
+
+def test_turns_of_arrays_are_the_true_ones(tmp_path):
+    wrenches, frames, axes = poke_arrays()
+    turns, found = skincal.solve(make_scene(tmp_path), wrenches, frames).turns()
+    assert len(turns.taxels) == 9
+    for turn in turns.taxels.values():
+        assert np.degrees(np.linalg.norm(turn_between(turn.fit.rotation, axes))) < 3.0
+        assert turn.fit.is_in_plane_known
+    (module,) = found.modules
+    assert (module.id, module.is_shared) == (3, True)
+    assert np.degrees(np.linalg.norm(turn_between(module.turn.fit.rotation, axes))) < 1.0
+    assert found.mistakes == ()
+
+
+def test_exchanged_axes_are_named_against_the_estimated_module(tmp_path):
+    wrenches, frames, _ = poke_arrays(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    _, found = skincal.solve(make_scene(tmp_path), wrenches, frames).turns()
+    (mistake,) = found.mistakes
+    assert (mistake.kind, mistake.axes) == (AxisMistakeKind.EXCHANGED, ("x", "y"))
+
+
+def test_a_skin_of_one_axis_or_without_pokes_has_no_turns(tmp_path):
+    wrenches, frames, _ = poke_arrays()
+    with pytest.raises(InputError, match="set axes = 3"):
+        skincal.solve(make_scene(tmp_path, ""), wrenches, frames[:, 2::3]).turns()
+    with pytest.raises(InputError, match="no accepted poke"):
+        skincal.solve(make_scene(tmp_path), wrenches, 0.0 * frames).turns()
