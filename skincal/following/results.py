@@ -9,6 +9,7 @@ from functools import cached_property
 from skincal.files.calibration import Calibration
 from skincal.following.review import ReviewRequest, diagnose_rig
 from skincal.following.session_guide import SessionGuide
+from skincal.following.tool_check import check_tool_setup
 from skincal.guide.verdict import Verdict
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
@@ -17,7 +18,7 @@ from skincal.part.part import Part, lay_part
 from skincal.rig.correction import FRAME
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import FrameDiagnosis
-from skincal.rig.setup_check import SetupDiagnosis, check_setup
+from skincal.rig.setup_check import SetupDiagnosis
 from skincal.session.corrections import offered
 from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
@@ -88,11 +89,8 @@ class SessionResults:
     @cached_property
     def setup(self) -> SetupDiagnosis | None:
         """Mistakes of the scene that pokes on the skin show; `None` without a laid layout or with too few pokes."""
-        session, snapshot = self.session, self.snapshot
-        if not snapshot.is_placed:
-            return None
-        scene = snapshot.placed_scene(session.scene)
-        return check_setup(snapshot.contacts, scene, self.part.laid, session.surface, session.wrench_frames)
+        session, part = self.session, self.part
+        return check_tool_setup(self.snapshot, session.scene, part.laid, session.surface, session.wrench_frames)
 
     @cached_property
     def tool(self) -> tuple[str, ...]:

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 from skincal.contacts.skin_condition import SkinCondition
 from skincal.following.background import BackgroundJob, Run
+from skincal.following.tool_check import check_tool_setup
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.part.part import Part
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.scene_mistakes import MistakeKind
-from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, SetupDiagnosis, check_setup
+from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, SetupDiagnosis
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
 from skincal.words.frame_words import frame_sentences
@@ -77,18 +78,19 @@ class SetupFollower:
             self._corrections, self._is_due = corrections, True
             self._replace_finding((), None)
         enough = self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]
-        if part.laid is None or not snapshot.is_placed or self._job.is_busy or not (enough or self._is_due):
+        if part.laid is None or self._job.is_busy or not (enough or self._is_due):
             return
         self._is_due = False
         while self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]:
             self._next += 1
-        contacts, scene = snapshot.contacts, snapshot.placed_scene(part.scene)
+        scene = part.scene
 
         def finish(diagnosis: SetupDiagnosis | None) -> None:
             if corrections == self._corrections:
                 self._finish(diagnosis)
 
-        self._job.start(lambda: check_setup(contacts, scene, part.laid, part.surface, frames), finish)
+        seen = snapshot.detached()
+        self._job.start(lambda: check_tool_setup(seen, scene, part.laid, part.surface, frames), finish)
 
     def _finish(self, diagnosis: SetupDiagnosis | None) -> None:
         first = diagnosis.mistakes[0] if diagnosis is not None and diagnosis.mistakes else None

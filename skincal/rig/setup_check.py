@@ -72,6 +72,8 @@ LAYOUT_FIT_MAX_SPACINGS, LAYOUT_FIT_MAX_OWN_ERRORS = 0.75, 3.0
 """Spacings of the layout, or own errors of the rig, that a change of the layout may leave (median)."""
 TOOL_FIT_MAX_M = 0.020
 """m, median, that a change may leave if the sensor sits on the tool: wrong poses scatter the force axes by more."""
+LONGEST_TOOL_M = 0.5
+"""m from the sensor to the tip."""
 PARALLEL_MAX_SINE = 0.05
 """Sine of the angle of two force axes below which they count as parallel."""
 
@@ -92,6 +94,8 @@ class SetupDiagnosis:
     """m, median distance of the pokes from the taxels that answered, as the scene says."""
     mistakes: tuple[Mistake, ...]
     """Likely mistakes, the likeliest first; empty if the pokes fit the scene."""
+    of_touches: bool = False
+    """Whether the tip of a tool shows them, at landmarks too, and no force axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,6 +306,8 @@ def _sensors(asked: _TaxelEvidence, scene: Scene) -> _Hypotheses:
     for mistake in sensor_mistakes():
         if mistake.kind is MistakeKind.NONE:
             continue
+        if scene.tool is not None and not _can_be_unit(mistake, asked.pokes):
+            continue
         has_unit, has_axes = mistake.force_scale != mistake.moment_scale, mistake.kind is MistakeKind.AXES
         prior = (_prior(4) if has_unit else 0.0) + (_prior(2 if mistake.is_reaction else 47) if has_axes else 0.0)
         # A force axis has no unit of forces: only that of moments against it counts.
@@ -316,6 +322,18 @@ def _sensors(asked: _TaxelEvidence, scene: Scene) -> _Hypotheses:
             wrench = asked.with_pokes(force=asked.pokes.force @ turn.T, moment=asked.pokes.moment @ turn.T)
             signed = float(degrees if degrees < 180 else degrees - 360)
             yield _prior(60), Mistake(MistakeKind.FLANGE, names=("xyz"[axis],), degrees=signed), wrench
+
+
+def _can_be_unit(mistake: Mistake, pokes: Pokes) -> bool:
+    """Tell whether moments in another unit may explain the pokes of a tool that carries the sensor.
+
+    Its pushes are nearly along its axis. So moments are small, and without them every axis passes near the tip: moments in
+    newton millimetres are those that no tool is long enough for.
+    """
+    if mistake.moment_scale == mistake.force_scale:
+        return True
+    lever = float(np.median(np.linalg.norm(pokes.moment, axis=1) / pokes.force_size))
+    return mistake.moment_scale < mistake.force_scale and lever > LONGEST_TOOL_M
 
 
 def distances_from_sensor(contacts: Sequence[Contact], frame: WrenchFrame) -> tuple[float, float]:

@@ -47,6 +47,9 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
     misses = (
         ""
         if first.is_reaction
+        else f" {found.pokes} touches miss landmarks and taxels that answer by {millimetres(found.miss, 0)} (median), and with "
+        f"this change by {millimetres(first.miss, 0)}."
+        if found.of_touches
         else f" {found.pokes} pokes miss the taxels that answer by {millimetres(found.miss, 0)} (median), and with this change "
         f"by {millimetres(first.miss, 0)}."
     )
@@ -93,6 +96,23 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
     MistakeKind.TOOL_AXES: (
         "the poses of the tool have left-handed axes, or their positions other axes than their rotations",
         "send positions and rotations in one right-handed frame",
+    ),
+    MistakeKind.TOOL_POSE_OF_TIP: (
+        "the poses of the tool are those of its tip, not of the flange",
+        "send the pose of the flange, or give tip_mm and flange of [tool] in the frame of the tip",
+    ),
+    MistakeKind.TOOL_OTHER_TIP: (
+        "the tip lies ({names[0]}, {names[1]}, {names[2]}) mm from tip_mm, in the tool's frame: this is another tool, or the "
+        "robot has the tool centre point of another one",
+        "correct tip_mm of [tool], or the tool centre point of the robot",
+    ),
+    MistakeKind.TOOL_MIRRORED: (
+        "{names[0]} of the tool's poses are exchanged, so that its base is left-handed",
+        "turn the axes in the tracker's program or its driver, and exchange none",
+    ),
+    MistakeKind.TOOL_PART_MOVED: (
+        "the part or the base of the tool's poses moved by about {names[1]} mm before poke {names[0]}",
+        "fix the part, exclude the pokes before it, and press the landmarks again",
     ),
     MistakeKind.TOOL_WRENCH: (
         "the wrench has the axes of the base, not those of the sensor",

@@ -1,0 +1,79 @@
+"""The check of a scene with a tool: mistakes that pokes at planned taxels show, then those that touches of the tip show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skincal.geometry import inverse_pose
+from skincal.mesh.lay import PlacedLayout
+from skincal.mesh.surface import Surface
+from skincal.model.pose_form import PoseForm, RotationForm
+from skincal.model.scene import Scene
+from skincal.model.wrench_frames import WrenchFrame
+from skincal.rig.scene_mistakes import MistakeKind
+from skincal.rig.setup_check import SetupDiagnosis, check_setup
+from skincal.rig.touch_mistakes import (
+    LANDMARK_TOUCH_SD_M,
+    PLANNED_TOUCH_SD_M,
+    TouchedPlaces,
+    find_touch_mistake,
+)
+from skincal.session.snapshot import Snapshot
+
+
+def check_tool_setup(
+    snapshot: Snapshot,
+    scene: Scene,
+    laid: PlacedLayout | None,
+    surface: Surface | None,
+    frames: Sequence[WrenchFrame] = (),
+) -> SetupDiagnosis | None:
+    """Look for mistakes of a scene, with `[tool]` or without; `None` if nothing can be checked.
+
+    Parameters
+    ----------
+    scene : as its file says
+    laid : the scene's layout on the part
+    frames : that the messages of the wrench name
+    """
+    found = None
+    if snapshot.is_placed and scene.has_sensor:
+        found = check_setup(snapshot.contacts, snapshot.placed_scene(scene), laid, surface, frames)
+    is_named = found is not None and any(each.kind is not MistakeKind.TOOL_UNEXPLAINED for each in found.mistakes)
+    if scene.tool is None or is_named:
+        return found
+    touched = touched_places(snapshot, scene, laid)
+    by_touches = None if touched is None else find_touch_mistake(touched)
+    if touched is None or by_touches is None:
+        return found
+    return SetupDiagnosis(len(touched.number), by_touches.miss, (by_touches.mistake,), of_touches=True)
+
+
+def touched_places(snapshot: Snapshot, scene: Scene, laid: PlacedLayout | None) -> TouchedPlaces | None:
+    """Gather touches of landmarks and of planned taxels, in the base; `None` without a tip."""
+    tool, part, marked = scene.tool, snapshot.part_pose, snapshot.counting_landmark_pokes
+    if tool is None or tool.tip is None:
+        return None
+    is_carried = part is not None and part.is_known
+    into_base = inverse_pose(part.link_from_base if part is not None and is_carried else tool.link_from_base)
+    into_tool = inverse_pose(tool.tool_from_sensor)
+    every = [(int(poke), pose, place, LANDMARK_TOUCH_SD_M) for poke, pose, place in zip(
+        marked.number.tolist(), marked.link_from_sensor, marked.place, strict=True
+    )]  # fmt: skip
+    for contact in snapshot.contacts:
+        place = None if laid is None else laid.places[contact.strongest_channel]
+        if place is not None and np.isfinite(place).all() and contact.poke not in snapshot.at_landmarks:
+            every.append((contact.poke, contact.link_from_sensor, place, PLANNED_TOUCH_SD_M))
+    if not every:
+        return None
+    numbers, poses, places, sds = zip(*sorted(every, key=lambda each: each[0]), strict=True)
+    return TouchedPlaces(
+        np.array(numbers, dtype=np.int64),
+        np.array([into_base @ pose @ into_tool for pose in poses]),
+        np.array(places, dtype=np.float64),
+        np.array(sds, dtype=np.float64),
+        tool.tip,
+        tool.form or PoseForm(RotationForm.QUATERNION_XYZW),
+    )
