@@ -12,7 +12,7 @@ from skincal.model.wrench_frames import WrenchFrame
 from skincal.part.part import Part
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.scene_mistakes import MistakeKind
-from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, SetupDiagnosis
+from skincal.rig.setup_check import SETUP_CHECK_MIN_POKES, SetupDiagnosis, check_setup
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
 from skincal.words.frame_words import frame_sentences
@@ -89,8 +89,12 @@ class SetupFollower:
             if corrections == self._corrections:
                 self._finish(diagnosis)
 
-        seen = snapshot.detached()
-        self._job.start(lambda: check_tool_setup(seen, scene, part.laid, part.surface, frames), finish)
+        if scene.tool is not None:
+            seen = snapshot.detached()
+            self._job.start(lambda: check_tool_setup(seen, scene, part.laid, part.surface, frames), finish)
+            return
+        contacts = snapshot.contacts
+        self._job.start(lambda: check_setup(contacts, scene, part.laid, part.surface, frames), finish)
 
     def _finish(self, diagnosis: SetupDiagnosis | None) -> None:
         first = diagnosis.mistakes[0] if diagnosis is not None and diagnosis.mistakes else None
