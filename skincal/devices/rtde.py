@@ -1,9 +1,16 @@
-"""Universal Robots' RTDE: the wrench of the flange's sensor and the joints' angles, with one clock.
+"""Universal Robots' RTDE: the wrench of the flange's sensor, the joints' angles and the pose of the flange, with one clock.
 
 A packet is a uint16, big-endian, its length with this head, one byte of kind, and the payload. The host asks for version 2
 (`V`), names what it wants (`O`; the answer has the recipe's number and the kind of each), and starts (`S`); then a `U`
 comes at each cycle. The wrench is `ft_raw_wrench`, in the sensor's own frame; `actual_TCP_force` is compensated for a
 payload, zeroed at power-on, and its frame depends on the software: it is never requested. Source: the maker's RTDE guide.
+
+The pose of a tool (`--tool`) is that of the flange, in the controller's `base` (not `base_link`), metres:
+
+    flange = actual_TCP_pose x inverse(tcp_offset),
+
+both a position and a rotation vector, rad. So a tool centre point that somebody changes on the pendant changes nothing.
+`tcp_offset` needs the software 3.12 or 5.5.1.
 """
 
 from __future__ import annotations
@@ -16,6 +23,8 @@ import numpy as np
 
 from skincal.devices.decoding import NO_SEQ, TIME_STAMP_MAX_S, FrameDecoder, FrameSplitter, LengthSplitter, ProtocolError
 from skincal.devices.family import Family, Form, Handshake, HandshakeError, Route, Vector
+from skincal.geometry import FloatArray, rotations
+from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.readings import Loss, Stream
 
 HEAD_STRUCT = struct.Struct("!HB")
@@ -23,6 +32,7 @@ VERSION, OUTPUTS, START, DATA = b"VOSU"
 OUTPUT_RATE_HZ = 125.0
 """Hz. Every controller can send at this rate; e-Series could at 500 Hz."""
 FIELD_OF_STREAM = {Stream.WRENCH: "ft_raw_wrench", Stream.JOINTS: "actual_q"}
+TOOL_FIELDS = ("actual_TCP_pose", "tcp_offset")
 FIELD_KIND = "VECTOR6D"
 SHOWN_TYPE_NAME_MAX_CHARS = 60
 
@@ -33,8 +43,24 @@ def packet(kind: int, payload: bytes) -> bytes:
 
 
 def recipe(carries: tuple[Stream, ...]) -> list[str]:
-    """Name the requested fields: the time, and one field for each stream."""
-    return ["timestamp", *(FIELD_OF_STREAM[stream] for stream in carries if stream in FIELD_OF_STREAM)]
+    """Name the requested fields: the time, one field for each stream, and those of a tool's pose at the end."""
+    of_tool = TOOL_FIELDS if Stream.TOOL in carries else ()
+    return ["timestamp", *(FIELD_OF_STREAM[stream] for stream in carries if stream in FIELD_OF_STREAM), *of_tool]
+
+
+def flange_pose(pose: FloatArray, offset: FloatArray) -> FloatArray:
+    """Compute the pose of the flange from that of the tool centre point and its offset; each (6,), metres and rad."""
+    (turn, of_offset) = rotations(np.array([pose[3:], offset[3:]]))
+    flange = turn @ of_offset.T
+    return np.concatenate([pose[:3] - flange @ offset[:3], _rotation_vector(flange)])
+
+
+def _rotation_vector(turn: FloatArray) -> FloatArray:
+    """Compute the rotation vector (3,), rad, of a rotation (3, 3)."""
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs] - slow to import: only who reads poses pays
+
+    vector: FloatArray = Rotation.from_matrix(turn).as_rotvec()
+    return vector
 
 
 def _next_packet(data: bytes, at: int) -> tuple[bytes, int] | None:
@@ -89,7 +115,8 @@ class RtdeHandshake(Handshake):
         wanted = ["DOUBLE", *[FIELD_KIND] * (len(self._fields) - 1)]
         for name, kind, want in zip(self._fields, kinds, wanted, strict=False):
             if kind == "NOT_FOUND":
-                raise HandshakeError(f"the controller has no {name}; it needs newer software, and a sensor at its flange")
+                needs = "newer software" if name in TOOL_FIELDS else "newer software, and a sensor at its flange"
+                raise HandshakeError(f"the controller has no {name}; it needs {needs}")
             if kind != want:
                 raise HandshakeError(f"{name} is of the kind {kind[:SHOWN_TYPE_NAME_MAX_CHARS]!r}; expected {want}")
         if len(kinds) != len(wanted):
@@ -102,10 +129,16 @@ class RtdeDecoder(FrameDecoder):
     name: ClassVar[str] = "UR RTDE"
     starts_whole: ClassVar[bool] = True
     needs_recipe: ClassVar[bool] = True
+    defined_pose: ClassVar[PoseForm | None] = PoseForm(RotationForm.ROTATION_VECTOR)
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._streams = [stream for stream in carries if stream in FIELD_OF_STREAM]
+        self._has_tool = Stream.TOOL in carries
+        self._offset: bytes | None = None
+        """tcp_offset of the last packet; `None` before the first."""
+        self._fields = 6 * (len(self._streams) + (len(TOOL_FIELDS) if self._has_tool else 0))
+        self.units[Stream.TOOL] = "pose of the flange in base, m"
         self.units[Stream.JOINTS] = "base, shoulder, elbow and the three of the wrist in degrees"
 
     def _make_splitter(self) -> FrameSplitter:
@@ -115,8 +148,8 @@ class RtdeDecoder(FrameDecoder):
         if frame[0] != DATA:
             return None  # answers of the handshake, and messages to people
         values = np.frombuffer(frame[2:], ">f8") if (len(frame) - 2) % 8 == 0 else np.zeros(0)
-        if len(values) != 1 + 6 * len(self._streams):
-            self._problem = f"Packets of {len(frame)} bytes arrive where {2 + 8 * (1 + 6 * len(self._streams))} are expected"
+        if len(values) != 1 + self._fields:
+            self._problem = f"Packets of {len(frame)} bytes arrive where {2 + 8 * (1 + self._fields)} are expected"
             return Loss.BAD_WIDTH
         self.valid_records += 1
         device_s = float(values[0]) if math.isfinite(values[0]) and abs(values[0]) < TIME_STAMP_MAX_S else math.nan
@@ -124,7 +157,19 @@ class RtdeDecoder(FrameDecoder):
             field = values[1 + 6 * index : 7 + 6 * index].astype(np.float64)
             # As every decoder hands on angles: degrees.
             self._add(stream, NO_SEQ, device_s, np.degrees(field) if stream is Stream.JOINTS else field)
+        if self._has_tool:
+            self._add_tool(device_s, values[-12:].astype(np.float64))
         return None
+
+    def _add_tool(self, device_s: float, values: FloatArray) -> None:
+        pose, offset = values[:6], values[6:]
+        if self._offset is not None and offset.tobytes() != self._offset:
+            self._problem = (
+                "The tool centre point was changed on the controller; poses are those of the flange, and are not affected"
+            )
+        self._offset = offset.tobytes()
+        finite = bool(np.isfinite(values).all())
+        self._add(Stream.TOOL, NO_SEQ, device_s, flange_pose(pose, offset) if finite else np.full(6, np.nan))
 
 
 _ANSWER_BYTES = b"\x00\x04V\x01" + b"\x00\x1cO\x01DOUBLE,VECTOR6D,VECTOR6D" + b"\x00\x04S\x01"
