@@ -21,7 +21,14 @@ from skincal.guide.verdict import check, is_believed
 from skincal.mesh.surface import make_surface
 from skincal.model.actions import AtLandmark
 from skincal.model.scene import Landmark, Scene
-from skincal.model.tool_rig import BASE_LINK, DEFAULT_TOOL_TURN_MAX_DEG, TIP_SD_DEFAULT_MM, TOOL_ARM_POSE, ToolSpec
+from skincal.model.tool_rig import (
+    BASE_LINK,
+    DEFAULT_TOOL_TURN_MAX_DEG,
+    POINT_FORCE_N,
+    PUSH_TURN_SD_RAD,
+    TIP_SD_DEFAULT_MM,
+    ToolSpec,
+)
 from skincal.palette import BLACK, BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
 from skincal.rig.correction_fit import correct_rig, landmark_agreement
@@ -75,7 +82,7 @@ TOOL_CASES = (
     ToolCase("wrist", BASE_ALONE, 0, has_mesh=False),
     *(
         ToolCase(rig, POSE_FOUND, count, has_mesh=mesh)
-        for rig in ("wrist", "good_wrist") for mesh in (True, False) for count in (6, 3, 0)
+        for rig in ("wrist", "good_wrist", "none", "probe") for mesh in (True, False) for count in (6, 3, 0)
     ),
 )  # fmt: skip
 QUICK_CASES = tuple(case for case in TOOL_CASES if case.has_mesh and case.landmarks in (0, GOAL_LANDMARKS))
@@ -162,7 +169,7 @@ def touch_landmarks(session: Session, poked: ToolSession) -> None:
                 poke=row + 1, start_s=POKE_CYCLE_S * row, end_s=POKE_CYCLE_S * row + scene.contacts.still_s,
                 reason=Reason.NO_TAXEL, value=0.0, limit=scene.contacts.response_min, unit=RAW_UNIT,
                 channels=np.empty(0, np.int64), final=True, force=force, moment=moment,
-                link_from_sensor=scene.tool.link_from_sensor(poked.base_from_tool[row]), pose=TOOL_ARM_POSE,
+                link_from_sensor=scene.tool.link_from_sensor(poked.base_from_tool[row]), pose=scene.tool.arm_pose,
             )
         )  # fmt: skip
         session.act(AtLandmark(row + 1, scene.landmarks[int(poked.landmark[row])].name))
@@ -172,7 +179,7 @@ def _wrench_of(poked: ToolSession, row: int, scene: Scene) -> tuple[FloatArray, 
     """Give force and moment of a poke; without a sensor a unit force along the tool, through the tip."""
     if scene.has_sensor:
         return poked.wrench[row, :3], poked.wrench[row, 3:]
-    return np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    return np.array([0.0, 0.0, POINT_FORCE_N]), np.zeros(3)
 
 
 def _believed(session: Session) -> dict[str, bool]:
@@ -206,12 +213,15 @@ def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
         tip_sd=TIP_SD_DEFAULT_MM * 1e-3,
         turn_max=float(np.radians(DEFAULT_TOOL_TURN_MAX_DEG)),
     )
+    # As a scene file without a sensor is read.
+    of_points = replace(own.noise, force=PUSH_TURN_SD_RAD * POINT_FORCE_N, moment=tool.tip_sd * POINT_FORCE_N)
     names = [each.name for each in own.landmarks]
     landmarks = tuple(Landmark(*each, None) for each in zip(names, poked.landmark_places, strict=True))[: case.landmarks]
     return replace(
         own, link=BASE_LINK if case.known == BASE_ALONE else own.link, arm=None, tool=tool, wrench_sign=1, landmarks=landmarks,
         skin=replace(own.skin, anchor=None) if case.known == BASE_ALONE else own.skin,
         surface=own.surface if case.has_mesh else None, path=Path("tool.toml"),
+        noise=own.noise if model.has_sensor else of_points,
     )  # fmt: skip
 
 
@@ -226,8 +236,8 @@ def contacts_of(poked: ToolSession, scene: Scene) -> list[Contact]:
             Contact(
                 poke=row + 1, start_s=POKE_CYCLE_S * row, end_s=POKE_CYCLE_S * row + scene.contacts.still_s, force=force,
                 moment=moment, channels=poked.channels[own], responses=poked.responses[row, own],
-                link_from_sensor=scene.tool.link_from_sensor(poked.base_from_tool[row]), pose=TOOL_ARM_POSE, tare_change=0.0,
-                final=True,
+                link_from_sensor=scene.tool.link_from_sensor(poked.base_from_tool[row]), pose=scene.tool.arm_pose,
+                tare_change=0.0, final=True,
             )
         )  # fmt: skip
     return contacts
