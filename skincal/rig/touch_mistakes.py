@@ -25,13 +25,13 @@ from skincal.model.tool_pose import convert_poses, write_poses
 from skincal.rig.scene_mistakes import Mistake, MistakeKind
 
 LANDMARK_TOUCH_SD_M, PLANNED_TOUCH_SD_M = 0.002, 0.005
-"""m, each direction: of a tip at a landmark with its ball and the errors of a robot; at a taxel that lies off its plan."""
+"""m, each direction: of a tip at a landmark with its ball and the errors of a robot; at a taxel beside its plan."""
 MIN_TOUCHES, MIN_TOUCHES_OF_PART, MIN_TOUCHES_OF_KIND = 8, 5, 3
 """In all; on each side of a motion of the part; there of landmarks, or of taxels."""
 RIGHT_MAX_RATIO = 1.25
-"""Root of chi-square over its degrees of freedom up to which touches fit."""
+"""Root of chi-square over its degrees of freedom of touches that fit, at most."""
 WRONG_MIN_GAIN = 2.0
-"""The scene's reading must have so many times the ratio of the named one."""
+"""Ratio of the scene's reading over that of the named one, at least."""
 MOVED_MIN_GAIN = 1.6
 """The same for a part that moved once: half of the touches fit already."""
 TIP_FIT_STEPS, CHOICE_STEPS = 20, 8
@@ -183,7 +183,7 @@ def _moved_part(touched: TouchedPlaces) -> tuple[Mistake, _Fit] | None:
     count = len(points)
     is_landmark = touched.sd == LANDMARK_TOUCH_SD_M
     for first in range(MIN_TOUCHES_OF_PART, count - MIN_TOUCHES_OF_PART + 1):
-        # Touches of one kind on both sides: a skin that lies off its plan is no part that moved.
+        # Touches of one kind on both sides: a skin beside its plan is no part that moved.
         shared = [min(int(each[:first].sum()), int(each[first:].sum())) for each in (is_landmark, ~is_landmark)]
         if max(shared) < MIN_TOUCHES_OF_KIND:
             continue
