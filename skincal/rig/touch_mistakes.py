@@ -26,14 +26,14 @@ from skincal.rig.scene_mistakes import Mistake, MistakeKind
 
 LANDMARK_TOUCH_SD_M, PLANNED_TOUCH_SD_M = 0.002, 0.005
 """m, each direction: of a tip at a landmark with its ball and the errors of a robot; at a taxel beside its plan."""
-MIN_TOUCHES, MIN_TOUCHES_OF_PART, MIN_TOUCHES_OF_KIND = 8, 5, 3
-"""In all; on each side of a motion of the part; there of landmarks, or of taxels."""
+MIN_TOUCHES, MIN_TOUCHES_OF_PART = 8, 5
+"""In all, and on each side of a motion of the part."""
 RIGHT_MAX_RATIO = 1.25
 """Root of chi-square over its degrees of freedom of touches that fit, at most."""
 WRONG_MIN_GAIN = 2.0
 """Ratio of the scene's reading over that of the named one, at least."""
-MOVED_MIN_GAIN = 1.6
-"""The same for a part that moved once: half of the touches fit already."""
+MOVED_MIN_GAIN = 2.0
+"""The same for a part that moved once, by touches of one kind."""
 TIP_FIT_STEPS, CHOICE_STEPS = 20, 8
 EULER_FORMS = (RotationForm.RPY, RotationForm.ABC, RotationForm.MOVING_XYZ, RotationForm.MOVING_ZYZ)
 OTHER_TIP_MIN_M = 0.006
@@ -86,13 +86,22 @@ def find_touch_mistake(touched: TouchedPlaces) -> TouchFinding | None:
         (fit.ratio, mistake, fit) for mistake, fit in _readings(touched)
         if fit.ratio <= min(RIGHT_MAX_RATIO, described.ratio / WRONG_MIN_GAIN)
     ]  # fmt: skip
-    moved = _moved_part(touched)
-    if not found and moved is not None and moved[1].ratio <= min(RIGHT_MAX_RATIO, described.ratio / MOVED_MIN_GAIN):
-        found = [(moved[1].ratio, *moved)]
     if not found:
-        return None
+        return _moved_in_one_kind(touched)
     _, mistake, fit = min(found, key=lambda each: each[0])
     return TouchFinding(replace(mistake, miss=float(np.median(fit.misses))), float(np.median(described.misses)))
+
+
+def _moved_in_one_kind(touched: TouchedPlaces) -> TouchFinding | None:
+    """Find a part that moved by touches of landmarks alone, or of taxels: a skin beside its plan is no part that moved."""
+    for is_kind in (touched.sd == PLANNED_TOUCH_SD_M, touched.sd == LANDMARK_TOUCH_SD_M):
+        own = _select(touched, np.flatnonzero(is_kind))
+        if len(own.number) < 2 * MIN_TOUCHES_OF_PART:
+            continue
+        described, (mistake, fit) = _fit(own, _tips(own.base_from_tool, own.tip)), _moved_part(own)
+        if described.ratio > RIGHT_MAX_RATIO and fit.ratio <= min(RIGHT_MAX_RATIO, described.ratio / MOVED_MIN_GAIN):
+            return TouchFinding(replace(mistake, miss=float(np.median(fit.misses))), float(np.median(described.misses)))
+    return None
 
 
 def _tips(poses: FloatArray, tip: FloatArray) -> FloatArray:
@@ -177,29 +186,24 @@ def _other_tip(touched: TouchedPlaces) -> FloatArray:
     return tip
 
 
-def _moved_part(touched: TouchedPlaces) -> tuple[Mistake, _Fit] | None:
-    """Fit a part that moved once between two touches; `None` with too few touches on each side."""
-    points, best = _tips(touched.base_from_tool, touched.tip), None
-    count = len(points)
-    is_landmark = touched.sd == LANDMARK_TOUCH_SD_M
+def _moved_part(touched: TouchedPlaces) -> tuple[Mistake, _Fit]:
+    """Fit a part that moved once between two of 2 x `MIN_TOUCHES_OF_PART` or more touches."""
+    points, count = _tips(touched.base_from_tool, touched.tip), len(touched.number)
+    splits: list[tuple[float, Mistake, _Fit]] = []
     for first in range(MIN_TOUCHES_OF_PART, count - MIN_TOUCHES_OF_PART + 1):
-        # Touches of one kind on both sides: a skin beside its plan is no part that moved.
-        shared = [min(int(each[:first].sum()), int(each[first:].sum())) for each in (is_landmark, ~is_landmark)]
-        if max(shared) < MIN_TOUCHES_OF_KIND:
-            continue
-        parts = [_fit(_select(touched, rows), points[rows]) for rows in (slice(0, first), slice(first, count))]
+        rows = np.arange(count)
+        parts = [_fit(_select(touched, each), points[each]) for each in (rows[:first], rows[first:])]
         misses = np.concatenate([each.misses for each in parts])
         # Six unknowns each, and the place of the motion.
         ratio = float(np.sqrt(np.sum((misses / touched.sd) ** 2) / (3 * count - 13)))
-        if best is None or ratio < best[1].ratio:
-            middle = points.mean(axis=0)
-            by = 1e3 * np.linalg.norm((parts[1].turn - parts[0].turn) @ middle + parts[1].shift - parts[0].shift)
-            names = (str(touched.number[first]), f"{by:.0f}")
-            best = Mistake(MistakeKind.TOOL_PART_MOVED, names=names), _Fit(ratio, misses, parts[0].turn, parts[0].shift)
-    return best
+        middle = points.mean(axis=0)
+        by = 1e3 * np.linalg.norm((parts[1].turn - parts[0].turn) @ middle + parts[1].shift - parts[0].shift)
+        mistake = Mistake(MistakeKind.TOOL_PART_MOVED, names=(str(touched.number[first]), f"{by:.0f}"))
+        splits.append((ratio, mistake, _Fit(ratio, misses, parts[0].turn, parts[0].shift)))
+    return min(splits, key=lambda each: each[0])[1:]
 
 
-def _select(touched: TouchedPlaces, rows: slice) -> TouchedPlaces:
+def _select(touched: TouchedPlaces, rows: IntArray) -> TouchedPlaces:
     return replace(
         touched, number=touched.number[rows], base_from_tool=touched.base_from_tool[rows], place=touched.place[rows],
         sd=touched.sd[rows],

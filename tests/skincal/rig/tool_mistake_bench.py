@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skincal.following.review import ReviewRequest, diagnose_rig
 from skincal.following.tool_check import check_tool_setup
 from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import make_surface
@@ -13,8 +12,7 @@ from skincal.session.session import Session
 from skincal.simulation.example_parts import forearm
 from skincal.studies.tool_simulator import NO_LANDMARK, TOOL_RIGS, simulate_tool_session
 from skincal.studies.tool_study import POSE_FOUND, POSE_GIVEN, ToolCase, contacts_of, scene_of, touch_landmarks
-from skincal.words.mistake_words import frame_sentence, setup_sentences
-from skincal.words.part_words import tool_rig_sentences
+from skincal.words.mistake_words import setup_sentences
 
 LANDMARKS, SKIN_POKES = 6, 14
 RIG = "good_wrist"
@@ -115,7 +113,7 @@ MADE = {
 
 
 def said(made, *, is_given=False, landmarks=LANDMARKS, form=None):
-    """Sentences of the program on a session, as the window lists them."""
+    """Sentences of the program on a session's scene, as the window lists them."""
     case = ToolCase(RIG, POSE_GIVEN if is_given else POSE_FOUND, landmarks, has_mesh=True)
     scene = scene_of(case, made)
     if form is not None:
@@ -127,9 +125,4 @@ def said(made, *, is_given=False, landmarks=LANDMARKS, form=None):
         session.add(contact)
     snapshot = session.snapshot()
     laid = place_layout(scene.skin.layout, scene.skin.anchor, surface)
-    found = [*setup_sentences(check_tool_setup(snapshot, scene, laid, surface))]
-    found += tool_rig_sentences(snapshot.tip_frame, snapshot.part_pose, snapshot.typed_pose_error, snapshot.at_landmarks)
-    frame, _ = diagnose_rig(ReviewRequest.from_session(session))
-    if frame is not None:
-        found.append(frame_sentence(frame, has_arm=False))
-    return found
+    return setup_sentences(check_tool_setup(snapshot, scene, laid, surface))
