@@ -142,7 +142,7 @@ def _readings(touched: TouchedPlaces) -> Iterator[tuple[Mistake, _Fit]]:
         yield Mistake(MistakeKind.TOOL_MIRRORED, names=(names,)), fit(read)
     other = _other_tip(touched)
     if float(np.linalg.norm(other - tip)) >= OTHER_TIP_MIN_M:
-        shift = tuple(f"{1e3 * value:.0f}" for value in (other - tip).tolist())
+        shift = tuple(str(round(1e3 * value)) for value in (other - tip).tolist())
         yield Mistake(MistakeKind.TOOL_OTHER_TIP, names=shift), _fit(touched, _tips(poses, other), 9)
 
 
