@@ -39,7 +39,7 @@ def check_tool_setup(
     frames : that the messages of the wrench name
     """
     found = None
-    if snapshot.is_placed and scene.has_sensor:
+    if snapshot.is_placed:
         found = check_setup(snapshot.contacts, snapshot.placed_scene(scene), laid, surface, frames)
     is_named = found is not None and any(each.kind is not MistakeKind.TOOL_UNEXPLAINED for each in found.mistakes)
     if scene.tool is None or is_named:

@@ -132,7 +132,9 @@ def check_setup(
     surface: Surface | None,
     frames: Sequence[WrenchFrame] = (),
 ) -> SetupDiagnosis | None:
-    """Look for mistakes of a scene; `None` with too few pokes at planned taxels, or without a plan.
+    """Look for mistakes of a scene; `None` with too few pokes at planned taxels, without a plan, or without a sensor.
+
+    Without a sensor a poke has no force axis, and nothing of a sensor is right or wrong: `touch_mistakes` judges its tip.
 
     Parameters
     ----------
@@ -140,6 +142,8 @@ def check_setup(
     laid : the scene's layout on the part
     frames : that the messages of the wrench name
     """
+    if not scene.has_sensor:
+        return None
     layout = scene.skin.layout
     planned = [] if laid is None else [each for each in contacts if np.isfinite(laid.places[each.strongest_channel]).all()]
     if laid is None or layout is None or len(planned) < SETUP_CHECK_MIN_POKES:

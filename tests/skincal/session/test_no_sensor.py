@@ -21,12 +21,13 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.tool_streams import check_tool_streams
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
+from skincal.words.mistake_words import setup_sentences
 from skincal.words.outcome_words import outcome_headline
 from skincal.words.poke_words import rejection_advice, rejection_words
 from skincal.words.tool_words import tool_findings
 from skincal.words.units import ChannelNames
 from skincal.words.verdict_words import verdict_sentence
-from tests.skincal.session.test_tool_rig import BASE_FROM_PART, MESH, STREAMS, TAXELS, TIP, line
+from tests.skincal.session.test_tool_rig import ANCHOR, BASE_FROM_PART, LAYOUT, MESH, STREAMS, TAXELS, TIP, line
 
 RADIUS, ABOVE = 0.002, 0.03
 OUT = np.array([0.0, 0.0, RADIUS])
@@ -262,3 +263,25 @@ def test_a_summary_names_the_poses_of_the_tool_and_no_arm(tmp_path):
     assert rejection_words(late).startswith("tool pose unknown: its last pose is")
     (line_of_pokes,) = poke_lines(poke_counts(pipeline.snapshot()), pipeline.scene)
     assert line_of_pokes == "2 pokes: 1 accepted, 1 rejected (tool pose unknown: 1)"
+
+
+TYPED_POSE = f"base_from_link = {np.round(BASE_FROM_PART, 12).tolist()}\n"
+
+
+def wrong_tip_text(off, *, layout):
+    """The scene with the part's pose, and tip_mm that lies `off` (3,) metres from the tip, in the tool's frame."""
+    right, wrong = (f"tip_mm = {(tip * 1e3).tolist()}" for tip in (TIP, TIP + off))
+    text = scene_text(TYPED_POSE, landmarks=False).replace(right, wrong)
+    return text.replace("channels = 9\n", f"channels = 9\n{ANCHOR}") if layout else text
+
+
+def test_a_tip_that_is_wrong_sideways_is_named_and_no_sensor_is_blamed(tmp_path):
+    (tmp_path / "m.toml").write_text(LAYOUT)
+    off = np.array([0.02, 0.0, 0.0])
+    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text(off, layout=True)), chunks(EVERY[4:])))
+    (said,) = setup_sentences(results.setup)
+    assert "the tip lies" in said
+    assert "correct tip_mm of [tool]" in said
+    assert not any(word in said for word in ("sensor", "wrench", "force"))
+    named = np.array(results.setup.mistakes[0].names, dtype=float)
+    np.testing.assert_allclose(named, -1e3 * off, atol=4.0)
