@@ -154,6 +154,8 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
     """Convert a part to JSON: chain, sensor pose (4 x 4, metres) at the given joint columns (degrees), and findings."""
     import numpy as np
 
+    from skincal.words.tool_words import tool_facts
+
     scene, robot = part.scene, part.scene.robot
     angles, of_joints = _joint_angles(scene, degrees)
     pose = scene.sensor_pose if scene.arm is None or angles is None else scene.arm.arm.link_from_sensor(angles)
@@ -170,7 +172,9 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
             for step in reversed(robot.chain.steps)
         ],
         "joints_deg": None if angles is None else np.degrees(angles).tolist(),
-        "link_from_sensor": pose.tolist(),
+        # A sensor on the tool has another pose at each poke.
+        "link_from_sensor": None if scene.tool is not None else pose.tolist(),
+        "tool": None if scene.tool is None else tool_facts(scene.tool),
         "wrench_sign": scene.wrench_sign,
         "mesh": None if scene.surface is None else str(scene.surface.path),
         "channels": scene.skin.channels,
@@ -278,8 +282,11 @@ def _lines(result: dict[str, Any]) -> list[str]:
         lines.append(f"  joint {joint['joint']}: {words}")
     if result["joints_deg"] is not None:
         lines.append("at " + ", ".join(f"{angle:g}" for angle in result["joints_deg"]) + " degrees")
-    lines.append("pose of the sensor in the link, metres:")
-    lines += ["  " + " ".join(f"{value + 0.0:10.6f}" for value in row) for row in result["link_from_sensor"]]
+    if result["link_from_sensor"] is not None:
+        lines.append("pose of the sensor in the link, metres:")
+        lines += ["  " + " ".join(f"{value + 0.0:10.6f}" for value in row) for row in result["link_from_sensor"]]
+    if result["tool"] is not None:
+        lines += ["tool:", *(f"  {what}: {said}" for what, said in result["tool"].items())]
     return [*lines, f"mesh: {result['mesh'] or 'none'}", *(f"- {finding}" for finding in result["findings"])]
 
 

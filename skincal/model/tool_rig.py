@@ -12,6 +12,7 @@ axes of the tool and the origin at the tip: a poke is then written as a unit for
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
@@ -37,6 +38,7 @@ TIP_SD_DEFAULT_MM = 0.5
 """mm, sd of one place of the tip, each direction: a cobot's smooth position error over its workspace (issue 41)."""
 TIP_SD_RANGE_MM = (0.01, 10.0)
 TIP_RADIUS_MAX_MM = 50.0
+_FORMS_WITH_ANGLES = ", ".join(form.value for form in RotationForm if form.has_angles)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,14 +145,30 @@ def _shift(tip: FloatArray | None) -> FloatArray:
     return pose
 
 
+def _refuse_incomplete_form(
+    table: Table, rotation: RotationForm | None, unit: float | None, *, needs_degrees: bool
+) -> NoReturn:
+    """Name all keys at once that the form of the poses lacks, with their values."""
+    form = f"a form with angles ({_FORMS_WITH_ANGLES})" if rotation is None else f"the form {rotation.value}"
+    lacks: list[str] = []
+    if rotation is None:
+        lacks.append(f"rotation is missing; expected one of {', '.join(each.value for each in RotationForm)}")
+    if unit is None:
+        lacks.append(f"unit is missing; expected one of {', '.join(METRES_PER_UNIT)}")
+    if needs_degrees:
+        lacks.append(f"degrees is missing; expected true or false for {form}")
+    raise InputError(f"{table.where}: {'; '.join(lacks)}.")
+
+
 def _read_form(table: Table) -> tuple[PoseForm | None, float | None]:
     given = {key for key in ("rotation", "unit", "degrees") if key in table.keys}
     if not given:
         return None, None
-    rotation = table.choice("rotation", {form.value: form for form in RotationForm})
-    unit, degrees = table.choice("unit", METRES_PER_UNIT), table.take("degrees", bool, None)
-    if rotation.has_angles and degrees is None:
-        raise InputError(f"{table.where}: degrees is missing; expected true or false for the form {rotation.value}.")
+    rotation = table.choice("rotation", {form.value: form for form in RotationForm}, None)
+    unit, degrees = table.choice("unit", METRES_PER_UNIT, None), table.take("degrees", bool, None)
+    needs_degrees = degrees is None and (rotation is None or rotation.has_angles)
+    if rotation is None or unit is None or needs_degrees:
+        _refuse_incomplete_form(table, rotation, unit, needs_degrees=needs_degrees)
     if degrees and not rotation.has_angles:
         raise InputError(f"{table.where}: degrees is true, and the form {rotation.value} has no angles; leave degrees out.")
     return PoseForm(rotation, bool(degrees)), unit

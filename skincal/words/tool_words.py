@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
+from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.tool_rig import ToolSpec
 from skincal.rig.pivot import TOUCH_SD_MAX_M, Mistake, PivotFit, PivotResult, PivotState, PoseReading, TipMismatch, compare_tip
-from skincal.words.units import direction, millimetres, point_mm
+from skincal.words.units import degrees, direction, millimetres, point_mm
 
 REPEATED_POSE_MIN_TAXELS = 3
 """Taxels that answered most at one pose of the tool. A poke between two pads may be either's."""
 TIP_FAR_M = 1.0
 """m. No poking tool is as long."""
+TURN_NAMED_FROM = math.radians(0.05)
+"""rad, smallest turn of the sensor's axes that is named."""
 FORM_WORDS = {
     RotationForm.QUATERNION_XYZW: "quaternion x y z w",
     RotationForm.QUATERNION_WXYZ: "quaternion w x y z",
@@ -115,6 +119,26 @@ def repeated_pose_sentence(contacts: Sequence[Contact]) -> str:
         f"tool: {repeated} pokes on {taxels} taxels have the same pose of the tool to the last digit: its stream repeats "
         "one pose. Their positions are wrong: exclude these pokes, and check the program that sends the poses."
     )
+
+
+def tool_facts(tool: ToolSpec) -> dict[str, str]:
+    """Describe the settings of `[tool]`, each by its key in the scene."""
+    unit = next((name for name, metres in METRES_PER_UNIT.items() if metres == tool.metres_per_unit), "")
+    facts = {
+        "sensor": "on the tool" if tool.has_sensor else "none",
+        "poses": "as the stream defines them" if tool.form is None else f"{form_words(tool.form)}, lengths in {unit}",
+        "tip_mm": "not given" if tool.tip is None else f"{point_mm(tool.tip)} mm in the tool's frame",
+    }
+    if tool.tip is not None:
+        facts["tip_radius_mm"] = millimetres(tool.tip_radius)
+        facts["tip_sd_mm"] = millimetres(tool.tip_sd)
+    if tool.has_sensor:
+        facts["flange"] = f"sensor at {point_mm(tool.tool_from_sensor[:3, 3])} mm in the tool's frame"
+        cosine = (float(np.trace(tool.tool_from_sensor[:3, :3])) - 1.0) / 2.0
+        angle = math.acos(min(1.0, max(-1.0, cosine)))
+        facts["flange"] += f", turned by {degrees(angle, 1)}" if angle > TURN_NAMED_FROM else ", with its axes"
+        facts["tolerance_deg"] = degrees(tool.turn_max, 1)
+    return facts
 
 
 def tool_findings(tool: ToolSpec, wrench_sign: int, *, finds_part_pose: bool) -> list[str]:

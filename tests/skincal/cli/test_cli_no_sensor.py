@@ -2,7 +2,8 @@
 
 import json
 
-from tests.skincal.session.test_no_sensor import EVERY, chunks, scene_of, scene_text
+from skincal.words.units import millimetres, point_mm
+from tests.skincal.session.test_no_sensor import EVERY, RADIUS, TIP, chunks, scene_of, scene_text
 
 
 def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, run):
@@ -23,3 +24,23 @@ def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, ru
     assert (code, json.loads(out)["tip"]["part"]["state"]) == (0, "known")
     code, _, err = run("record", options[0], "--scene", tmp_path / "scene.toml", "--out", tmp_path / "t")
     assert (code, "or --tool" in err) == (2, True)
+
+
+def test_scene_show_names_the_tool_and_no_fixed_pose_of_a_sensor(tmp_path, run):
+    scene = tmp_path / "scene.toml"
+    scene_of(tmp_path, scene_text())
+    code, out, _ = run("scene", "show", scene)
+    assert (code, "pose of the sensor" in out) == (0, False)
+    assert f"  tip_mm: {point_mm(TIP)} mm in the tool's frame\n  tip_radius_mm: {millimetres(RADIUS)}\n" in out
+    assert "  sensor: none\n  poses: as the stream defines them\n" in out
+    scene_of(tmp_path, scene_text("rotation = 'vector'\nunit = 'mm'\ndegrees = true\n"))
+    assert "  poses: rotation vector in degrees, lengths in mm\n" in run("scene", "show", scene)[1]
+    assert json.loads(run("scene", "show", scene, "--json")[1])["link_from_sensor"] is None
+    flange = "[[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0.02], [0, 0, 0, 1]]"
+    scene_of(tmp_path, scene_text(f"flange = {flange}\n").replace('"none"', '"tool"'))
+    code, out, _ = run("scene", "show", scene)
+    assert "  flange: sensor at 0.0  0.0  20.0 mm in the tool's frame, turned by 90.0°\n  tolerance_deg: 1.0°\n" in out
+    assert "pose of the sensor" not in out
+    # An arm's scene has one pose of its sensor at given angles.
+    code, out, _ = run("scene", "show", "icub-forearm")
+    assert ("pose of the sensor in the link" in out, "tip_mm" in out) == (True, False)

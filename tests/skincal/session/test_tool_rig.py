@@ -345,6 +345,18 @@ def test_plain_lines_without_a_form_ask_for_it(tmp_path):
         (lambda text: text.replace('"tool"', '"flange"'), "sensor is 'flange'; expected one of tool"),
         (lambda text: text.replace("base_from_link", "rotation = 'rpy'\nunit = 'm'\nbase_from_link"), "degrees is missing"),
         (lambda text: text.replace("base_from_link", "unit = 'm'\nbase_from_link"), "rotation is missing"),
+        (
+            lambda text: text.replace("base_from_link", "rotation = 'vector'\nbase_from_link"),
+            r"\[tool\]: unit is missing; expected one of [a-z, ]*; degrees is missing; expected true or false for .* vector",
+        ),
+        (
+            lambda text: text.replace("base_from_link", "rotation = 'xyzw'\nbase_from_link"),
+            r"\[tool\]: unit is missing; expected one of [a-z, ]*\.$",
+        ),
+        (
+            lambda text: text.replace("base_from_link", "degrees = true\nbase_from_link"),
+            r"rotation is missing; expected one of .*; unit is missing; expected one of [a-z, ]*\.$",
+        ),
         (lambda text: text.replace("base_from_link", "tolerance_deg = 0\nbase_from_link"), "expected a number above 0"),
         (
             lambda text: "\n".join(s for s in text.splitlines() if "base_from" not in s).replace(
