@@ -91,7 +91,7 @@ class SkinStep(Step):
         self.use_polarity.setVisible(False)
         self.threshold = secondary_label("", wrap=True)
         self.threshold.setVisible(False)
-        self.use_threshold = button("Use this t&hreshold", run=self._use_threshold)
+        self.use_threshold = button("Us&e this threshold", run=self._use_threshold)
         self.use_threshold.setVisible(False)
         touch = self.touched, self.threshold, self.live, row_of(self.again, self.use_polarity, self.use_threshold)
         self.fill(self.form, *touch)
