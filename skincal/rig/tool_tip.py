@@ -6,11 +6,17 @@ tip t in the sensor's frame:
     E_k (t - a_k) = 0,   noise D_k + sigma^2 I,
 
 with a_k a point of the force axis of poke k in that frame, E_k two unit directions across its push, and D_k the sensor's noise
-at t. sigma, found from the residuals, is the rolling of the ball on the part. Huber's weights leave out slips. Pushes that all
-keep one direction of the tool leave the tip open along it; the covariance says so.
+at t. sigma, found from the residuals, is the rolling of the ball on the part. Huber's weights leave out slips.
 
-A tip that the scene gives is compared with it: one that is off by more than both errors is of another tool centre point, or the
-axes are not those of the tool's sensor. Axes that do not meet at all come from a wrench in another frame than the tool's.
+Only pushes that lean against each other show t along the mean push u, and noise of the force looks like a lean. With the sd s
+of a force component, relative to the force, the expectation of E'E is E0'E0 + 2 s^2 u u', and that of E'E a is E0'E0 t. So the
+noise's share 2 s^2 u u' is subtracted from the normal matrix (corrected least squares: W. A. Fuller, Measurement Error Models,
+1987, section 3.1); otherwise t is drawn to the origin. A direction in which the lean is mostly noise is open, and the
+covariance says so.
+
+A tip that the scene gives is compared with it. One that is off by more than both errors and the usual cross-talk of a sensor
+(`usual_errors`: 7 mm) is of another tool centre point, or the axes are not those of the tool's sensor. Axes that do not meet at
+all come from a wrench in another frame than the tool's.
 """
 
 from __future__ import annotations
@@ -25,6 +31,7 @@ from skincal.geometry import FloatArray, axis_point, orthonormal_pair
 from skincal.model.scene import NoiseSettings
 from skincal.rig.pivot import KNOWN_TIP_SD_M, TIP_MAX_CHI2
 from skincal.rig.tip_frame import TIP_FRAME_MIN_POKES, TIP_SD_MIN_M, TipFrame, TipPokes, TipState
+from skincal.rig.usual_errors import FORCE_TO_MOMENT_LENGTH_M, MATRIX_ERROR_SD
 from skincal.taxels.noise import row_precision
 
 TIP_SPREAD_MAX_M = 0.010
@@ -33,8 +40,14 @@ TOOL_TIP_MAX_SD_M = 0.005
 """m, largest sd of a found tip in any direction with which it is used."""
 MISMATCH_MIN_M = 0.003
 """m. A smaller distance from the scene's tip is never named."""
+USUAL_TIP_DISTANCE_M = 0.2
+"""m, of the tip from a wrist's sensor."""
 TIP_PRIOR_SD_M = 0.5
 """m, of the tip from the sensor: no poking tool is longer."""
+MIN_INFORMATION_OVER_NOISE_SHARE = 3.0
+"""A direction with less is open. At 3 an error of the noise's variance by a quarter moves the tip by an eighth of its lever."""
+NOISE_VARIANCE_SD = 0.25
+"""Relative sd of the scene's variance of the force."""
 FIT_STEPS = 20
 HUBER_THRESHOLD_SDS = 2.5
 
@@ -62,14 +75,21 @@ class AxesTip:
         return np.linalg.eigh(self.covariance)[1][:, 2]
 
     @property
+    def is_open(self) -> bool:
+        """Whether the axes leave the tip open along a direction."""
+        return self.sd > TOOL_TIP_MAX_SD_M
+
+    @property
     def meets(self) -> bool:
         """Whether the axes meet at one tip."""
         return self.spread <= TIP_SPREAD_MAX_M
 
     def disagrees_with(self, place: FloatArray) -> bool:
-        """Whether a known tip (3,), metres, sensor frame, differs by more than both errors."""
+        """Whether a known tip (3,), metres, sensor frame, differs by more than both errors and the usual ones of a sensor."""
         off = self.place - place
-        error = self.covariance + KNOWN_TIP_SD_M**2 * np.eye(3)
+        # Cross-talk of the sensor moves the point where the axes meet, for a force of 1 N along each axis.
+        usual = MATRIX_ERROR_SD * np.hypot(FORCE_TO_MOMENT_LENGTH_M, np.linalg.norm(place))
+        error = self.covariance + (KNOWN_TIP_SD_M**2 + usual**2) * np.eye(3)
         return float(np.linalg.norm(off)) > MISMATCH_MIN_M and float(off @ np.linalg.solve(error, off)) > TIP_MAX_CHI2
 
 
@@ -111,14 +131,24 @@ def fit_axes_tip(contacts: Sequence[Contact], noise: NoiseSettings) -> AxesTip |
     sizes = np.linalg.norm(force, axis=1)
     pairs = orthonormal_pair(force / sizes[:, None])
     place, variance, trust = np.zeros(3), TIP_SPREAD_MAX_M**2, np.ones(count)
-    covariance = np.eye(3)
+    covariance, prior = np.eye(3), np.eye(3) / TIP_PRIOR_SD_M**2
+    lean_noise = 2.0 * (noise.force / sizes) ** 2
+    pushes = force / sizes[:, None]
     for _ in range(FIT_STEPS):
         lever = np.broadcast_to(place, (count, 3))
         weights = row_precision(pairs, lever, sizes, np.full(count, variance), noise) * trust[:, None, None]
         pulls = pairs.transpose(0, 2, 1) @ weights
-        information = np.sum(pulls @ pairs, axis=0) + np.eye(3) / TIP_PRIOR_SD_M**2
-        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        place = covariance @ np.sum(pulls @ (pairs @ points[:, :, None]), axis=0)[:, 0]
+        noisy = np.sum(pulls @ pairs, axis=0)
+        by_noise = (pushes.T * (lean_noise * np.trace(weights, axis1=1, axis2=2) / 2.0)) @ pushes
+        shown = _shown_directions(noisy, by_noise)
+        # The noise turns a direction that is dropped, about the origin.
+        turned = (
+            TIP_PRIOR_SD_M**2 * float(lean_noise.mean()) / (2.0 * count) * (shown if np.trace(shown) < 2.5 else 0.0 * shown)
+        )
+        inverse = np.asarray(np.linalg.inv(shown @ (noisy - by_noise) @ shown + prior), dtype=np.float64)
+        place = inverse @ (shown @ np.sum(pulls @ (pairs @ points[:, :, None]), axis=0)[:, 0])
+        unsure = NOISE_VARIANCE_SD * (inverse @ shown @ by_noise @ place)
+        covariance = inverse @ (shown @ noisy @ shown + prior) @ inverse + np.outer(unsure, unsure) + turned
         misses = (pairs @ (place - points)[:, :, None])[:, :, 0]
         precision = row_precision(pairs, np.broadcast_to(place, (count, 3)), sizes, np.full(count, variance), noise)
         squares = np.einsum("ni,nij,nj->n", misses, precision, misses)
@@ -128,6 +158,14 @@ def fit_axes_tip(contacts: Sequence[Contact], noise: NoiseSettings) -> AxesTip |
         seen = np.sum(misses**2, axis=1) / freedom - np.trace(sensor, axis1=1, axis2=2)
         variance = max(float(trust @ seen / trust.sum()) / 2.0, TIP_SD_MIN_M**2)
     return AxesTip(count, place, covariance, float(np.sqrt(variance)))
+
+
+def _shown_directions(noisy: FloatArray, by_noise: FloatArray) -> FloatArray:
+    """Make the projection (3, 3) onto the directions that a normal matrix (3, 3) shows, with its share by noise (3, 3)."""
+    axes = np.linalg.eigh(noisy)[1]
+    whole, share = np.sum(axes * (noisy @ axes), axis=0), np.sum(axes * (by_noise @ axes), axis=0)
+    shown = axes[:, whole > MIN_INFORMATION_OVER_NOISE_SHARE * share]
+    return shown @ shown.T
 
 
 def find_tool_tip(contacts: Sequence[Contact], noise: NoiseSettings, known: FloatArray | None, place_sd: float) -> ToolTip:
@@ -148,7 +186,7 @@ def find_tool_tip(contacts: Sequence[Contact], noise: NoiseSettings, known: Floa
         return used_tip(tip, known, KNOWN_TIP_SD_M**2 * eye)
     if axes is None:
         return tip
-    if axes.sd > TOOL_TIP_MAX_SD_M:
+    if axes.is_open:
         return replace(tip, state=TipState.AMBIGUOUS)
     return used_tip(tip, axes.place, axes.covariance)
 

@@ -133,12 +133,17 @@ def tool_tip_sentence(tip: ToolTip) -> str:
                 f"known to {millimetres(axes.sd)}. It is used."
             )
         case TipState.USED:
-            agrees = f" The force axes of {count(axes.pokes, 'poke')} agree with it." if axes is not None else ""
-            return f"Tip: tip_mm of the scene is used.{agrees}"
+            agrees = f" The force axes of {count(axes.pokes, 'poke')} agree with it" if axes is not None else ""
+            if axes is not None and axes.is_open:
+                agrees += (
+                    f", but do not show it along ({direction(axes.open_direction)}) of the sensor's frame: pushes that lean "
+                    "against the tool would"
+                )
+            return f"Tip: tip_mm of the scene is used.{agrees}{'.' if agrees else ''}"
         case TipState.AMBIGUOUS if axes is not None:
             return (
-                f"Tip: the force axes leave it open along ({direction(axes.open_direction)}) of the sensor's frame, by "
-                f"{millimetres(axes.sd)}. It is not used. Give tip_mm, or push in other directions of the tool."
+                f"Tip: the force axes leave it open along ({direction(axes.open_direction)}) of the sensor's frame. "
+                "It is not used. Give tip_mm, or lean the pushes against the tool in several directions."
             )
         case _:
             return f"Tip: unknown. The force axes show it from {TIP_FRAME_MIN_POKES} pokes on; or give tip_mm."
