@@ -356,6 +356,7 @@ class ContactDetector:
             unit="s",
             channels=np.empty(0, dtype=np.int64),
             final=True,
+            pose="" if self._scene.tool is None else self._scene.tool.arm_pose,
         )
         outcomes = [*self._finalize_pending(None), rejection]
         self._drop_tare(sample.host_s)

@@ -16,7 +16,7 @@ import numpy as np
 from skincal.contacts.outcome import RAW_UNIT, Contact, Outcome, Reason, Rejection
 from skincal.contacts.press import FinishedPress, Press, taxels_at_top
 from skincal.contacts.skin_drift import SkinDrift
-from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, wrench_baseline
+from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, window_length, wrench_baseline
 from skincal.geometry import FloatArray, IntArray, pitch
 from skincal.model.scene import ContactSettings, Scene
 
@@ -65,8 +65,8 @@ def _failed_gates(
     yield _at_most(Reason.ARM_MOVED, press.moved, largest_turn_during_poke(scene) or 0.0, "rad")
     yield _at_least(Reason.TOO_SOFT, size, contacts.force_min, "N")
     if mean is None or wrench is None:
-        # The press was shorter than a still window: nothing more is known of it.
-        yield _GateFailure(Reason.NOT_STILL, press.end_s - press.start_s, contacts.still_s, "s")
+        # Nothing more is known of it.
+        yield _no_still_window(press, contacts)
         return
     yield _at_most(Reason.TOO_HARD, size, contacts.force_max, "N")
     yield _at_most(Reason.NOT_STILL, mean.spread, contacts.still_change, "1")
@@ -76,6 +76,16 @@ def _failed_gates(
     yield _at_most(Reason.TWO_CONTACTS, abs(float(pitch(wrench[:3], wrench[3:]))), contacts.pitch_max, "m")
     yield from _failed_gates_of_skin(press, scene, channels)
     yield _at_most(Reason.TARE_CHANGED, tare_change, contacts.tare_change_max, "N")
+
+
+def _no_still_window(press: FinishedPress, contacts: ContactSettings) -> _GateFailure:
+    """Say why a press has no still window: poses of the tool lack, it is too short, or too few samples follow each other."""
+    held_s = press.end_s - press.start_s
+    if press.unplaced:
+        return _GateFailure(Reason.NO_POSE, press.unplaced, 0, "")
+    if held_s < contacts.still_s:
+        return _GateFailure(Reason.NOT_STILL, held_s, contacts.still_s, "s")
+    return _GateFailure(Reason.NOT_STILL, press.in_row, window_length(contacts.still_s, press.period_s), "")
 
 
 def _failed_gates_of_skin(press: FinishedPress, scene: Scene, channels: IntArray) -> Iterator[_GateFailure | None]:
@@ -96,7 +106,7 @@ def _failed_gates_of_touch(press: FinishedPress, scene: Scene, channels: IntArra
     if press.late is not None:
         yield _GateFailure(Reason.NO_POSE, press.late.age_s, press.late.max_age_s, "s")
     if mean is None:
-        yield _GateFailure(Reason.NOT_STILL, press.end_s - press.start_s, contacts.still_s, "s")
+        yield _no_still_window(press, contacts)
         return
     yield _at_most(Reason.SLID, mean.slide, contacts.slide_max, "m")
     yield from _failed_gates_of_skin(press, scene, channels)
@@ -134,6 +144,8 @@ def finish(number: int, press: Press, scene: Scene, noise: FloatArray, period_s:
         peak=press.peak,
         saturated=press.saturated,
         gap_s=press.gap_s,
+        in_row=press.in_row,
+        unplaced=press.unplaced,
         moved=press.moved,
         before=press.tare,
         still=best,

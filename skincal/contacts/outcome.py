@@ -129,7 +129,7 @@ class Rejection:
     @property
     def threshold(self) -> str:
         """Name of the threshold that decided, as in `ContactSettings`; empty if it was none of them."""
-        is_short_press = self.reason is Reason.NOT_STILL and self.unit == "s"
+        is_short_press = self.reason is Reason.NOT_STILL and self.unit in ("s", "")
         return "still_s" if is_short_press else _THRESHOLD_OF_REASON.get(self.reason, "")
 
 

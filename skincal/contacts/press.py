@@ -200,7 +200,7 @@ class FinishedPress:
     """rad, rotation of the arm."""
     before: Tare
     still: StillMean | None
-    """`None` if the press was shorter than a still window."""
+    """`None` if no still window has all its samples."""
     channels: IntArray
     """(k,) every channel that answered, ascending."""
     responses: FloatArray
@@ -223,6 +223,10 @@ class FinishedPress:
     """Raw, value of the still window that is farthest in the direction of a press; NaN if no taxel answered."""
     at_top: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64), metadata={"stored": False})
     """Taxels that answered and had this value in `AT_TOP_MIN_SHARE_OF_SAMPLES` of the window."""
+    in_row: int = field(default=0, metadata={"stored": False})
+    """Most samples without a break in it, up to those of a still window."""
+    unplaced: int = field(default=0, metadata={"stored": False})
+    """Samples without a pose of the tool, in a press without a force sensor."""
     drifted: bool = field(default=False, metadata={"stored": False})
     """Its answers are measured from rest values that drift."""
 
@@ -284,6 +288,8 @@ class Press:
         """(values,) float, raw, its mean skin frame."""
         self.best_frames: FloatArray = np.empty((0, 0))
         """(n, values) float, raw, its skin frames."""
+        self.in_row, self.unplaced = 0, 0
+        """As of `FinishedPress`."""
         self.late: LateAngles | None = None
         """Angles of the stillest window, if they came long before it."""
         # Sort key, smaller is better: 1 if the force is outside its range; spread/limit if above 1; distance to the force range
@@ -330,13 +336,17 @@ class Press:
             self.still = 0.0
             self._window.clear()
             return
-        self._window.append((sample, pose))
+        self._append(sample, pose)
         wrench = np.array([item.wrench for item, _ in self._window]) - self.tare.wrench
         self.force = wrench[-1, :3]
         self.peak = max(self.peak, length_of(self.force))
         self.still = still_share(wrench[:, :3], self.settings.still_change) / self._length
         if len(self._window) == self._length:
             self._rank_window(wrench)
+
+    def _append(self, sample: Sample, pose: ArmPose) -> None:
+        self._window.append((sample, pose))
+        self.in_row = max(self.in_row, len(self._window))
 
     def _rank_window(self, wrench: FloatArray) -> None:
         """Keep the window that ends now, tared wrenches (n, 6), if it is better than the best so far."""

@@ -103,10 +103,11 @@ class TouchPress(Press):
         """Take one sample of the press."""
         self.end_s = sample.host_s
         if pose.link_from_sensor is None:
+            self.unplaced += 1
             self._window.clear()
             self.still = 0.0
             return
-        self._window.append((sample, pose))
+        self._append(sample, pose)
         places = np.array([each.link_from_sensor[:3, 3] for _, each in self._window if each.link_from_sensor is not None])
         off = np.linalg.norm(places - places[-1], axis=1)[::-1] > self.settings.slide_max
         self.still = (int(off.argmax()) if off.any() else len(off)) / self._length

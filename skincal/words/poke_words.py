@@ -55,6 +55,7 @@ POLARITY_ADVICE = (
 LATE_ANGLES_ADVICE = (
     "The joint angles have paused: start their program again. The poke counts if the next angles show that the arm rested."
 )
+FEW_FRAMES_ADVICE = "The skin sends too few readings: the Devices tab shows it. Or hold longer."
 _TOOL_REASON_WORDS: Mapping[Reason, str] = {
     Reason.NO_POSE: "tool pose unknown",
     Reason.ARM_MOVED: "tool turned",
@@ -132,11 +133,15 @@ def rejection_words(rejection: Rejection) -> str:
     if has_late_angles(rejection):
         old = "its last pose is" if is_of_tool(rejection) else "its joint angles are"
         return f"{words}: {old} {quantity(value, 's')} old (limit {quantity(limit, 's')})"
+    if reason is Reason.NO_POSE and value > limit:
+        return f"{words}: {count(round(value), 'skin frame')} without a pose"
     if reason in (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED) or not (math.isfinite(value) and math.isfinite(limit)):
         return words
     bound = "needs" if value < limit else "limit"
     if reason is Reason.NOT_STILL and rejection.unit == "s":
         return f"held still for only {quantity(value, 's')} ({bound} {quantity(limit, 's')})"
+    if has_few_frames(rejection):
+        return f"held still for only {count(round(value), 'skin frame')} in a row ({bound} {round(limit)})"
     colon = "" if reason is Reason.SLID else ":"
     if rejection.unit == "1":
         return f"{words}{colon} {number(100.0 * value, 1)} % ({bound} {number(100.0 * limit, 1)} %)"
@@ -158,6 +163,11 @@ def has_late_angles(rejection: Rejection) -> bool:
     return rejection.reason is Reason.NO_POSE and rejection.unit == "s"
 
 
+def has_few_frames(rejection: Rejection) -> bool:
+    """Whether a press was long enough, and too few frames of the skin came in a row for a still window."""
+    return rejection.reason is Reason.NOT_STILL and rejection.unit == ""
+
+
 def late_angles_sentence(rejections: Sequence[Rejection]) -> str:
     """Count the pokes without joint angles in a sentence, or return an empty string."""
     late = [each for each in rejections if has_late_angles(each)]
@@ -177,6 +187,8 @@ def late_angles_sentence(rejections: Sequence[Rejection]) -> str:
 
 def rejection_advice(rejection: Rejection) -> str:
     """Advise the operator after a rejected poke."""
+    if has_few_frames(rejection):
+        return FEW_FRAMES_ADVICE
     advice = {TOOL_ARM_POSE: _TOOL_ADVICE, TIP_ARM_POSE: _TIP_ADVICE}.get(rejection.pose, {})
     if rejection.reason in advice and not answered_inversely(rejection):
         return advice[rejection.reason]

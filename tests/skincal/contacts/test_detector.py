@@ -177,11 +177,23 @@ ACROSS = np.linalg.norm(SPEED - FORCE * (SPEED @ FORCE) / SIZE**2) * 14 * PERIOD
 SECOND = np.array([0, 4.0, 0])
 TWO_CONTACTS = np.r_[FORCE + SECOND, np.cross(POINT, FORCE) + np.cross([-0.06, 0.0, 0.0], SECOND)]
 TWO_PITCH = abs(TWO_CONTACTS[:3] @ TWO_CONTACTS[3:]) / (TWO_CONTACTS[:3] @ TWO_CONTACTS[:3])
+
+
+def sparse():
+    """Make a press of 0.46 s that lacks every second sample: too few for a still window, and no gap of three periods."""
+    script = quiet_script()
+    start = len(script.samples)
+    script.press(FORCE, POINT, ANSWERS, hold_s=0.4)
+    del script.samples[start::2]
+    return script.quiet()
+
+
 CASES = {
     "too soft": (lambda: quiet_script().press(FORCE * 0.4, POINT, ANSWERS).quiet(), Reason.TOO_SOFT, SIZE * 0.4, 4.0, "N"),
     "too hard": (lambda: quiet_script().press(FORCE * 2.5, POINT, ANSWERS).quiet(), Reason.TOO_HARD, SIZE * 2.5, 15.0, "N"),
     "a wobbling force": (lambda: press(wobble=0.2), Reason.NOT_STILL, 0.2, 0.05, "1"),
     "a short tap": (lambda: press(hold_s=0.2), Reason.NOT_STILL, 0.26, 0.3, "s"),
+    "few samples": (sparse, Reason.NOT_STILL, 12, 15, ""),
     "slid": (lambda: press(slide=SPEED), Reason.SLID, ACROSS, 0.0015, "m"),
     "two contacts": (two_contacts, Reason.TWO_CONTACTS, TWO_PITCH, 0.008, "m"),
     "a torque": (lambda: press(torque=0.1 * FORCE / SIZE), Reason.TWO_CONTACTS, 0.1 / SIZE, 0.008, "m"),

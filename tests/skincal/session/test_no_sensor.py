@@ -23,7 +23,7 @@ from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from skincal.words.mistake_words import setup_sentences
 from skincal.words.outcome_words import outcome_headline
-from skincal.words.poke_words import rejection_advice, rejection_words
+from skincal.words.poke_words import rejection_advice, rejection_words, short_rejection
 from skincal.words.tool_words import tool_findings
 from skincal.words.units import ChannelNames
 from skincal.words.verdict_words import verdict_sentence
@@ -285,3 +285,31 @@ def test_a_tip_that_is_wrong_sideways_is_named_and_no_sensor_is_blamed(tmp_path)
     assert not any(word in said for word in ("sensor", "wrench", "force"))
     named = np.array(results.setup.mistakes[0].names, dtype=float)
     np.testing.assert_allclose(named, -1e3 * off, atol=4.0)
+
+
+def test_a_long_hold_with_few_frames_of_the_skin_names_their_number(tmp_path):
+    """Five frames a second: a still window of 0.3 s needs four, and a hold of 0.5 s has three."""
+    pipeline = calibrate(
+        scene_of(tmp_path, scene_text()),
+        (chunk for chunk in chunks(TAXELS) if chunk.link == "tool" or round(chunk.host_ns * 1e-9 * HZ) % 10 == 0),
+    )
+    few = [each for each in outcomes_of(pipeline) if isinstance(each, Rejection) and each.unit == ""]
+    assert few
+    for each in few:
+        assert (each.reason, each.threshold, each.end_s - each.start_s >= 0.3) == (Reason.NOT_STILL, "still_s", True)
+        assert rejection_words(each) == "held still for only 3 skin frames in a row (needs 4)"
+        assert short_rejection(each) == "held 3 skin frames in a row"
+        assert rejection_advice(each).startswith("The skin sends too few readings")
+
+
+def test_a_press_before_the_first_pose_of_the_tool_names_the_frames_without_one(tmp_path):
+    begins_ns = round((1.0 + PAUSE_S + WAY_S + 0.9 * HOLD_S) * 1e9)
+    pipeline = calibrate(
+        scene_of(tmp_path, scene_text()),
+        (chunk for chunk in chunks(TAXELS[:1]) if chunk.link == "skin" or chunk.host_ns > begins_ns),
+    )
+    (outcome,) = outcomes_of(pipeline)
+    assert outcome.reason is Reason.NO_POSE
+    pressed = round(outcome.value)
+    assert HOLD_S * 0.9 * HZ <= pressed <= (HOLD_S + WAY_S) * HZ
+    assert rejection_words(outcome) == f"tool pose unknown: {pressed} skin frames without a pose"
