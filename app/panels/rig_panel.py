@@ -180,7 +180,12 @@ def _tip_words(state: ViewState) -> str:
 
         return "\n".join(
             tool_rig_sentences(
-                snapshot.tip_frame, snapshot.part_pose, snapshot.part_mistake, snapshot.typed_pose_error, snapshot.at_landmarks
+                snapshot.tip_frame,
+                snapshot.part_pose,
+                snapshot.part_mistake,
+                snapshot.typed_pose_error,
+                snapshot.at_landmarks,
+                snapshot.off_mesh,
             )
         )
     return "" if snapshot.tip_frame is None else tip_sentence(snapshot.tip_frame)

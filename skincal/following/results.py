@@ -105,6 +105,7 @@ class SessionResults:
             self.snapshot.part_mistake,
             self.snapshot.typed_pose_error,
             self.snapshot.at_landmarks,
+            self.snapshot.off_mesh,
         )
 
     @cached_property

@@ -211,7 +211,9 @@ class SessionGuide:
         doubt = frame_in_doubt(snapshot.wrench_frames, snapshot.contacts)
         closings = closings_of(snapshot, noise)
         has_arm = self._scene.arm is not None
-        return replace(verdict, unchecked=unchecked, left=left, closings=closings, frame_in_doubt=doubt, has_arm=has_arm)
+        off_mesh = None if snapshot.off_mesh is None else snapshot.off_mesh.distance
+        verdict = replace(verdict, closings=closings, frame_in_doubt=doubt, has_arm=has_arm, off_mesh=off_mesh)
+        return replace(verdict, unchecked=unchecked, left=left)
 
     def axis_diversity(self, channel: int) -> AxisDiversity | None:
         """Describe the pokes of a channel; `None` while guidance is off or nothing is known. Call `next_target` before."""

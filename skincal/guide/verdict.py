@@ -313,6 +313,8 @@ class Verdict:
 
     frame_in_doubt: str = ""
     """Frame that messages of the wrench name, if it is not settled what their readings mean; else empty."""
+    off_mesh: float | None = None
+    """m, median distance of a tool's touches from the mesh; `None` if it is within their error."""
     states: Mapping[State, int] = field(default_factory=dict[State, int])
     """Number of used taxels in each state."""
     contradicted: tuple[int, ...] = ()
@@ -334,7 +336,7 @@ class Verdict:
     def doubted(self) -> bool:
         """Whether anything contradicts the predicted errors."""
         contradicted = not self.check.believed or self.check.off_plan is not None or bool(self.frame_in_doubt)
-        contradicted |= bool(self.contradicted)
+        contradicted |= bool(self.contradicted) or self.off_mesh is not None
         return self.has_moved or contradicted or (self.landmarks is not None and not self.landmarks.agrees)
 
     @property
@@ -345,7 +347,8 @@ class Verdict:
     @property
     def believed(self) -> bool:
         """Whether the predicted errors are confirmed (see `is_believed`)."""
-        return not self.frame_in_doubt and not self.contradicted and is_believed(self.check, self.landmarks)
+        is_open = bool(self.frame_in_doubt) or bool(self.contradicted) or self.off_mesh is not None
+        return not is_open and is_believed(self.check, self.landmarks)
 
 
 def verdict_of(

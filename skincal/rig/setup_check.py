@@ -134,7 +134,7 @@ def check_setup(
 ) -> SetupDiagnosis | None:
     """Look for mistakes of a scene; `None` with too few pokes at planned taxels, without a plan, or without a sensor.
 
-    Without a sensor a poke has no force axis, and nothing of a sensor is right or wrong: `touch_mistakes` judges its tip.
+    Without a sensor a poke has no force axis: `touch_mistakes` judges its tip.
 
     Parameters
     ----------

@@ -376,6 +376,7 @@ class Session:
             part_pose=None if self.tool is None else self.tool.part,
             part_mistake=None if self.tool is None else self.tool.mistake,
             typed_pose_error=None if self.tool is None else self.tool.typed_error,
+            off_mesh=None if self.tool is None else self.tool.off_mesh,
             wrench_frames=self.wrench_frames,
             part_size=self._part_size(estimates),
             noise=self.scene.noise,

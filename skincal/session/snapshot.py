@@ -32,7 +32,8 @@ from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
-    from skincal.rig.part_pose import PartPose
+    from skincal.rig.mesh_distance import MeshDistance
+from skincal.rig.part_pose import PartPose
 
 UNPLACED = StateReason(Cause.PART_UNPLACED)
 """Reason of a taxel whose place on the part is unknown, since that of the part is."""
@@ -106,6 +107,8 @@ class Snapshot:
     """Mistake of the tool's poses or tip that explains why no pose of the part fits; `None` without one."""
     typed_pose_error: PartPose | None = None
     """Pose of the part that the pokes show in place of a given one; `None` if they agree with it."""
+    off_mesh: MeshDistance | None = None
+    """Distance of a tool's touches from the mesh that is far beyond their error; `None` if they agree with a given pose."""
     wrench_frames: tuple[WrenchFrame, ...] = ()
     """Frames that the messages of the wrench name; empty without such messages."""
     part_size: float = inf

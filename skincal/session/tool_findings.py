@@ -18,6 +18,7 @@ from skincal.geometry import FloatArray, IntArray, orthonormal_pair
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import Landmark, Scene
 from skincal.pokes import Pokes
+from skincal.rig.mesh_distance import MeshDistance, find_mesh_distance
 from skincal.rig.part_pose import NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
 from skincal.rig.part_touches import PartShape, PartTouches, motion_rows
 from skincal.rig.scene_mistakes import Mistake
@@ -61,6 +62,8 @@ class ToolFindings:
         """Pose of the part; `None` if the scene gives it, or has none."""
         self.typed_error: PartPose | None = None
         """Pose that the touches show, in place of the given one; `None` if they agree, or show nothing."""
+        self.off_mesh: MeshDistance | None = None
+        """Distance of the touches from the mesh if it is far beyond their error and the scene gives the part's pose."""
         self.mistake: Mistake | None = None
         """Mistake that explains why no pose of the part fits; `None` without one."""
         self._tip_fitted: tuple[Contact, ...] = ()
@@ -117,6 +120,8 @@ class ToolFindings:
         shape = PartShape(self._surface, self._corners(marks, touches), self._scene.noise, error)
         if self.part is None:
             self.typed_error = _typed_error(touches, shape)
+            surface = self._surface
+            self.off_mesh = None if surface is None else find_mesh_distance(touches, surface, self._scene.noise)
             return
         self.part, self.mistake = fit_part_pose(touches, shape), None
         self._with_error.clear()

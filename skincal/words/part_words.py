@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from skincal.rig.mesh_distance import MeshDistance
 from skincal.rig.part_pose import MIN_TOUCHES, PartPose, PartPoseState
 from skincal.rig.part_touches import OpenMotion
 from skincal.rig.scene_mistakes import Mistake
@@ -93,12 +94,23 @@ def typed_pose_sentence(found: PartPose) -> str:
     )
 
 
+def off_mesh_sentence(found: MeshDistance) -> str:
+    """Warn of touches that miss the mesh, with the settings to check."""
+    side = "outside" if found.height > 0.0 else "inside"
+    return (
+        f"{found.touches} touches lie {millimetres(found.distance, 0)} {side} the mesh (median), with an expected error of "
+        f"{millimetres(found.expected)}. Positions of the free method are wrong by as much, and others may be. Check tip_mm "
+        "and tip_radius_mm of [tool], the tool centre point of the robot, then base_from_link and the unit of the mesh."
+    )
+
+
 def tool_rig_sentences(
     tip: TipFrame | None,
     part: PartPose | None,
     mistake: Mistake | None,
     typed_error: PartPose | None,
     at_landmarks: Mapping[int, str],
+    off_mesh: MeshDistance | None = None,
 ) -> tuple[str, ...]:
     """Describe the tip of a tool and the part's pose in the base; `at_landmarks` has the landmark of each poke at one."""
     found = [tool_tip_sentence(tip)] if isinstance(tip, ToolTip) and not tip.is_given_alone else []
@@ -106,6 +118,8 @@ def tool_rig_sentences(
         found.append(part_pose_sentence(part, at_landmarks.get(part.worst_landmark, ""), mistake))
     if typed_error is not None:
         found.append(typed_pose_sentence(typed_error))
+    if off_mesh is not None:
+        found.append(off_mesh_sentence(off_mesh))
     return tuple(found)
 
 

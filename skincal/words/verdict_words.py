@@ -83,6 +83,8 @@ def _doubts(verdict: Verdict) -> list[str]:
     found, against = list[str](), list[str]()
     if verdict.frame_in_doubt:
         found.append("the frame of the force/torque readings is not settled")
+    if verdict.off_mesh is not None:
+        found.append(f"the touches lie {millimetres(verdict.off_mesh, 0)} off the mesh")
     if verdict.has_moved:
         found.append("something has moved since the start")
     elif not verdict.frame_in_doubt:

@@ -4,6 +4,8 @@ Nothing of the simulator or of the fit is used. The ball touches the part at its
 rests, and goes back.
 """
 
+import re
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -313,3 +315,30 @@ def test_a_press_before_the_first_pose_of_the_tool_names_the_frames_without_one(
     pressed = round(outcome.value)
     assert HOLD_S * 0.9 * HZ <= pressed <= (HOLD_S + WAY_S) * HZ
     assert rejection_words(outcome) == f"tool pose unknown: {pressed} skin frames without a pose"
+
+
+@pytest.mark.parametrize("layout", [False, True])
+def test_touches_far_off_the_mesh_are_named_with_the_remedy_and_the_verdict_does_not_believe(tmp_path, layout):
+    """A tip that is 30 mm too short puts all positions off along the push; test pokes agree with each other."""
+    (tmp_path / "m.toml").write_text(LAYOUT)
+    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, -0.03], layout=layout)), chunks(EVERY[4:])))
+    (said,) = [each for each in results.tool if "the mesh (median)" in each]
+    # The tool leans by 3 to 23 degrees.
+    assert re.match(r"\d+ touches lie (28|29|30) mm outside the mesh", said)
+    assert all(name in said for name in ("tip_mm", "tip_radius_mm", "base_from_link"))
+    verdict = results.verdict(Method.FREE)
+    assert verdict.doubted
+    assert not verdict.believed
+    assert re.search(r"but .*the touches lie (28|29|30) mm off the mesh", verdict_sentence(verdict))
+
+
+def test_touches_of_a_tip_that_is_too_long_lie_inside_the_mesh(tmp_path):
+    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, 0.03], layout=False)), chunks(EVERY[4:])))
+    assert any(re.search(r"touches lie (28|29|30) mm inside the mesh", each) for each in results.tool)
+
+
+@pytest.mark.parametrize("off", [0.0, 0.002])
+def test_touches_of_a_right_tip_are_on_the_mesh(tmp_path, off):
+    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, off], layout=False)), chunks(EVERY[4:])))
+    assert results.snapshot.off_mesh is None
+    assert not any("the mesh (median)" in each for each in results.tool)
