@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -339,8 +340,10 @@ def _write_all(results: SessionResults, folder: Path, options: ExportOptions) ->
         for method in list(calibration.estimates)[: 1 if format_.holds_all_methods else None]:
             name = "calibration" if format_.holds_all_methods else f"{stem}-{method.value}"
             files.append(folder / f"{name}{format_.suffix}")
-            findings |= dict.fromkeys(write_calibration(calibration, format_, files[-1], method, options.for_format(format_)))
-    return files, list(findings)
+            chosen = replace(options.for_format(format_), is_asked=False)
+            findings |= dict.fromkeys(write_calibration(calibration, format_, files[-1], method, chosen))
+    # `solve` says these anyway.
+    return files, [sentence for sentence in findings if sentence not in calibration.tool]
 
 
 def export(

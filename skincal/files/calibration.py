@@ -74,6 +74,8 @@ class Calibration:
     """m, see `Snapshot.part_size`."""
     part_pose: PartPose | None = None
     """Pose of the part in the base of a tool's poses; `None` unless it was found from the pokes."""
+    tool: tuple[str, ...] = ()
+    """Sentences on the tip of a tool and the part's pose, see `session_tool_sentences`; empty for other rigs."""
 
     def estimates_by(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
@@ -97,13 +99,9 @@ class Calibration:
         return self.scene.arm is not None
 
     def correction_comments(self) -> tuple[str, ...]:
-        """Describe the corrections in use, and a part's pose that was found, for a file's comments."""
-        used = tuple(correction_words(used, has_arm=self.has_arm) for used in self.corrections)
-        if self.part_pose is None:
-            return used
-        from skincal.words.part_words import part_pose_sentence
-
-        return part_pose_sentence(self.part_pose).removesuffix("."), *used
+        """Describe tip and part's pose of a tool's rig, and the corrections in use, for a file's comments."""
+        used = (correction_words(used, has_arm=self.has_arm) for used in self.corrections)
+        return *(sentence.removesuffix(".") for sentence in self.tool), *used
 
     def verdict_comments(self, method: Method) -> tuple[str, ...]:
         """Verdict, predicted error and the part that it leaves out, for a file's comments; empty without a verdict."""

@@ -306,6 +306,7 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
         "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
         "corrections": [_correction(used) for used in calibration.corrections],
         **_part_pose(calibration.part_pose),
+        **({"tool": calibration.tool} if calibration.tool else {}),
         "verdicts": {method.value: words for method, words in calibration.verdicts.items()},
         "predicted_errors": {method.value: _error(calibration, method) for method in calibration.verdicts},
         "landmark_check": _landmark_check(calibration.rig),
@@ -501,7 +502,7 @@ def calibration_file(
     for each in methods:
         sentences += lint(calibration, each, _expected_surface(calibration, each, shape))
         sentences += _left_out(calibration.estimates_by(each), each)
-    if format_ is ExportFormat.ICUB:
+    if format_ is ExportFormat.ICUB and (options.is_asked or options.part or robot_skin_part(calibration.scene)):
         sentences += _icub_traps(calibration, method, options.part)
     content = written.encode() if isinstance(written, str) else written
     if options.into is not None:

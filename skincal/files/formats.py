@@ -132,6 +132,8 @@ class ExportOptions:
     inertia: Inertia = Inertia.NONE
     into: Path | None = None
     """Robot's own file, whose copy gets the taxels; `None` for a file of the taxels alone."""
+    is_asked: bool = True
+    """The operator chose the format. Else hints for the programs of an iCub are left out for parts of other robots."""
 
     def for_format(self, format_: ExportFormat) -> ExportOptions:
         """Return the options without those that have no use in the format."""

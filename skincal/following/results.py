@@ -24,6 +24,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.snapshot import Snapshot
+from skincal.session.tool_sentences import session_tool_sentences
 from skincal.taxels.result import Estimate, Method
 from skincal.words.mistake_words import frame_sentence
 from skincal.words.rig_words import rig_sentences
@@ -95,18 +96,7 @@ class SessionResults:
     @cached_property
     def tool(self) -> tuple[str, ...]:
         """Sentences on the tip of a tool and the part's pose in the base of its poses; empty for other rigs."""
-        if self.session.scene.tool is None:
-            return ()
-        from skincal.words.part_words import tool_rig_sentences
-
-        return tool_rig_sentences(
-            self.snapshot.tip_frame,
-            self.snapshot.part_pose,
-            self.snapshot.part_mistake,
-            self.snapshot.typed_pose_error,
-            self.snapshot.at_landmarks,
-            self.snapshot.off_mesh,
-        )
+        return session_tool_sentences(self.snapshot, self.session.scene)
 
     @cached_property
     def skin(self) -> tuple[str, ...]:

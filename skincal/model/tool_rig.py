@@ -164,8 +164,9 @@ def _read_form(table: Table) -> tuple[PoseForm | None, float | None]:
     given = {key for key in ("rotation", "unit", "degrees") if key in table.keys}
     if not given:
         return None, None
-    rotation = table.choice("rotation", {form.value: form for form in RotationForm}, None)
-    unit, degrees = table.choice("unit", METRES_PER_UNIT, None), table.take("degrees", bool, None)
+    rotation = table.choice("rotation", {form.value: form for form in RotationForm}) if "rotation" in given else None
+    unit = table.choice("unit", METRES_PER_UNIT) if "unit" in given else None
+    degrees = table.take("degrees", bool, None)
     needs_degrees = degrees is None and (rotation is None or rotation.has_angles)
     if rotation is None or unit is None or needs_degrees:
         _refuse_incomplete_form(table, rotation, unit, needs_degrees=needs_degrees)

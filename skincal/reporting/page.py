@@ -317,6 +317,7 @@ def _rig(facts: SessionFacts) -> ReportSection:
     has_arm = facts.verdict.has_arm
     said = rig_error_sentences(facts.results.frame, used, facts.results.rig, has_arm=has_arm)
     poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
+    said = [*facts.results.tool, *said]
     said += [] if off is None else [unchecked_sentence(off, poked, has_arm=has_arm)]
     said += distance_sentences(facts.results.snapshot.tried_distances)
     rows = [

@@ -14,7 +14,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.files.export import calibration_file
-from skincal.files.formats import ExportFormat
+from skincal.files.formats import ExportFormat, ExportOptions
 from skincal.files.reference import ErrorSummary, TaxelPositions, error_summary
 from skincal.following.error_history import ErrorCourse, ErrorSeries, spreads_of
 from skincal.following.results import SessionResults
@@ -111,7 +111,7 @@ def gather_facts(results: SessionResults, name: str, truth: TaxelPositions | Non
         series=_series(results.part, snapshot, truth),
         misses={mark: tuple(pokes.landmark_miss[pokes.name == mark].tolist()) for mark in names},
         rejected=_rejected(snapshot),
-        lint=calibration_file(calibration, ExportFormat.ICUB, method)[1],
+        lint=calibration_file(calibration, ExportFormat.ICUB, method, ExportOptions(is_asked=False))[1],
         versions=_versions(),
     )
 

@@ -414,6 +414,7 @@ class Session:
         """Gather what the calibration files are written from."""
         from skincal.files.calibration import Calibration, SmoothedEstimates
         from skincal.session.closing_pokes import closings_of
+        from skincal.session.tool_sentences import session_tool_sentences
 
         snapshot, decisions = self.snapshot(), self.decisions
         outcomes = [self._placed(poke) for poke in self._records]
@@ -432,6 +433,7 @@ class Session:
             closings=closings_of(snapshot, self.scene.noise),
             part_size=snapshot.part_size,
             part_pose=snapshot.part_pose,
+            tool=session_tool_sentences(snapshot, scene),
         )
 
     def _counting(self, pokes: Iterable[int]) -> list[Contact]:

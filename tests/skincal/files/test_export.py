@@ -12,7 +12,7 @@ from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS, json_text, ply_text, write_calibration
 from skincal.files.formats import ExportOptions
 from skincal.files.frames import mjcf_text, sdf_text, urdf_text
-from skincal.files.icub import icub_text
+from skincal.files.icub import icub_text, skin_part
 from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
 from skincal.methods import estimate_taxels
@@ -199,6 +199,22 @@ def test_icub_says_what_is_left_out_and_the_last_row(part, tmp_path):
 def test_a_part_that_the_robot_does_not_know_is_said(part, tmp_path):
     said = write_calibration(make_calibration(part), "icub", tmp_path / "p.txt", Method.FREE, ExportOptions(part="elbow"))
     assert any(approved("export.unknown_part", part="elbow") in sentence for sentence in said)
+
+
+def test_hints_for_the_icub_come_with_its_parts_and_with_its_format_alone(part, tmp_path):
+    of_icub = make_calibration(part)
+    other = replace(of_icub, scene=replace(of_icub.scene, link="plate"))
+    dropped = approved("export.last_row_dropped", channel=47)
+
+    def said(calibration, **options):
+        return " ".join(write_calibration(calibration, "icub", tmp_path / "p.txt", Method.FREE, ExportOptions(**options)))
+
+    name = approved("export.unknown_part", part=skin_part(other))
+    for hint in (name, dropped):
+        assert hint in said(other)
+        assert hint not in said(other, is_asked=False)
+    assert dropped in said(of_icub, is_asked=False)
+    assert approved("export.unknown_part", part="elbow") in said(other, part="elbow", is_asked=False)
 
 
 def test_a_taxel_whose_digits_round_to_the_origin_is_said(part, tmp_path):

@@ -183,6 +183,13 @@ def test_what_a_device_measures_beside_its_readings_stands_with_it(facts):
     assert text.count("temperature 31.0 degC (30.5 to 33.2)") == 1
 
 
+def test_the_sentences_on_a_tool_stand_with_the_rig(facts):
+    said = ("Tip: its own place. The tip is not used.", "Part: its pose is known.")
+    text = Page(report_page(replace(facts, results=other_results(facts, tool=said)))).text
+    rig = text.partition("Rig and landmarks")[2].partition("Scene and pokes")[0]
+    assert all(sentence in rig for sentence in said)
+
+
 def test_the_page_needs_no_other_file_and_prints(page_text):
     sources = re.findall(r'<img src="([^"]*)"', page_text)
     kinds = [source.partition(";")[0] for source in sources]

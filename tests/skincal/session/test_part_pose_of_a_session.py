@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.files.export import json_text
+from skincal.files.export import calibration_file, json_text
+from skincal.files.formats import ExportFormat
 from skincal.mesh.load import load_surface
 from skincal.model.actions import AtLandmark, Exclude, Undo
 from skincal.rig.part_pose import PartPoseState
@@ -171,3 +172,19 @@ def sentences(snapshot):
     return tool_rig_sentences(
         snapshot.tip_frame, snapshot.part_pose, snapshot.part_mistake, snapshot.typed_pose_error, snapshot.at_landmarks
     )
+
+
+def test_every_file_says_that_the_scenes_tip_is_not_used(tmp_path, outcomes):
+    wrong = f"tip_mm = {((TIP + 0.03) * 1e3).tolist()}\n"
+    session = session_of(tmp_path, outcomes, lambda text: without_pose(text, wrong))
+    mark_corners(session, outcomes)
+    calibration = session.calibration()
+    tip, part, *_ = calibration.tool
+    assert "from tip_mm of the scene. The tip is not used" in tip
+    assert part.startswith("Part: ")
+    for format_ in (ExportFormat.ICUB, ExportFormat.PLY, ExportFormat.URDF, ExportFormat.SDF, ExportFormat.MJCF):
+        content, said = calibration_file(calibration, format_, Method.FREE)
+        assert {tip, part} <= set(said), format_
+        assert tip.removesuffix(".") in content.decode(), format_
+    content, said = calibration_file(calibration, ExportFormat.JSON, Method.FREE)
+    assert json.loads(content)["tool"] == list(calibration.tool)
