@@ -359,7 +359,7 @@ class Session:
             self._touched = fresh
         pokes, estimates = self._reported_landmark_pokes(), self._solving.estimates(channels)
         if self.tool is not None:
-            estimates = self.tool.with_pose_error(estimates, self.contacts)
+            estimates = self.tool.with_shared_errors(estimates, self.contacts)
         self._last = self._snapshot = Snapshot(
             generation=self._generation,
             pokes=tuple(self._records.values()),

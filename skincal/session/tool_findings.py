@@ -236,26 +236,39 @@ class ToolFindings:
         is_counted = self.part is not None and self.part.is_known and self.tip.state is TipState.USED
         return used_tip(self.tip, self.tip.shift, np.zeros((3, 3))) if is_counted else self.tip
 
-    def with_pose_error(
+    def with_shared_errors(
         self, estimates: Mapping[Method, Sequence[Estimate]], contacts: Sequence[Contact]
     ) -> dict[Method, tuple[Estimate, ...]]:
-        """Add the error of the part's pose, of the tip and of the robot's scale to estimates: all taxels share it.
+        """Add what all taxels share to estimates: errors of the part's pose, of the tip, of the robot's scale, and the skin.
+
+        The tip touches the skin's outer face, by the scene's `skin` (sd) above the taxels. The free method has no mesh that
+        says so: its estimates lie outward by as much.
 
         Parameters
         ----------
         contacts : that count, in the part's frame
         """
-        part = self.part
-        if part is None or not part.is_known:
-            return {method: tuple(of) for method, of in estimates.items()}
         turns: dict[int, list[FloatArray]] = {}
+        pushes: dict[int, list[FloatArray]] = {}
         for contact in contacts:
+            tip_moves = self._tip_moves(contact)
+            push = contact.link_from_sensor[:3, :3] @ contact.force / np.linalg.norm(contact.force)
             for channel in contact.channels.tolist():
-                turns.setdefault(channel, []).append(self._tip_moves(contact))
+                turns.setdefault(channel, []).append(tip_moves)
+                if contact.tip is not None:
+                    pushes.setdefault(channel, []).append(push)
         mean = {channel: np.mean(each, axis=0) for channel, each in turns.items()}
         every = np.mean(list(mean.values()), axis=0) if mean else np.zeros((3, 3))
+        depth = {channel: self._scene.noise.skin * np.mean(each, axis=0) for channel, each in pushes.items()}
         return {
-            method: tuple(self._added(estimate, part, mean.get(estimate.channel, every)) for estimate in of)
+            method: tuple(
+                self._added(
+                    estimate,
+                    mean.get(estimate.channel, every),
+                    depth.get(estimate.channel) if method is Method.FREE else None,
+                )
+                for estimate in of
+            )
             for method, of in estimates.items()
         }
 
@@ -269,26 +282,33 @@ class ToolFindings:
         along = contact.force / np.linalg.norm(contact.force)
         return np.outer(turn @ along, along)
 
-    def _added(self, estimate: Estimate, part: PartPose, tip_moves: FloatArray) -> Estimate:
+    def _added(self, estimate: Estimate, tip_moves: FloatArray, depth: FloatArray | None) -> Estimate:
         key = estimate.method, estimate.channel
         known, found = self._with_error.get(key, (None, estimate))
         if known is not estimate:
-            found = add_pose_error(estimate, part, tip_moves)
+            moves = [] if depth is None else [depth[:, None]]
+            if self.part is not None and self.part.is_known and estimate.position is not None:
+                moves.append(pose_error_shifts(estimate.position, self.part, tip_moves))
+            found = add_shared_error(estimate, np.concatenate(moves, axis=1)) if moves else estimate
             self._with_error[key] = estimate, found
         return found
 
 
-def add_pose_error(estimate: Estimate, part: PartPose, tip_moves: FloatArray) -> Estimate:
-    """Add the error of the part's pose to an estimate; one without a position is not changed.
+def pose_error_shifts(position: FloatArray, part: PartPose, tip_moves: FloatArray) -> FloatArray:
+    """Compute shifts (3, k), metres, of a position (3,) by errors of the part's pose, the tip and the robot's scale.
 
     Parameters
     ----------
     tip_moves : (3, 3) float: derivative of the place by an error of the tip
     """
+    of_scale = ROBOT_SCALE_SD * (position - part.centre)
+    return np.concatenate([part.error_shifts(position, tip_moves), of_scale[:, None]], axis=1)
+
+
+def add_shared_error(estimate: Estimate, moves: FloatArray) -> Estimate:
+    """Add shifts (3, k), metres, by independent errors to an estimate; one without a position is not changed."""
     if estimate.position is None or estimate.covariance is None:
         return estimate
-    of_scale = ROBOT_SCALE_SD * (estimate.position - part.centre)
-    moves = np.concatenate([part.error_shifts(estimate.position, tip_moves), of_scale[:, None]], axis=1)
     if estimate.method is Method.SURFACE and estimate.normal is not None:
         moves = moves - np.outer(estimate.normal, estimate.normal @ moves)
     covariance = estimate.covariance + moves @ moves.T

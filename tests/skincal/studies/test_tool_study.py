@@ -1,10 +1,22 @@
 """The study of a tool on a still part, on few pokes."""
 
 import numpy as np
+import pytest
 
 from skincal.simulation.example_parts import forearm
 from skincal.studies.tool_simulator import NO_LANDMARK, TOOL_RIGS, simulate_tool_session
-from skincal.studies.tool_study import BASE_ALONE, POSE_FOUND, POSE_GIVEN, THIS_STUDY, ToolCase, contacts_of, scene_of
+from skincal.studies.tool_study import (
+    BASE_ALONE,
+    POSE_FOUND,
+    POSE_GIVEN,
+    THIS_STUDY,
+    Task,
+    ToolCase,
+    ToolSizes,
+    contacts_of,
+    run_session,
+    scene_of,
+)  # fmt: skip
 from tests.skincal.studies.studies_support import small
 
 
@@ -48,3 +60,9 @@ def test_contacts_carry_the_sensors_pose_into_the_part():
         turn, origin = contact.link_from_sensor[:3, :3], contact.link_from_sensor[:3, 3]
         force = turn @ contact.force
         np.testing.assert_allclose(turn @ contact.moment, np.cross(place - origin, force), atol=1e-12)
+
+
+@pytest.mark.parametrize("rig", ["none", "good_wrist"])
+def test_the_tip_touches_the_skin_above_the_taxels_and_the_predicted_errors_contain_that(rig):
+    methods = run_session(Task(ToolCase(rig, POSE_FOUND, 6, has_mesh=True), 1, ToolSizes(counts=(84,))))[84]["methods"]
+    assert {name: each["inside"] for name, each in methods.items() if each["inside"] < 0.9} == {}
