@@ -62,7 +62,13 @@ def test_contacts_carry_the_sensors_pose_into_the_part():
         np.testing.assert_allclose(turn @ contact.moment, np.cross(place - origin, force), atol=1e-12)
 
 
-@pytest.mark.parametrize("rig", ["none", "good_wrist"])
+def test_a_given_tip_places_the_pokes_of_a_sensor_with_cross_talk():
+    methods = run_session(Task(ToolCase("wrist", POSE_FOUND, 6, has_mesh=True), 1, ToolSizes(counts=(168,))))[168]["methods"]
+    assert methods["modules"]["mean"] < 0.8
+    assert methods["free"]["mean"] < 2.5  # 28.8 by the force axes
+
+
+@pytest.mark.parametrize("rig", ["none", "good_wrist", "wrist"])
 def test_the_tip_touches_the_skin_above_the_taxels_and_the_predicted_errors_contain_that(rig):
     methods = run_session(Task(ToolCase(rig, POSE_FOUND, 6, has_mesh=True), 1, ToolSizes(counts=(84,))))[84]["methods"]
     assert {name: each["inside"] for name, each in methods.items() if each["inside"] < 0.9} == {}
