@@ -182,7 +182,6 @@ def _tip_words(state: ViewState) -> str:
             tool_rig_sentences(
                 snapshot.tip_frame,
                 snapshot.part_pose,
-                snapshot.part_mistake,
                 snapshot.typed_pose_error,
                 snapshot.at_landmarks,
                 snapshot.off_mesh,

@@ -73,12 +73,15 @@ class SetupFollower:
             self._frames, self._of_frames = frames, frame_sentences(frames)
             self._news += self._of_frames
         part, count, corrections = self._part, len(snapshot.contacts), snapshot.decisions.corrections
+        if part.scene.tool is not None:
+            count += len(snapshot.at_landmarks)  # touches of landmarks show its mistakes, too
         if corrections != self._corrections:
             # The finding is of pokes as they were: its remedy would be applied on top of the correction.
             self._corrections, self._is_due = corrections, True
             self._replace_finding((), None)
         enough = self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]
-        if part.laid is None or self._job.is_busy or not (enough or self._is_due):
+        can_check = part.laid is not None or part.scene.tool is not None
+        if not can_check or self._job.is_busy or not (enough or self._is_due):
             return
         self._is_due = False
         while self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]:

@@ -47,7 +47,11 @@ def check_tool_setup(
     touched = touched_places(snapshot, scene, laid)
     by_touches = None if touched is None else find_touch_mistake(touched)
     if touched is None or by_touches is None:
-        return found
+        misfit = snapshot.part_misfit
+        mistake = None if misfit is None else misfit.explain()
+        if misfit is None or mistake is None:
+            return found
+        return SetupDiagnosis(len(misfit.pokes), 0.0, (mistake,), of_touches=True)
     return SetupDiagnosis(len(touched.number), by_touches.miss, (by_touches.mistake,), of_touches=True)
 
 

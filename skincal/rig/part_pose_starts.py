@@ -39,6 +39,7 @@ MESH_POINTS, PLASTIC_NUMBER = 500, 1.2207440846057596
 START_TOUCHES_MAX = 24
 """Touches that the starts use, spread evenly over their numbers; landmarks first."""
 STARTS_KEPT = 8
+CLOSED_START_MIN_TOUCHES = 4
 DIFFERENT_ABOVE_M = 0.003
 """m, rms over the part, between two starts that are kept."""
 SURVIVORS_AFTER_STEPS, SURVIVORS = 4, 48
@@ -67,6 +68,14 @@ def start_poses(touches: PartTouches, shape: PartShape) -> tuple[FloatArray, Flo
         if len(kept) == STARTS_KEPT:
             break
     return turns[kept], shifts[kept]
+
+
+def closed_start(touches: PartTouches) -> tuple[FloatArray, FloatArray] | None:
+    """Find the best pose of the points at landmarks and planned taxels; `None` with fewer than `CLOSED_START_MIN_TOUCHES`."""
+    if len(touches.at_landmark) + len(touches.on_plan) < CLOSED_START_MIN_TOUCHES:
+        return None
+    turns, shifts = _from_targets(touches)
+    return turns[:1], shifts[:1]
 
 
 def _spread_touches(touches: PartTouches) -> PartTouches:

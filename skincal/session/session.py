@@ -374,7 +374,7 @@ class Session:
             clocks=self._clocks,
             tip_frame=self.tip_frame,
             part_pose=None if self.tool is None else self.tool.part,
-            part_mistake=None if self.tool is None else self.tool.mistake,
+            part_misfit=None if self.tool is None else self.tool.misfit,
             typed_pose_error=None if self.tool is None else self.tool.typed_error,
             off_mesh=None if self.tool is None else self.tool.off_mesh,
             wrench_frames=self.wrench_frames,

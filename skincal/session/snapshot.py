@@ -22,7 +22,6 @@ from skincal.model.scene import NoiseSettings, Scene
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.pokes import NO_LANDMARK_POKES, LandmarkPokes
 from skincal.rig.correction import FRAME, RIG
-from skincal.rig.scene_mistakes import Mistake
 from skincal.rig.tip_frame import TipFrame, TipState
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions
@@ -33,7 +32,8 @@ from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
     from skincal.rig.mesh_distance import MeshDistance
-from skincal.rig.part_pose import PartPose
+    from skincal.rig.part_pose import PartPose
+    from skincal.session.tool_findings import PartMisfit
 
 UNPLACED = StateReason(Cause.PART_UNPLACED)
 """Reason of a taxel whose place on the part is unknown, since that of the part is."""
@@ -103,8 +103,8 @@ class Snapshot:
     """Frame of the tip positions; `None` without a tip stream."""
     part_pose: PartPose | None = None
     """Pose of the part in the base of a tool's poses; `None` unless it is found from the pokes."""
-    part_mistake: Mistake | None = None
-    """Mistake of the tool's poses or tip that explains why no pose of the part fits; `None` without one."""
+    part_misfit: PartMisfit | None = None
+    """Touches that the best pose of the part misses, for a slow search for the mistake; `None` if they fit."""
     typed_pose_error: PartPose | None = None
     """Pose of the part that the pokes show in place of a given one; `None` if they agree with it."""
     off_mesh: MeshDistance | None = None

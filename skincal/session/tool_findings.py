@@ -7,7 +7,8 @@ landmark poke changes, and when the number of pokes on the skin grows by a quart
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from skincal.model.scene import Landmark, Scene
 from skincal.pokes import Pokes
 from skincal.rig.mesh_distance import MeshDistance, find_mesh_distance
 from skincal.rig.part_pose import NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
+from skincal.rig.part_pose_starts import closed_start
 from skincal.rig.part_touches import PartShape, PartTouches, motion_rows
 from skincal.rig.scene_mistakes import Mistake
 from skincal.rig.tip_frame import REFIT_AT_POKE_COUNT_RATIO, TipState, pokes_of_fit
@@ -46,6 +48,25 @@ ROBOT_SCALE_SD = 0.002
 """sd of the scale of a robot's lengths: issue 41 counts 0.2 % among a cobot's usual errors."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PartMisfit:
+    """Touches of a part that its best pose misses."""
+
+    findings: ToolFindings
+    """With tip and pose of that moment; nothing changes them."""
+    pokes: Pokes
+    """On the skin, then at landmarks, in the base."""
+    skin: tuple[Contact, ...]
+    """Those on the skin."""
+    landmarks: tuple[Landmark, ...]
+    """Landmark of each of the others."""
+    shape: PartShape
+
+    def explain(self) -> Mistake | None:
+        """Find the mistake of the tool's poses or tip that explains it; `None` without one. It takes seconds: ten fits."""
+        return self.findings.explain(self)
+
+
 class ToolFindings:
     """Tip and part's pose of a session whose scene has `[tool]`.
 
@@ -64,8 +85,8 @@ class ToolFindings:
         """Pose that the touches show, in place of the given one; `None` if they agree, or show nothing."""
         self.off_mesh: MeshDistance | None = None
         """Distance of the touches from the mesh if it is far beyond their error and the scene gives the part's pose."""
-        self.mistake: Mistake | None = None
-        """Mistake that explains why no pose of the part fits; `None` without one."""
+        self.misfit: PartMisfit | None = None
+        """Touches that the best pose of the part misses; `None` if they fit."""
         self._tip_fitted: tuple[Contact, ...] = ()
         self._part_fitted: tuple[object, ...] = ()
         self._placed: dict[int, tuple[Outcome, PartPose | None, ToolTip, Outcome]] = {}
@@ -123,18 +144,32 @@ class ToolFindings:
             surface = self._surface
             self.off_mesh = None if surface is None else find_mesh_distance(touches, surface, self._scene.noise)
             return
-        self.part, self.mistake = fit_part_pose(touches, shape), None
+        self.part, self.misfit = fit_part_pose(touches, shape), None
         self._with_error.clear()
         if self.part.ratio > EXPLAIN_ABOVE_RATIO:
-            from skincal.rig.part_mistakes import explain_misfit  # rarely needed
-
-            def fit(other: Pokes, tip_error: FloatArray | None) -> PartPose:
-                of_tip = error if tip_error is None else tip_error
-                return fit_part_pose(self._touches(other, used, marks), replace(shape, tip_covariance=of_tip))
-
-            self.mistake = explain_misfit(pokes, self._tool, self.part, fit)
-            if self.mistake is not None:
+            # A copy keeps the tip of now.
+            self.misfit = PartMisfit(copy(self), pokes, tuple(used), tuple(marks), shape)
+            # Beyond, the pose is refused without an explanation, too.
+            if self.part.state is not PartPoseState.DISAGREES and self.explain(self.misfit, is_quick=True) is not None:
                 self.part = replace(self.part, state=PartPoseState.DISAGREES)
+
+    def explain(self, misfit: PartMisfit, *, is_quick: bool = False) -> Mistake | None:
+        """Find the mistake that explains a misfit of this tool; see `PartMisfit.explain`.
+
+        Parameters
+        ----------
+        is_quick : begin each fit at the closed solution for landmarks and planned taxels alone, where there is one
+        """
+        from skincal.rig.part_mistakes import explain_misfit  # rarely needed
+
+        def fit(other: Pokes, tip_error: FloatArray | None) -> PartPose:
+            of_tip = misfit.shape.tip_covariance if tip_error is None else tip_error
+            touches = self._touches(other, misfit.skin, misfit.landmarks)
+            starts = closed_start(touches) if is_quick else None
+            return fit_part_pose(touches, replace(misfit.shape, tip_covariance=of_tip), starts)
+
+        assert self.part is not None
+        return explain_misfit(misfit.pokes, self._tool, self.part, fit)
 
     def _touches(self, pokes: Pokes, skin: Sequence[Contact], marks: Sequence[Landmark]) -> PartTouches:
         """Gather touches of the part: pokes on the skin with the plan of their strongest taxel, then those at landmarks."""

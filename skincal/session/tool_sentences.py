@@ -18,7 +18,6 @@ def session_tool_sentences(snapshot: Snapshot, scene: Scene) -> tuple[str, ...]:
     return tool_rig_sentences(
         snapshot.tip_frame,
         snapshot.part_pose,
-        snapshot.part_mistake,
         snapshot.typed_pose_error,
         snapshot.at_landmarks,
         snapshot.off_mesh,

@@ -46,7 +46,7 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
     what, remedy = mistake_words(first)
     misses = (
         ""
-        if first.is_reaction
+        if first.is_reaction or (found.of_touches and not first.miss)
         else f" {found.pokes} touches miss landmarks and taxels that answer by {millimetres(found.miss, 0)} (median), and with "
         f"this change by {millimetres(first.miss, 0)}."
         if found.of_touches

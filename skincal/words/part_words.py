@@ -10,10 +10,8 @@ import numpy as np
 from skincal.rig.mesh_distance import MeshDistance
 from skincal.rig.part_pose import MIN_TOUCHES, PartPose, PartPoseState
 from skincal.rig.part_touches import OpenMotion
-from skincal.rig.scene_mistakes import Mistake
 from skincal.rig.tip_frame import TIP_FRAME_MIN_POKES, TipFrame, TipState
 from skincal.rig.tool_tip import TIP_SPREAD_MAX_M, ToolTip
-from skincal.words.mistake_words import mistake_words
 from skincal.words.units import count, degrees, direction, millimetres, point_mm
 
 OPEN_ABOVE_M = 0.05
@@ -38,13 +36,12 @@ def _open_words(pose: PartPose) -> str:
     return f"The part {', and '.join(named)}: touch one landmark." if named else ""
 
 
-def part_pose_sentence(pose: PartPose, landmark: str = "", mistake: Mistake | None = None) -> str:
+def part_pose_sentence(pose: PartPose, landmark: str = "") -> str:
     """Describe the pose of the part in the base, and the pokes that it lacks.
 
     Parameters
     ----------
     landmark : name of the landmark of `pose.worst_landmark`
-    mistake : that explains why no pose fits
     """
     unknown = "Part: its pose in the base is not known yet, so positions are in the base."
     match pose.state:
@@ -55,9 +52,6 @@ def part_pose_sentence(pose: PartPose, landmark: str = "", mistake: Mistake | No
         case PartPoseState.AMBIGUOUS:
             return f"{unknown} {_rival_words(pose)}"
         case PartPoseState.DISAGREES:
-            if mistake is not None:
-                what, remedy = mistake_words(mistake)
-                return f"{unknown} No pose fits, but it does if {what}: {remedy}."
             worst = f" Landmark {landmark} misses most, by {millimetres(pose.worst_miss)}." if landmark else ""
             return (
                 f"{unknown} No pose fits: the touches miss by {pose.ratio:.0f} times the expected error.{worst} "
@@ -107,7 +101,6 @@ def off_mesh_sentence(found: MeshDistance) -> str:
 def tool_rig_sentences(
     tip: TipFrame | None,
     part: PartPose | None,
-    mistake: Mistake | None,
     typed_error: PartPose | None,
     at_landmarks: Mapping[int, str],
     off_mesh: MeshDistance | None = None,
@@ -115,7 +108,7 @@ def tool_rig_sentences(
     """Describe the tip of a tool and the part's pose in the base; `at_landmarks` has the landmark of each poke at one."""
     found = [tool_tip_sentence(tip)] if isinstance(tip, ToolTip) and not tip.is_given_alone else []
     if part is not None:
-        found.append(part_pose_sentence(part, at_landmarks.get(part.worst_landmark, ""), mistake))
+        found.append(part_pose_sentence(part, at_landmarks.get(part.worst_landmark, "")))
     if typed_error is not None:
         found.append(typed_pose_sentence(typed_error))
     if off_mesh is not None:

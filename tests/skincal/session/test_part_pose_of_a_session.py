@@ -169,9 +169,7 @@ def replace_pose(outcome, link_from_sensor):
 
 
 def sentences(snapshot):
-    return tool_rig_sentences(
-        snapshot.tip_frame, snapshot.part_pose, snapshot.part_mistake, snapshot.typed_pose_error, snapshot.at_landmarks
-    )
+    return tool_rig_sentences(snapshot.tip_frame, snapshot.part_pose, snapshot.typed_pose_error, snapshot.at_landmarks)
 
 
 def test_every_file_says_that_the_scenes_tip_is_not_used(tmp_path, outcomes):
