@@ -120,7 +120,7 @@ def _faults_against(taxels: PlacedTaxels, reference: ExpectedSurface, outward: F
     yield (
         taxels.channels[beyond > 0],
         f"more than {millimetres(PART_BOX_MARGIN_M, 0)} outside the box of {reference.what}, by up to "
-        f"{millimetres(beyond.max(initial=0.0), 0)} more: channels {{}}; check units, frame and arm pose.",
+        f"{millimetres(beyond.max(initial=0.0), 0)} more: channels {{}}; check units, frame, and the poses of arm or tool.",
     )
     if outward is not None:
         inward = taxels.channels[np.sum(taxels.normals * outward, axis=1) < 0]

@@ -379,12 +379,14 @@ def _devices(facts: SessionFacts) -> ReportSection:
 
 def _settings(facts: SessionFacts) -> ReportSection:
     scene = facts.results.part.scene
-    arm = "none" if scene.arm is None else ", ".join(scene.arm.poses) or "streamed"
+    arm = ("Arm poses", "none" if scene.arm is None else ", ".join(scene.arm.poses) or "streamed")
+    if scene.tool is not None:
+        arm = ("Tool", "streamed poses, sensor on the tool" if scene.tool.has_sensor else "streamed poses, no sensor")
     surface, layout = facts.results.part.surface, scene.skin.layout
     what = [
         ("Scene", scene.name), ("Scene file", scene.path.name), ("Frame of all positions", scene.link),
         ("Channels of a skin frame", str(scene.skin.channels)),
-        ("Modules", "no layout" if layout is None else str(len(layout.modules))), ("Arm poses", arm),
+        ("Modules", "no layout" if layout is None else str(len(layout.modules))), arm,
         ("Mesh", "none" if scene.surface is None else scene.surface.path.name),
         ("Triangles", "none" if surface is None else str(len(surface.triangles))),
         ("SHA-256 of the mesh", "none" if surface is None else surface.sha256),

@@ -23,7 +23,7 @@ from skincal.following.error_history import MEAN, TAXELS
 from skincal.following.results import use_offered
 from skincal.model.actions import AtLandmark
 from skincal.model.readings import TEMPERATURE_NAME, SideReading
-from skincal.model.scene import Landmark, resource
+from skincal.model.scene import Landmark, load_scene, resource
 from skincal.reporting import session_facts
 from skincal.reporting.drawings import side_frames
 from skincal.reporting.page import DASH, ReportTable, report_page
@@ -188,6 +188,16 @@ def test_the_sentences_on_a_tool_stand_with_the_rig(facts):
     text = Page(report_page(replace(facts, results=other_results(facts, tool=said)))).text
     rig = text.partition("Rig and landmarks")[2].partition("Scene and pokes")[0]
     assert all(sentence in rig for sentence in said)
+
+
+def test_the_settings_of_a_rig_with_a_tool_name_no_arm(facts):
+    tool = load_scene(resource("scenes/cobot-forearm/scene.toml")).tool
+    scene = replace(facts.results.part.scene, arm=None, tool=tool)
+    results = other_results(facts, part=replace(facts.results.part, scene=scene))
+    text = Page(report_page(replace(facts, results=results))).text
+    assert "streamed poses, sensor on the tool" in text
+    assert "Arm poses" not in text
+    assert "Arm poses" in Page(report_page(facts)).text
 
 
 def test_the_page_needs_no_other_file_and_prints(page_text):
