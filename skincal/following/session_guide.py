@@ -205,7 +205,8 @@ class SessionGuide:
         verdict = verdict_of(guidance, snapshot, noise, self._surface, self._module_model, landmarks)
         pokes = snapshot.counting_landmark_pokes
         unchecked = None
-        if self._scene.has_sensor:
+        # A tip that the scene gives places the pokes alone: the sensor's errors do not move them.
+        if self._scene.has_sensor and (self._scene.tool is None or self._scene.tool.tip is None):
             unchecked = unchecked_of(used, landmarks, estimates, snapshot.contacts, pokes, noise)
         left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
         doubt = frame_in_doubt(snapshot.wrench_frames, snapshot.contacts)

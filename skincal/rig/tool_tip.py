@@ -21,6 +21,7 @@ all come from a wrench in another frame than the tool's.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -88,7 +89,7 @@ class AxesTip:
         """Whether a known tip (3,), metres, sensor frame, differs by more than both errors and the usual ones of a sensor."""
         off = self.place - place
         # Cross-talk of the sensor moves the point where the axes meet, for a force of 1 N along each axis.
-        usual = MATRIX_ERROR_SD * np.hypot(FORCE_TO_MOMENT_LENGTH_M, np.linalg.norm(place))
+        usual = MATRIX_ERROR_SD * math.hypot(FORCE_TO_MOMENT_LENGTH_M, *place.tolist())
         error = self.covariance + (KNOWN_TIP_SD_M**2 + usual**2) * np.eye(3)
         return float(np.linalg.norm(off)) > MISMATCH_MIN_M and float(off @ np.linalg.solve(error, off)) > TIP_MAX_CHI2
 

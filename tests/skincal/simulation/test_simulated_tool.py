@@ -10,8 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.contacts.outcome import Contact
+from skincal.following.session_guide import SessionGuide
 from skincal.geometry import inverse_pose
 from skincal.model.readings import Stream
+from skincal.part.part import lay_part
 from skincal.robot.target_lines import PokeTarget
 from skincal.simulation.device import DeviceSettings, DeviceTimeline
 from skincal.simulation.operator import AutoOperator, GuidedOperator, Habits, HandPress
@@ -20,6 +22,7 @@ from skincal.simulation.serve import Server
 from skincal.simulation.simulated_rig import Rig
 from skincal.simulation.simulated_tool import SimulatedTool
 from skincal.simulation.virtual_session import simulate_session
+from skincal.taxels.result import Method
 from tests.skincal.sim_support import scene_and_surface
 
 NAME = "cobot-forearm"
@@ -159,6 +162,11 @@ def test_a_simulated_session_is_calibrated_within_its_prediction(tmp_path):
         assert np.linalg.norm(tip - places[each.strongest_channel]) < 0.008
     assert np.median(misses) < 0.005
     assert {link.link for link in pipeline.live(0).links} == {"wrench", "skin", "tool"}
+    # A tip that the scene gives places the pokes: errors of the sensor add nothing to the predicted ones.
+    part = lay_part(scene, surface, ())
+    assert SessionGuide(part).verdict(snapshot, Method.SURFACE).unchecked is None
+    by_axes = replace(part, scene=replace(scene, tool=replace(scene.tool, tip=None)))
+    assert SessionGuide(by_axes).verdict(snapshot, Method.SURFACE).unchecked > 0.005
 
 
 def test_a_robot_that_is_told_late_still_has_the_time_to_go_there():
