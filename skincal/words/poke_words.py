@@ -199,6 +199,8 @@ def rejection_advice(rejection: Rejection) -> str:
 
 def short_rejection(rejection: Rejection) -> str:
     """Say why a poke was rejected in few words, with its number: `"tip slid 2.1 mm"`."""
+    if rejection.reason is Reason.NO_POSE:
+        return reason_words(rejection)
     words = rejection_words(rejection).partition(" (")[0].replace(":", "").replace(" response", "")
     words = words.replace("held still for only", "held").partition(", needs")[0]
     full = reason_words(rejection)
