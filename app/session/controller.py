@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,7 +67,7 @@ def _make_folder(folder: Path) -> None:
         raise InputError(f"{folder}: cannot be created ({error.strerror}). Choose another folder.") from error
 
 
-def _session_size(pipeline: Pipeline) -> tuple[tuple[HistoryEntry, ...], int]:
+def _session_size(pipeline: Pipeline) -> tuple[Sequence[HistoryEntry], int]:
     """History and number of pokes, rejected ones included."""
     return pipeline.session.history.entries, len(pipeline.snapshot().pokes)
 
@@ -134,7 +134,7 @@ class Controller(QObject):
         self._pending_links: tuple[LinkSpec, ...] = ()  # Links of a recording that has not started
         self._truth = b""
         self.guided: GuidedSession | None = None  # Guide, press coach and checks; `None` before the part is loaded
-        self._size_at_open: tuple[tuple[HistoryEntry, ...], int] = (), 0
+        self._size_at_open: tuple[Sequence[HistoryEntry], int] = (), 0
         self._opened_s = 0.0  # Of the host's monotonic clock
         self._links_confirmed = True  # The operator named the links or agreed to them
         self._shown: Snapshot | None = None
