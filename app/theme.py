@@ -13,7 +13,12 @@ from enum import Enum
 from skincal.palette import BLUE, GREEN, METHODS, METHODS_ON_DARK, ORANGE, PINK, SKY, VERMILION, YELLOW
 
 MODULE_HUES = (ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PINK)
-"""Okabe and Ito 2008, without black; module i has hue i modulo 7."""
+"""Okabe and Ito 2008, without black: seven, which repeat (`module_hue`)."""
+
+
+def module_hue(index: int) -> str:
+    """Return the hue of a module by its place in the layout, `#rrggbb`; hues repeat beyond seven modules."""
+    return MODULE_HUES[index % len(MODULE_HUES)]
 
 
 class Choice(Enum):

@@ -51,7 +51,7 @@ from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
 from app.text.mark_text import LEGEND_WORDS, MARK_WORDS
 from app.text_size import scaled
-from app.theme import MODULE_HUES, WIDGET_GAP_PX, Colours
+from app.theme import WIDGET_GAP_PX, Colours, module_hue
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
@@ -203,7 +203,7 @@ class TaxelMap(pg.GraphicsView):
         self._row = {int(channel): row for row, channel in enumerate(channels)}
         self._width, self._names = scene.skin.channels, names
         owners = [names.module_index(int(channel)) for channel in channels]
-        self._hues = ["" if owner < 0 else MODULE_HUES[owner % len(MODULE_HUES)] for owner in owners]
+        self._hues = ["" if owner < 0 else module_hue(owner) for owner in owners]
         """One a channel of the map; empty without a module."""
         self._zoom, self._scale, self._dragged = 1.0, 1.0, QPointF()
         """Zoom over showing all, and pixels a unit of the map."""
@@ -433,12 +433,10 @@ class TaxelMap(pg.GraphicsView):
         font = QFont(self.font())
         font.setBold(True)
         font.setPixelSize(40)
-        pens = [pg.mkPen(mix(hue, colours.panel, 0.45), width=1.2) for hue in MODULE_HUES]
-        brushes = [QBrush(mix(colours.panel, hue, 0.07)) for hue in MODULE_HUES]
         ink = QBrush(mix(colours.panel, colours.text, MODULE_NUMBER_OPACITY))
         for index, (polygon, text) in enumerate(zip(self._modules, self._numbers, strict=True)):
-            polygon.setPen(pens[index % len(MODULE_HUES)])
-            polygon.setBrush(brushes[index % len(MODULE_HUES)])
+            polygon.setPen(pg.mkPen(mix(module_hue(index), colours.panel, 0.45), width=1.2))
+            polygon.setBrush(QBrush(mix(colours.panel, module_hue(index), 0.07)))
             corners, size = self._plan.outlines[index], self._module_sizes[index]
             text.setFont(font)
             text.setBrush(ink)

@@ -94,7 +94,7 @@ class LinksLayer(Layer):
         for link, actor in self.actors.items():
             is_part = link == chosen
             actor.visibility = step in ROBOT_STEPS
-            actor.prop.color = theme.MODULE_HUES[0] if is_part else self.colours.front
+            actor.prop.color = theme.module_hue(0) if is_part else self.colours.front
 
     @property
     def is_shown(self) -> bool:

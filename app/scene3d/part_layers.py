@@ -12,7 +12,8 @@ import pyvista as pv
 from app.scene3d.camera import facing
 from app.scene3d.lines import closed
 from app.scene3d.mesh_actors import PART, WITHIN, Dots, Label, Layer, Segments
-from app.scene3d.scene_state import MODULE_RGB, ColourArray, SceneColours, StaticScene
+from app.scene3d.scene_state import ColourArray, SceneColours, StaticScene, rgb
+from app.theme import module_hue
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
@@ -120,7 +121,7 @@ def _outline_segments(layout: Layout, laid: PlacedLayout) -> tuple[FloatArray, C
             sides = closed(_lifted(outline, laid.places[module.channels], laid.normals[module.channels]))
             sides = sides[np.isfinite(sides).all(axis=(1, 2))]
             ends.append(sides)
-            hues.append(np.tile(MODULE_RGB[index % len(MODULE_RGB)], (2 * len(sides), 1)))
+            hues.append(np.tile(np.array(rgb(module_hue(index)), np.uint8), (2 * len(sides), 1)))
     return np.concatenate(ends), np.concatenate(hues)
 
 

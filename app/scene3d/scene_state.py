@@ -39,7 +39,7 @@ def rgb(colour: str) -> Colour:
 
 
 MODULE_RGB = np.array([rgb(hue) for hue in theme.MODULE_HUES], dtype=np.uint8)
-"""(7, 3) the modules' hues: seven that colour-blind people tell apart."""
+"""(7, 3) the modules' hues, which repeat beyond seven modules."""
 
 
 @dataclass(frozen=True, slots=True)
