@@ -128,13 +128,20 @@ class AxisFindings:
     mistakes: tuple[AxisMistake, ...]
 
 
-def find_axes(turns: SkinTurns, plans: Sequence[ModulePlan], order: OrderOfValues | None = None) -> AxisFindings:
-    """Decide for each module, and name plain mistakes of the axes; `order` is what the frames say of the order of values."""
-    own = {plan.id: tuple(channel for channel in plan.channels if channel in turns.taxels) for plan in plans}
-    own = {number: channels for number, channels in own.items() if channels}
-    pokes = {number: joined([turns.pokes[channel] for channel in channels]) for number, channels in own.items()}
-    noise = find_noise(list(pokes.values()), turns.noise.force)
-    modules = [_module_turn(number, fit_group(own[number], pokes[number], noise), turns) for number in own]
+def find_axes(
+    turns: SkinTurns,
+    plans: Sequence[ModulePlan],
+    order: OrderOfValues | None = None,
+    modules: Sequence[ModuleTurn] | None = None,
+) -> AxisFindings:
+    """Decide for each module, and name plain mistakes of the axes.
+
+    Parameters
+    ----------
+    order : what the frames say of the order of values
+    modules : the turns of modules by these pokes, if they are known already
+    """
+    modules = _module_turns(turns, plans) if modules is None else modules
     log_odds = float(sum(each.log_odds_shared for each in modules))
     if order is not None and order.log_odds_wrong > LOG_PRIOR_OF_WRONG_ORDER:
         # Readings of other taxels say nothing about axes.
@@ -147,8 +154,17 @@ def find_axes(turns: SkinTurns, plans: Sequence[ModulePlan], order: OrderOfValue
     return AxisFindings(tuple(modules), log_odds, mistakes)
 
 
-def _module_turn(number: int, turn: Turn, turns: SkinTurns) -> ModuleTurn:
-    single = [turns.taxels[channel] for channel in turn.channels]
+def _module_turns(turns: SkinTurns, plans: Sequence[ModulePlan]) -> list[ModuleTurn]:
+    own = {plan.id: tuple(channel for channel in plan.channels if channel in turns.taxels) for plan in plans}
+    own = {number: channels for number, channels in own.items() if channels}
+    pokes = {number: joined([turns.pokes[channel] for channel in channels]) for number, channels in own.items()}
+    noise = find_noise(list(pokes.values()), turns.noise.force)
+    return [module_turn(number, fit_group(own[number], pokes[number], noise), turns.taxels) for number in own]
+
+
+def module_turn(number: int, turn: Turn, taxels: Mapping[int, Turn]) -> ModuleTurn:
+    """Compare the turn of the module `number` with those of its `taxels`, by channel."""
+    single = [taxels[channel] for channel in turn.channels]
     # One hand for all taxels: they are of one kind.
     together = max(fit.log_evidence for fit in turn.fits)
     apart = max(sum(each.fits[hand].log_evidence for each in single) for hand in range(2))

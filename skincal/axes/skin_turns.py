@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TypeAlias
 
 import numpy as np
 
@@ -38,6 +39,10 @@ CERTAIN_LOG_ODDS = float(np.log(20.0))
 """Natural logarithm of the odds that make a finding certain."""
 MAX_ANGULAR_NOISE = 0.5
 """rad. Readings that scatter by more than half a radian carry no direction."""
+
+
+ReadingOfForce: TypeAlias = tuple[FloatArray, FloatArray, int]
+"""Force on the part, (3,) float, N, link frame; reading of a taxel, (3,) float, raw units, its axes; number of the poke."""
 
 
 class TurnState(Enum):
@@ -103,19 +108,29 @@ def pokes_by_taxel(contacts: Sequence[Contact]) -> dict[int, AxisPokes]:
     A taxel counts if it answers `MIN_SHARE_OF_STRONGEST` of the strongest one: near the edge of the tip the skin is pulled
     sideways. A reading with a value at an end of the range is left out.
     """
-    rows: dict[int, list[tuple[FloatArray, FloatArray, int]]] = {}
+    rows: dict[int, list[ReadingOfForce]] = {}
     for contact in contacts:
-        if contact.vectors is None:
-            continue
-        force = contact.link_from_sensor[:3, :3] @ contact.force
-        is_pressed = contact.responses >= MIN_SHARE_OF_STRONGEST * contact.responses.max()
-        usable = is_pressed & np.isfinite(contact.vectors).all(axis=1) & contact.vectors.any(axis=1)
-        for place in np.flatnonzero(usable).tolist():
-            rows.setdefault(int(contact.channels[place]), []).append((force, contact.vectors[place], contact.poke))
-    return {channel: _as_pokes(own) for channel, own in sorted(rows.items())}
+        for channel, row in readings_of_contact(contact):
+            rows.setdefault(channel, []).append(row)
+    return {channel: as_pokes(own) for channel, own in sorted(rows.items())}
 
 
-def _as_pokes(rows: Sequence[tuple[FloatArray, FloatArray, int]]) -> AxisPokes:
+def readings_of_contact(contact: Contact) -> list[tuple[int, ReadingOfForce]]:
+    """List the pressed taxels of a contact, each with force, reading and poke, as `pokes_by_taxel` has them."""
+    if contact.vectors is None:
+        return []
+    force = contact.link_from_sensor[:3, :3] @ contact.force
+    if not (np.isfinite(force).all() and force.any()):
+        # Without a force sensor.
+        return []
+    is_pressed = contact.responses >= MIN_SHARE_OF_STRONGEST * contact.responses.max()
+    usable = is_pressed & np.isfinite(contact.vectors).all(axis=1) & contact.vectors.any(axis=1)
+    places = np.flatnonzero(usable).tolist()
+    return [(int(contact.channels[place]), (force, contact.vectors[place], contact.poke)) for place in places]
+
+
+def as_pokes(rows: Sequence[ReadingOfForce]) -> AxisPokes:
+    """Gather the readings of a taxel."""
     forces, readings, numbers = zip(*rows, strict=True)
     return AxisPokes(np.array(forces), np.array(readings), np.array(numbers, dtype=np.int64))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.axes.module_axes import AxisFindings, ModulePlan, find_axes
-from skincal.axes.skin_turns import SkinTurns, find_turns, pokes_by_taxel
+from skincal.axes.skin_turns import SkinTurns
 from skincal.geometry import FloatArray, fit_rotation
 from skincal.model.errors import InputError
 
@@ -29,12 +29,11 @@ def turns_of_session(session: Session, estimates: Sequence[Estimate]) -> tuple[S
     scene = session.scene
     if scene.skin.axes is None:
         raise InputError(f"{scene.path}: the turn of a taxel needs its three axes; set axes = 3 in [skin].")
-    pokes = pokes_by_taxel(session.contacts)
-    if not pokes:
+    turns = session.snapshot().turns
+    if turns is None or not turns.skin.taxels:
         raise InputError(f"{scene.path}: no accepted poke has a reading of three axes; poke the skin first.")
-    turns = find_turns(pokes, scene.noise.force)
     plans = () if scene.skin.layout is None else _module_plans(scene.skin.layout, estimates)
-    return turns, find_axes(turns, plans)
+    return turns.skin, find_axes(turns.skin, plans, modules=list(turns.modules.values()))
 
 
 def _module_plans(layout: Layout, estimates: Sequence[Estimate]) -> list[ModulePlan]:

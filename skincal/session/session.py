@@ -383,6 +383,7 @@ class Session:
             table=self._solving.table_state,
             columns_now=self._columns.now(),
             changes=ChangePlace(self._changes, len(self._changes)),
+            turns=self._solving.turns,
         )
         return self._snapshot
 

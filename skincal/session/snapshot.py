@@ -30,6 +30,7 @@ from skincal.taxels.contact_table import ContactTable, Evidence, TableState
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 if TYPE_CHECKING:
+    from skincal.axes.session_turns import SessionTurns
     from skincal.modules.distances import TriedDistance
     from skincal.rig.mesh_distance import MeshDistance
     from skincal.rig.part_pose import PartPose
@@ -121,6 +122,8 @@ class Snapshot:
     """Columns of `pokes` if the session keeps them; see `columns`."""
     changes: ChangePlace | None = None
     """Place in the session's list of changes; `None` if it has none."""
+    turns: SessionTurns | None = None
+    """Turns of taxels that measure three axes, in the frame of the positions; `None` for other skins."""
 
     @property
     def is_placed(self) -> bool:
@@ -147,7 +150,7 @@ class Snapshot:
             )
             for method, of in self.estimates.items()
         }
-        return replace(self, estimates=estimates)
+        return replace(self, estimates=estimates, turns=None)
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

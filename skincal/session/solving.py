@@ -23,6 +23,7 @@ from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, Sta
 from skincal.taxels.shared_errors import SharedRows, add_shared_errors
 
 if TYPE_CHECKING:
+    from skincal.axes.session_turns import SessionTurns, TurnSolving
     from skincal.mesh.surface import Surface
     from skincal.modules.distances import TriedDistance
 
@@ -92,6 +93,12 @@ class Solving:
         """Positions of the tip; `None` while they are not used."""
         self.is_placed = True
         """Whether the contacts are in the part's frame; in the base of a tool's poses only the free method knows a taxel."""
+        self._turns: TurnSolving | None = None
+        """`None` for taxels of one axis."""
+        if scene.skin.axes is not None:
+            from skincal.axes.session_turns import TurnSolving  # other scenes do without
+
+            self._turns = TurnSolving(layout, scene.noise.force)
         self._alone = [method for method in self.methods if method in PER_TAXEL]
         self._table = self._shown = ContactTable()
         """Input of the next solution, and of the shown one; they differ only while taxels wait."""
@@ -108,7 +115,12 @@ class Solving:
     @property
     def waiting(self) -> int:
         """Number of taxels to solve."""
-        return len(self._channels)
+        return len(self._channels) + (0 if self._turns is None else self._turns.waiting)
+
+    @property
+    def turns(self) -> SessionTurns | None:
+        """Turns of the taxels in the frame of the contacts, once nothing waits; `None` for taxels of one axis."""
+        return None if self._turns is None or not self.is_placed else self._turns.turns()
 
     def poke_changed(self, poke: int, channels: Iterable[int]) -> None:
         """Mark a contact as changed, with the channels that answered."""
@@ -148,6 +160,8 @@ class Solving:
             for poke in self._pokes:
                 self._table.drop(poke)
             self._table.add(self._with_tips(kept(self._pokes)))
+        if self._turns is not None:
+            self._turns.pokes_changed(self._pokes, kept(self._pokes))
         self._pokes.clear()
         if self._claimed:
             self._update_placed(self._claimed)
@@ -162,6 +176,8 @@ class Solving:
                 self._refine()
         if self.module_model is not None:
             self._withdraw_claimed()
+        if self._turns is not None:
+            self._turns.solve(end - time.perf_counter())
 
     def _with_tips(self, contacts: Sequence[Contact]) -> Sequence[Contact]:
         return contacts if self.tips is None else self.tips.moved_axes(contacts)

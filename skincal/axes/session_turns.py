@@ -1,0 +1,215 @@
+"""The turns of a session's taxels while it grows: a changed poke costs the taxels that it presses, and their module.
+
+Each taxel is fitted from its counting pokes alone, in their order, as by `find_turns`. The noise that all of them share is
+found from the first N contacts, and again when N doubles, so that not every poke changes every taxel. So the turns depend on
+the contacts that count, and not on the way to them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from skincal.axes.module_axes import ModuleTurn, module_turn
+from skincal.axes.skin_turns import (
+    ReadingOfForce,
+    SkinTurns,
+    Turn,
+    as_pokes,
+    find_noise,
+    fit_group,
+    joined,
+    readings_of_contact,
+)
+from skincal.axes.turn_fit import START_ANGULAR_NOISE, AxisNoise, AxisPokes, TurnFit
+from skincal.contacts.outcome import Contact
+from skincal.model.skin import Layout
+
+FIRST_CONTACTS_OF_NOISE = 8
+MAX_GROUPS_OF_NOISE = 12
+"""Taxels, or modules, with the most pokes, from which the noise is found: 0.1 to 0.2 s."""
+MAX_POKES_OF_NOISE = 40
+"""Of each of them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownTurn:
+    """The turn of a taxel as it is shown: its own, or that of its module if all its taxels share it for certain."""
+
+    turn: Turn
+    is_of_module: bool
+    is_mirrored: bool
+    """Whether the axes of the skin are mirrored for certain: then y points to the other side."""
+
+    @property
+    def fit(self) -> TurnFit:
+        """The fit of the hand that the skin has."""
+        return self.turn.fits[int(self.is_mirrored)]
+
+
+@dataclass(frozen=True, eq=False)
+class SessionTurns:
+    """The turns of taxels and modules at one moment of a session."""
+
+    skin: SkinTurns
+    modules: Mapping[int, ModuleTurn]
+    """By id, of modules with pokes; empty without a layout."""
+    module_of: Mapping[int, int]
+    """Id of the module of each channel; empty without a layout."""
+
+    @cached_property
+    def is_mirrored(self) -> bool:
+        """Whether the axes of the skin are mirrored for certain."""
+        return self.skin.is_mirrored
+
+    def of_channel(self, channel: int) -> ShownTurn | None:
+        """Give the turn of a taxel; `None` before a poke presses it, or its module if all its taxels share a turn."""
+        module = self.modules.get(self.module_of.get(channel, -1))
+        if module is not None and module.is_shared:
+            return ShownTurn(module.turn, is_of_module=True, is_mirrored=self.is_mirrored)
+        own = self.skin.taxels.get(channel)
+        return None if own is None else ShownTurn(own, is_of_module=False, is_mirrored=self.is_mirrored)
+
+
+class TurnSolving:
+    """Keeps the turns of a session; `layout` may be `None`, `force_noise` is the sd of each force component, N."""
+
+    def __init__(self, layout: Layout | None, force_noise: float) -> None:
+        self._module_of: dict[int, int] = {}
+        if layout is not None:
+            self._module_of = {channel: module.id for module in layout.modules for channel in module.channels.tolist()}
+        self._noise = self._module_noise = AxisNoise(force_noise, 0.0, START_ANGULAR_NOISE)
+        self._start = self._noise
+        self._rows: dict[int, dict[int, ReadingOfForce]] = {}
+        """By channel and poke."""
+        self._channels_of: dict[int, tuple[int, ...]] = {}
+        """Pressed taxels of each contact that counts."""
+        self._pokes: dict[int, AxisPokes] = {}
+        self._taxels: dict[int, Turn] = {}
+        self._modules: dict[int, ModuleTurn] = {}
+        self._waiting, self._waiting_modules = set[int](), set[int]()
+        self._noise_pokes: tuple[int, ...] = ()
+        """Contacts of which the noise is."""
+        self._is_noise_stale = False
+        self._turns: SessionTurns | None = None
+
+    @property
+    def waiting(self) -> int:
+        """Number of taxels and modules to fit."""
+        return len(self._waiting) + len(self._waiting_modules)
+
+    def pokes_changed(self, pokes: Collection[int], kept: Sequence[Contact]) -> None:
+        """Take pokes that changed, with the contacts among them that count."""
+        counting = {contact.poke: contact for contact in kept}
+        for poke in sorted(pokes):
+            self.poke_changed(poke, counting.get(poke))
+
+    def poke_changed(self, poke: int, contact: Contact | None) -> None:
+        """Take a contact that counts in place of an earlier one of its number; `None` if it counts no more."""
+        changed = set(self._channels_of.pop(poke, ()))
+        for channel in changed:
+            del self._rows[channel][poke]
+        rows = [] if contact is None else readings_of_contact(contact)
+        for channel, row in rows:
+            self._rows.setdefault(channel, {})[poke] = row
+            changed.add(channel)
+        if rows:
+            self._channels_of[poke] = tuple(channel for channel, _ in rows)
+        if not changed:
+            return
+        self._is_noise_stale |= bool(self._noise_pokes) and poke <= self._noise_pokes[-1]
+        self._wait_for(changed)
+
+    def _wait_for(self, channels: Collection[int]) -> None:
+        self._turns = None
+        for channel in channels:
+            if not self._rows.get(channel):
+                self._rows.pop(channel, None)
+                self._pokes.pop(channel, None)
+                self._taxels.pop(channel, None)
+                self._waiting.discard(channel)
+            else:
+                self._waiting.add(channel)
+            if channel in self._module_of:
+                self._waiting_modules.add(self._module_of[channel])
+
+    def solve(self, within_s: float = math.inf) -> None:
+        """Fit what changed; after `within_s`, or little later, the rest waits for the next call."""
+        end = time.perf_counter() + within_s
+        for channel in sorted(self._waiting):
+            rows = self._rows[channel]
+            self._pokes[channel] = as_pokes([rows[poke] for poke in sorted(rows)])
+        if self._turns is None:
+            self._update_noise()
+        for channel in sorted(self._waiting):
+            self._taxels[channel] = fit_group((channel,), self._pokes[channel], self._noise)
+            self._waiting.discard(channel)
+            if time.perf_counter() > end:
+                return
+        for number in sorted(self._waiting_modules):
+            self._fit_module(number)
+            self._waiting_modules.discard(number)
+            if time.perf_counter() > end:
+                return
+
+    def _fit_module(self, number: int) -> None:
+        channels = self._channels_of_module(number)
+        if not channels:
+            self._modules.pop(number, None)
+            return
+        turn = fit_group(channels, joined([self._pokes[channel] for channel in channels]), self._module_noise)
+        self._modules[number] = module_turn(number, turn, self._taxels)
+
+    def _channels_of_module(self, number: int) -> tuple[int, ...]:
+        return tuple(channel for channel in sorted(self._pokes) if self._module_of.get(channel) == number)
+
+    def _update_noise(self) -> None:
+        """Find the noise again if it is of other contacts than before; then everything is fitted again."""
+        # Without the newest contact, whose tare may still change.
+        numbers, count = sorted(self._channels_of), FIRST_CONTACTS_OF_NOISE
+        if len(numbers) - 1 < count:
+            first: tuple[int, ...] = ()
+        else:
+            while 2 * count <= len(numbers) - 1:
+                count *= 2
+            first = tuple(numbers[:count])
+        if first == self._noise_pokes and not self._is_noise_stale:
+            return
+        self._noise_pokes, self._is_noise_stale = first, False
+        before = self._noise, self._module_noise
+        self._noise = self._module_noise = self._start
+        if first:
+            taxels = {channel: own for channel, pokes in self._pokes.items() if len(own := _up_to(pokes, first[-1]))}
+            by_module: dict[int, list[AxisPokes]] = {}
+            for channel, own in sorted(taxels.items()):
+                if channel in self._module_of:
+                    by_module.setdefault(self._module_of[channel], []).append(own)
+            self._noise = find_noise(_largest([own for _, own in sorted(taxels.items())]), self._start.force)
+            modules = [joined(own) for _, own in sorted(by_module.items())]
+            self._module_noise = find_noise(_largest(modules), self._start.force)
+        if before != (self._noise, self._module_noise):
+            self._wait_for(list(self._rows))
+
+    def turns(self) -> SessionTurns:
+        """Give the turns, once nothing waits."""
+        if self._turns is None:
+            taxels = dict(sorted(self._taxels.items()))
+            skin = SkinTurns(taxels, self._noise, dict(sorted(self._pokes.items())))
+            self._turns = SessionTurns(skin, dict(sorted(self._modules.items())), self._module_of)
+        return self._turns
+
+
+def _up_to(pokes: AxisPokes, last: int) -> AxisPokes:
+    """Leave out pokes after the poke `last`, and those beyond the first `MAX_POKES_OF_NOISE`."""
+    count = min(int(np.searchsorted(pokes.pokes, last, side="right")), MAX_POKES_OF_NOISE)
+    return AxisPokes(pokes.forces[:count], pokes.readings[:count], pokes.pokes[:count])
+
+
+def _largest(groups: Sequence[AxisPokes]) -> list[AxisPokes]:
+    """Choose the groups with the most pokes, the first ones of equal ones."""
+    return sorted(groups, key=lambda pokes: -len(pokes))[:MAX_GROUPS_OF_NOISE]
