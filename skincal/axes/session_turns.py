@@ -39,7 +39,7 @@ MAX_POKES_OF_NOISE = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownTurn:
-    """The turn of a taxel as it is shown: its own, or that of its module if all its taxels share it for certain."""
+    """The turn of a taxel for views: its own, or that of its module if all its taxels share it for certain."""
 
     turn: Turn
     is_of_module: bool
@@ -94,7 +94,7 @@ class TurnSolving:
         self._modules: dict[int, ModuleTurn] = {}
         self._waiting, self._waiting_modules = set[int](), set[int]()
         self._noise_pokes: tuple[int, ...] = ()
-        """Contacts of which the noise is."""
+        """Contacts that show the noise."""
         self._is_noise_stale = False
         self._turns: SessionTurns | None = None
 
