@@ -297,14 +297,25 @@ class ContactDetector:
             self._press = Press(self._thresholds, before, sample, self._tare_pose or pose, self._period_s)
             self._press.add(sample, pose)
             return outcomes
-        if tare is None and self._is_still_touched(sample):
+        return outcomes + self._feed_rest(sample, pose)
+
+    def _feed_rest(self, sample: Sample, pose: ArmPose) -> list[Outcome]:
+        """Process a sample while nothing presses; return the pokes that became final by a new tare."""
+        if self._tares.tare is None and self._is_still_touched(sample):
             self._tares.interrupt()
-            return outcomes
+            return []
         new = self._tares.feed(sample, self._period_s)
-        if new is not None:
-            self._tare_pose = pose
-            outcomes += self._finalize_pending(new)
-        return outcomes
+        if new is None:
+            return []
+        self._tare_pose = pose
+        return self._finalize_pending(new)
+
+    def _feed_held(self, press: Press, sample: Sample, pose: ArmPose) -> list[Outcome]:
+        """Process a sample of a press that goes on; reject one that is too long for its tare."""
+        press.add(sample, pose)
+        if sample.host_s - press.start_s > TARE_AGE_MAX_S and press.is_steady:
+            return self._reject_untared(press, sample, sample.host_s - press.tare.end_s, TARE_AGE_MAX_S)
+        return []
 
     def _feed_press(self, press: Press, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
         if gap_s > 0:
@@ -318,9 +329,8 @@ class ContactDetector:
             # The sample that shows the release is the first of the quiet time after it.
             self._tares.feed(sample, self._period_s)
             return outcomes
-        press.add(sample, pose)
-        if sample.host_s - press.start_s > TARE_AGE_MAX_S and press.is_steady:
-            return self._reject_untared(press, sample, sample.host_s - press.tare.end_s, TARE_AGE_MAX_S)
+        if outcomes := self._feed_held(press, sample, pose):
+            return outcomes
         if not self._has_answer and press.is_steady and self._was_tared_while_pressed(press, sample):
             outcomes = self._reject_untared(press, sample, 0.0, self._thresholds.quiet_s)
             self._tares.forget_rest()

@@ -267,14 +267,10 @@ class TouchDetector(ContactDetector):
             self._press = TouchPress(self._thresholds, before, sample, pose, self._period_s, approach)
             self._press.add(sample, pose)
             return outcomes
-        if self._is_recovering or (tare is None and self._is_still_touched(sample)):
+        if self._is_recovering:
             self._tares.interrupt()
             return outcomes
-        new = self._tares.feed(sample, self._period_s)
-        if new is not None:
-            self._tare_pose = pose
-            outcomes += self._finalize_pending(new)
-        return outcomes
+        return outcomes + self._feed_rest(sample, pose)
 
     def _feed_press(self, press: Press, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
         if gap_s > 0:
@@ -286,10 +282,7 @@ class TouchDetector(ContactDetector):
         if share < RELEASE_SHARE or has_left:
             self._press_ended_s, self._is_recovering = sample.host_s, share >= RELEASE_SHARE
             return self._end(press)
-        press.add(sample, pose)
-        if sample.host_s - press.start_s > TARE_AGE_MAX_S and press.is_steady:
-            return self._reject_untared(press, sample, sample.host_s - press.tare.end_s, TARE_AGE_MAX_S)
-        return []
+        return self._feed_held(press, sample, pose)
 
     def _strongest_share(self, sample: Sample) -> float:
         """Compute the strongest answer of a taxel over its limit; 0 before a tare."""

@@ -93,6 +93,8 @@ def lint(calibration: Calibration, method: Method, reference: ExpectedSurface | 
     layout = calibration.scene.skin.layout
     if layout is not None:
         faults += _layout_faults(good, layout)
+        if calibration.scene.tool is None or robot_skin_part(calibration.scene):
+            faults += _modules_without_centre(good, layout)
     return tuple(f"{name}: {words.format(list_channels(where))}" for where, words in faults if len(where))
 
 
@@ -142,6 +144,10 @@ def _layout_faults(taxels: PlacedTaxels, layout: Layout) -> Iterator[Fault]:
             f"neighbours lie {ratio:.2f} times as far apart as in the layout (median of {plural(len(ratios), 'pair')}); "
             f"expected {SPACING_RATIOS[0]} to {SPACING_RATIOS[1]}: poke more from other sides, or check the layout's unit.",
         )
+
+
+def _modules_without_centre(taxels: PlacedTaxels, layout: Layout) -> Iterator[Fault]:
+    """Name the modules that an iCub's program does not find; a part that a cobot pokes is of another robot."""
     placed = set(taxels.channels.tolist())
     lacking = [m.id for m in layout.modules if m.centre_channel not in placed and not placed.isdisjoint(m.channels.tolist())]
     yield lacking, "no position for the centre taxel, which stands for the module in taxel2Repr: modules {}."

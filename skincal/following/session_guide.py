@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.part.part import Part
 from skincal.rig.closing import CLOSING_CHECK_MIN_PLACES, CLOSING_CHECK_PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG
-from skincal.rig.correction_fit import MIN_LANDMARKS, LandmarkAgreement, RigAnswer, landmark_agreement
+from skincal.rig.correction_fit import MIN_LANDMARKS, RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import (
     MAX_PREDICTED_ARM_POSES,
     Gain,
@@ -50,6 +50,7 @@ from skincal.rig.expected_gain import (
     taxel_pushes,
     unchecked_of,
 )
+from skincal.rig.part_agreement import agreement_with_part
 from skincal.rig.setup_check import frame_in_doubt
 from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
@@ -66,9 +67,6 @@ from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Estimate, Method, State
-
-if TYPE_CHECKING:
-    from skincal.rig.part_pose import PartPose
 
 Answer = TypeVar("Answer")
 MAX_REMEMBERED_LANDMARK_ANSWERS = 4 * MAX_PREDICTED_ARM_POSES
@@ -201,7 +199,7 @@ class SessionGuide:
         """
         guidance = self.remaining_work(snapshot, method)
         estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.decisions.corrections.get(RIG)
-        landmarks = landmark_agreement(rig, used) if self._scene.has_sensor else _agreement_with_part(snapshot.part_pose)
+        landmarks = landmark_agreement(rig, used) if self._scene.has_sensor else agreement_with_part(snapshot.part_pose)
         verdict = verdict_of(guidance, snapshot, noise, self._surface, self._module_model, landmarks)
         pokes = snapshot.counting_landmark_pokes
         unchecked = None
@@ -264,13 +262,6 @@ def _shows_part(snapshot: Snapshot, poked: set[str]) -> bool:
     """Whether the poked landmarks are enough to show the part's pose, where no sensor needs a correction."""
     part, known = snapshot.part_pose, {landmark.name for landmark in snapshot.decisions.landmarks}
     return part is not None and part.is_known and len(poked) >= min(MIN_LANDMARKS, len(known))
-
-
-def _agreement_with_part(pose: PartPose | None) -> LandmarkAgreement | None:
-    """Compare the touches of landmarks with the part's pose, which follows from them; `None` with too few."""
-    if pose is None or not pose.is_known or pose.landmarks < MIN_LANDMARKS:
-        return None
-    return LandmarkAgreement(pose.landmarks, pose.ratio, False)
 
 
 class LandmarkGuide:

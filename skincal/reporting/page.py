@@ -169,9 +169,9 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     closings = facts.verdict.closings
     yield "Final check", closing_words(closings), AGAINST if facts.verdict.has_moved else AGREES if closings else OPEN
     frame = facts.results.frame
-    if frame is None:
+    if frame is None and facts.results.part.scene.has_sensor:
         yield "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN
-    else:
+    elif frame is not None:
         yield "Sensor's frame", frame_sentence(frame, has_arm=facts.verdict.has_arm), AGREES if frame.right else AGAINST
     if frames := frame_sentences(facts.results.session.wrench_frames, facts.results.snapshot.contacts):
         yield "Wrench's frame", " ".join(frames), AGAINST if facts.verdict.frame_in_doubt else OPEN

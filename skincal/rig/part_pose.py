@@ -35,7 +35,7 @@ from enum import Enum
 
 import numpy as np
 
-from skincal.geometry import FloatArray, inverse_pose
+from skincal.geometry import FloatArray, IntArray, inverse_pose
 from skincal.rig.part_pose_starts import start_poses
 from skincal.rig.part_touches import (
     HUBER_THRESHOLD_SDS,
@@ -108,6 +108,10 @@ class PartPose:
     """Misses over the expected ones: the root of chi-square over its degrees of freedom."""
     freedom: int = 0
     """Equations beyond the six unknowns."""
+    held_out_ratio: float = np.nan
+    """The same of landmarks, each predicted without its own touches; NaN without a landmark."""
+    landmark_places: int = 0
+    """Number of different landmarks."""
     worst_landmark: int = 0
     """Number of the landmark touch that misses most; 0 without landmarks."""
     worst_miss: float = 0.0
@@ -178,6 +182,8 @@ class _Fit:
     """Huber's cost, with the priors of the plan's shift and the height."""
     chi2: float
     """Sum of the trusted squares."""
+    at_landmarks: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+    """Of k touches: derivatives (k, 3, u), misses (k, 3) in standard deviations, trust (k,); normal equations (u, u)."""
 
     @classmethod
     def at(cls, touches: PartTouches, shape: PartShape, turn: FloatArray, shift: FloatArray) -> _Fit:
@@ -219,7 +225,12 @@ class _Fit:
         of_prior = float(rest @ prior[6:, 6:] @ rest)
         cost = float(np.sum(_huber_cost(sizes))) + of_prior
         chi2 = float(np.sum(trust * left**2)) + of_prior
-        return cls(turn, shift, rows.centres[0], inverse[:9, :9], rest[:3], step, cost, chi2)
+        own = (
+            slopes[: 3 * landmarks].reshape(landmarks, 3, slopes.shape[1]),
+            left[: 3 * landmarks].reshape(-1, 3),
+            trust[: 3 * landmarks : 3],
+        )
+        return cls(turn, shift, rows.centres[0], inverse[:9, :9], rest[:3], step, cost, chi2, (*own, normal))
 
     def next(self, touches: PartTouches, shape: PartShape) -> _Fit:
         turn, shift = moved_pose(self.turn[None], self.shift[None], self.centre[None], self.step[None])
@@ -311,12 +322,39 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
         tip_shift=best.tip_shift,
         ratio=ratio,
         freedom=equations - 6,
+        held_out_ratio=_held_out_ratio(best, touches.landmark[touches.at_landmark], ranks[touches.at_landmark]),
+        landmark_places=len(np.unique(touches.landmark[touches.at_landmark], axis=0)),
         worst_landmark=worst_landmark,
         worst_miss=worst_miss,
         sd=sd,
         open_motions=open_motions,
         rival=rival,
     )
+
+
+def _held_out_ratio(best: _Fit, places: FloatArray, ranks: IntArray) -> float:
+    """Compute the rms ratio of the misses of landmarks to those predicted from all other touches; NaN without a landmark.
+
+    Without the rows J of a landmark, of trust w and with the misses r, the unknowns are N_0^-1 J'w r away, with
+    N_0 = N - J'w J. Then r becomes e = r + J N_0^-1 J'w r, of covariance I + J N_0^-1 J'.
+
+    Parameters
+    ----------
+    places : (k, 3) float, metres: landmark of each touch
+    ranks : (k,) directions that each touch measures
+    """
+    slopes, misses, trust, normal = best.at_landmarks
+    squares, equations = 0.0, 0
+    for place in np.unique(places, axis=0):
+        own = np.flatnonzero((places == place).all(axis=1))
+        rows, off = slopes[own].reshape(-1, normal.shape[0]), misses[own].ravel()
+        trusted = rows * np.repeat(trust[own], 3)[:, None]
+        without = normal - trusted.T @ rows
+        predicted = off + rows @ np.linalg.solve(without, trusted.T @ off)
+        covariance = np.eye(len(off)) + rows @ np.linalg.solve(without, rows.T)
+        squares += float(predicted @ np.linalg.solve(covariance, predicted))
+        equations += int(ranks[own].sum())
+    return float(np.sqrt(squares / equations)) if equations else np.nan
 
 
 def _worst_landmark(best: _Fit, touches: PartTouches) -> tuple[int, float]:

@@ -32,6 +32,7 @@ from skincal.model.tool_rig import (
 from skincal.palette import BLACK, BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
 from skincal.rig.correction_fit import correct_rig, landmark_agreement
+from skincal.rig.part_agreement import agreement_with_part
 from skincal.session.session import Session
 from skincal.simulation.example_parts import forearm
 from skincal.studies.error_numbers import error_numbers, mean_over_seeds
@@ -185,7 +186,10 @@ def _wrench_of(poked: ToolSession, row: int, scene: Scene) -> tuple[FloatArray, 
 def _believed(session: Session) -> dict[str, bool]:
     """Tell by method whether the verdict believes the predicted errors, as the window would."""
     snapshot, scene = session.snapshot(), session.scene
-    landmarks = landmark_agreement(correct_rig(session.rig_request()), None)
+    if scene.has_sensor:
+        landmarks = landmark_agreement(correct_rig(session.rig_request()), None)
+    else:
+        landmarks = agreement_with_part(snapshot.part_pose)
     return {
         method.value: is_believed(
             check(snapshot, session.channels, method, scene.noise, session.surface, session.module_model), landmarks

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from skincal.files.export import lint, usual_format, write_calibration
+from skincal.model.scene import load_scene, resource
 from skincal.taxels.result import Method
 from tests.approved import approved
 from tests.skincal.files.files_support import CHANNELS, make_calibration
@@ -97,6 +98,12 @@ def test_a_mirrored_part_is_named_and_a_turned_one_is_not(part):
 def test_a_module_without_its_centre_is_named(part):
     found = lint(make_calibration(part, unseen=(15,), blind=(39,)), Method.SURFACE)
     assert found == (approved("lint.no_centre", modules="21, 25"),)
+
+
+def test_a_part_of_another_robot_that_a_cobot_pokes_needs_no_centre_taxel(part):
+    made = make_calibration(part, unseen=(15,), blind=(39,))
+    tool = load_scene(resource("scenes/cobot-forearm/scene.toml")).tool
+    assert lint(replace(made, scene=replace(made.scene, link="plate", tool=tool)), Method.SURFACE) == ()
 
 
 def test_a_position_on_a_thermal_pad_is_named(part):

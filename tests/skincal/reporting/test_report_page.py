@@ -200,6 +200,13 @@ def test_the_settings_of_a_rig_with_a_tool_name_no_arm(facts):
     assert "Arm poses" in Page(report_page(facts)).text
 
 
+def test_the_report_of_a_rig_without_a_sensor_has_no_row_on_its_frame(facts):
+    tool = replace(load_scene(resource("scenes/cobot-forearm/scene.toml")).tool, has_sensor=False)
+    scene = replace(facts.results.part.scene, arm=None, tool=tool)
+    results = other_results(facts, part=replace(facts.results.part, scene=scene), _rig_diagnosis=(None, None))
+    assert "Sensor's frame" not in Page(report_page(replace(facts, results=results))).text
+
+
 def test_the_page_needs_no_other_file_and_prints(page_text):
     sources = re.findall(r'<img src="([^"]*)"', page_text)
     kinds = [source.partition(";")[0] for source in sources]

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
+from skincal.rig.part_agreement import agreement_with_part
 from skincal.rig.part_pose import PartPoseState, fit_part_pose
 from skincal.rig.part_touches import LANDMARK_SD_M, PartShape, PartTouches
 
@@ -93,6 +94,41 @@ def test_the_covariance_of_landmarks_is_that_of_many_trials():
     seen, predicted = np.cov(np.array(errors).T), np.mean(covariances, axis=0)
     # 150 trials give a sd to 6 %.
     np.testing.assert_allclose(np.sqrt(np.diag(seen)), np.sqrt(np.diag(predicted)), rtol=0.2)
+
+
+def test_held_out_landmarks_are_those_that_a_fit_without_them_predicts():
+    marks = np.repeat(LANDMARKS, 2, axis=0)
+    measured = shaken(np.random.default_rng(3), marks)
+    # The root of the covariance without a factor by the misses, which the held-out ones do not have.
+    found, squares, sd = fit_part_pose(measured, shape()), 0.0, np.hypot(LANDMARK_SD_M, TIP_SD)
+    for place in LANDMARKS:
+        out = np.flatnonzero((marks == place).all(axis=1))
+        other = fit_part_pose(measured.rows(np.setdiff1d(np.arange(len(marks)), out)), shape())
+        turn, shift = other.link_from_base[:3, :3], other.link_from_base[:3, 3]
+        off = (measured.place[out] @ turn.T + shift - place).ravel()
+        lever = place - other.centre
+        rows = np.concatenate([np.cross(np.eye(3), lever), np.eye(3)], axis=1)
+        covariance = np.tile(rows @ other.covariance / max(1.0, other.ratio) ** 2 @ rows.T, (2, 2)) + sd**2 * np.eye(6)
+        squares += off @ np.linalg.solve(covariance, off)
+    assert found.held_out_ratio == pytest.approx(np.sqrt(squares / 30), rel=0.02)
+    assert found.landmark_places == 5
+
+
+def test_a_landmark_at_a_wrong_place_shows_when_it_is_held_out_also_among_many_other_touches():
+    rng, marks = np.random.default_rng(3), np.repeat(LANDMARKS, 3, axis=0)
+    places = rng.uniform(CORNERS.min(axis=0), CORNERS.max(axis=0), (120, 3))
+    measured = shaken(rng, np.concatenate([marks, places]))
+    taxels = np.concatenate([np.full(marks.shape, np.nan), places])
+    landmark = np.concatenate([marks, np.full(places.shape, np.nan)])
+
+    def agreement(mark):
+        return agreement_with_part(
+            fit_part_pose(replace(measured, landmark=mark, planned=taxels, normal=0.0 * taxels), shape())
+        )
+
+    assert agreement(landmark).agrees
+    landmark[:3] += [0.006, 0.0, -0.004]
+    assert not agreement(landmark).agrees
 
 
 def lines(rng, marks, pushes, sd):
