@@ -83,6 +83,13 @@ class AxisMistake:
     directions: tuple[str, ...]
     """Axes of the module that x, y and z of the readings point along, such as `("y", "x", "z")`; `"-x"` for the opposite."""
 
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether these axes are left-handed, so that no rotation describes them."""
+        places = [AXIS_NAMES.index(axis.lstrip("-")) for axis in self.directions]
+        swaps = sum(first > second for at, first in enumerate(places) for second in places[at + 1 :])
+        return (swaps + sum(axis.startswith("-") for axis in self.directions)) % 2 == 1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModuleTurn:

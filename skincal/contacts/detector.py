@@ -44,6 +44,7 @@ from skincal.contacts.press import ArmPose, FinishedPress, Press, arm_turn_betwe
 from skincal.contacts.skin_condition import SkinCondition, SkinWatch
 from skincal.contacts.skin_drift import SkinDrift
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
+from skincal.contacts.value_order import ValueOrderCounts
 from skincal.geometry import FloatArray, IntArray, axis_point, length_of, move_wrench
 from skincal.model.readings import Sample, is_silent
 from skincal.model.scene import ContactSettings, Scene
@@ -118,6 +119,11 @@ class ContactDetector:
     def condition(self) -> SkinCondition:
         """Condition of the skin so far."""
         return self._watch.condition(self._drift)
+
+    @property
+    def value_order(self) -> ValueOrderCounts | None:
+        """See `SkinCondition`; it costs nothing."""
+        return self._watch.value_order
 
     @property
     def responses(self) -> FloatArray:
@@ -380,7 +386,7 @@ class ContactDetector:
         self._has_answer = self._has_answer or len(poke.channels) > 0
         changed = self._health.on_poke(poke)
         outcomes = self._rejudge() if changed and self._ignored is None else []
-        if self._watch.on_press(poke, self._noise):
+        if self._watch.on_press(poke, self._noise, answer_limit(self._thresholds, self._noise)):
             outcomes += self._mark_clipped()
         return [*outcomes, self._judge(poke, None, final=False)]
 

@@ -11,14 +11,16 @@ differ, or the taxels are noisy at rest. A pressed taxel at the end has no heigh
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from skincal.contacts.press import FinishedPress
 from skincal.contacts.skin_drift import SkinDrift
 from skincal.contacts.taxel_answers import TaxelAnswers
+from skincal.contacts.value_order import ValueOrderCounts, count_strongest
 from skincal.geometry import FloatArray, IntArray
+from skincal.model.codec import OPTIONAL_FIELD
 from skincal.model.scene import Scene
 
 MIN_FRAMES_TO_CALL_NORMALISED = 100
@@ -64,6 +66,8 @@ class SkinCondition:
     """Pokes with taxels at that value."""
     clipped_together: int = 0
     """Those of them with several taxels at that value."""
+    value_order: ValueOrderCounts | None = field(default=None, metadata=OPTIONAL_FIELD)
+    """Order of the values as the pokes show it; `None` for a skin of one axis, and before the first poke on the skin."""
 
     @property
     def is_known(self) -> bool:
@@ -93,6 +97,7 @@ class SkinCondition:
             self.range_end if math.isnan(newer.range_end) else newer.range_end,
             self.clipped + newer.clipped,
             self.clipped_together + newer.clipped_together,
+            newer.value_order if self.value_order is None else self.value_order.plus(newer.value_order),
         )
 
 
@@ -139,6 +144,9 @@ class SkinWatch:
         self._at_top: dict[int, _PokeAtTop] = {}
         self.range_end = self._given_end
         """Raw value that pressed taxels cannot exceed; NaN while unknown."""
+        self._axes = scene.skin.axes
+        self.value_order: ValueOrderCounts | None = None
+        """See `SkinCondition`."""
 
     def on_frame(self, skin: FloatArray) -> None:
         """Process the watched values of one skin frame (channels,)."""
@@ -167,10 +175,16 @@ class SkinWatch:
         if len(self._levels) < 3:
             self._levels |= set(np.unique(values[np.isfinite(values)])[:3].tolist())
 
-    def on_press(self, press: FinishedPress, noise: FloatArray) -> bool:
-        """Process a poke, `noise` (channels,) raw units at rest; return whether the end of the range changed."""
+    def on_press(self, press: FinishedPress, noise: FloatArray, limit: FloatArray) -> bool:
+        """Process a poke, `noise` and `limit` (channels,) raw units, at rest and of an answer.
+
+        Return whether the end of the range changed.
+        """
         if press.still is None or not len(press.skin):
             return False
+        if self._axes is not None:
+            found = count_strongest(self._axes, press.skin - press.before.skin, float(np.nanmax(limit)))
+            self.value_order = found if self.value_order is None else self.value_order.plus(found)
         before = self.range_end
         own = self._candidates
         response = self._answers_of_skin.responses(press.skin - press.before.skin)[own]
@@ -217,6 +231,7 @@ class SkinWatch:
             range_end=end if clipped else math.nan,
             clipped=len(clipped),
             clipped_together=sum(len(each.channels) > 1 for each in clipped),
+            value_order=self.value_order,
         )
         enough = NORMALISED_MIN_SHARE_OF_FRAMES * self._frames
         if self._frames < MIN_FRAMES_TO_CALL_NORMALISED or len(self._levels) < 3:

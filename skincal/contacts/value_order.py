@@ -7,12 +7,16 @@ one are k ln(3 p) + (n - k) ln(3 (1 - p)/2), with p = `SHARE_ON_Z`.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.model.skin_axes import AXES_PER_TAXEL, SkinAxes, ValueOrder
+
+if TYPE_CHECKING:  # a skin of one axis loads no such module
+    from skincal.model.skin_axes import SkinAxes, ValueOrder
 
 SHARE_ON_Z = 0.95
 """Share of pokes with a z as the strongest value. The rest lean by more than 45 degrees, or miss the taxels."""
@@ -29,27 +33,27 @@ class ValueOrderCounts:
     """Pokes whose strongest value is a z if values are grouped by taxel."""
     on_z_by_axis: int = 0
 
-    def plus(self, newer: ValueOrderCounts) -> ValueOrderCounts:
+    def plus(self, newer: ValueOrderCounts | None) -> ValueOrderCounts:
         """Add the counts of a later part of the session."""
+        if newer is None:
+            return self
         return ValueOrderCounts(
             self.pokes + newer.pokes, self.on_z_by_taxel + newer.on_z_by_taxel, self.on_z_by_axis + newer.on_z_by_axis
         )
 
     def on_z(self, order: ValueOrder) -> int:
         """Count the pokes whose strongest value is a z in an order."""
-        return self.on_z_by_taxel if order is ValueOrder.BY_TAXEL else self.on_z_by_axis
+        return self.on_z_by_taxel if order.is_by_taxel else self.on_z_by_axis
 
     def log_odds_wrong(self, order: ValueOrder) -> float:
         """Natural logarithm of the odds that the values have the other order than this one."""
-        other = next(each for each in ValueOrder if each is not order)
         gain, loss = np.log(3.0 * SHARE_ON_Z), np.log(1.5 * (1.0 - SHARE_ON_Z))
-        right, wrong = self.on_z(order), self.on_z(other)
+        right, wrong = self.on_z(order), self.on_z(order.other)
         return float((wrong - right) * (gain - loss) + LOG_PRIOR_OF_WRONG_ORDER)
 
     def is_wrong(self, order: ValueOrder) -> bool:
         """Whether the values have the other order for certain."""
-        other = next(each for each in ValueOrder if each is not order)
-        return self.log_odds_wrong(order) > CERTAIN_LOG_ODDS and self.on_z(other) >= 0.75 * self.pokes
+        return self.log_odds_wrong(order) > CERTAIN_LOG_ODDS and self.on_z(order.other) >= 0.75 * self.pokes
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +74,21 @@ class OrderOfValues:
         return self.counts.is_wrong(self.order)
 
 
-def count_strongest(axes: SkinAxes, change: FloatArray) -> ValueOrderCounts:
-    """Count one poke, by how far the values of a frame are from their rest, (3 n,) raw units."""
+def sum_of_counts(counts: Iterable[ValueOrderCounts]) -> ValueOrderCounts:
+    """Add up the counts of pokes."""
+    total = ValueOrderCounts()
+    for each in counts:
+        total = total.plus(each)
+    return total
+
+
+def count_strongest(axes: SkinAxes, change: FloatArray, least: float = 0.0) -> ValueOrderCounts:
+    """Count one poke, by how far the values of a frame are from their rest, (3 n,) raw units.
+
+    A poke whose strongest value is not above `least` says nothing: it missed the skin.
+    """
     sizes = np.abs(np.where(np.isfinite(change), change, 0.0))
-    strongest, taxels, z = int(sizes.argmax()), len(change) // AXES_PER_TAXEL, axes.places[2]
-    if not sizes[strongest] > 0:
+    strongest, axes_per_taxel, z = int(sizes.argmax()), len(axes.places), axes.places[2]
+    if not sizes[strongest] > least:
         return ValueOrderCounts()
-    return ValueOrderCounts(1, int(strongest % AXES_PER_TAXEL == z), int(strongest // taxels == z))
+    return ValueOrderCounts(1, int(strongest % axes_per_taxel == z), int(strongest // (len(change) // axes_per_taxel) == z))

@@ -28,6 +28,8 @@ from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import error_words
 
 if TYPE_CHECKING:
+    from skincal.axes.axis_results import AxisResults
+    from skincal.axes.taxel_frames import TaxelFrame
     from skincal.rig.part_pose import PartPose
 
 DEFAULT_FOOTPRINT_RADIUS_M = 0.002
@@ -76,6 +78,8 @@ class Calibration:
     """Pose of the part in the base of a tool's poses; `None` unless it was found from the pokes."""
     tool: tuple[str, ...] = ()
     """Sentences on the tip of a tool and the part's pose, see `session_tool_sentences`; empty for other rigs."""
+    axes: AxisResults | None = None
+    """Turns of the taxels; `None` for a skin of one axis."""
 
     def estimates_by(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
@@ -121,6 +125,10 @@ class Calibration:
     def gains(self, method: Method) -> tuple[TaxelGain, ...]:
         """Compute the gain of each taxel along a method's normals, in the order of `channels`."""
         return taxel_gains(self.used_contacts, self.estimates_by(method))
+
+    def frame(self, channel: int, method: Method) -> TaxelFrame | None:
+        """Return the turn of a taxel; `None` for a skin of one axis."""
+        return None if self.axes is None else self.axes.frames(method)[channel]
 
     def module_id(self, channel: int) -> int | None:
         """Return the id of the module that carries a channel; None where the layout does not say."""

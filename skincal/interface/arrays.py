@@ -10,6 +10,7 @@ from skincal.contacts.answers_of_skin import answers_of
 from skincal.contacts.gates import answer_limit, judge
 from skincal.contacts.press import FinishedPress, StillMean
 from skincal.contacts.tare import Tare
+from skincal.contacts.value_order import count_strongest, sum_of_counts
 from skincal.model.errors import InputError
 from skincal.session.arm_poses import SAME_POSE_COSINE, SAME_POSE_SHIFT_M
 from skincal.session.pipeline import Pipeline
@@ -45,6 +46,9 @@ def pipeline_of_arrays(
         end_s = float(ends[row])
         still = StillMean(end_s, end_s, end_s, forces[row] * scene.wrench_sign, sensors[row], names[row], 0.0, 0.0)
         pipeline.session.add(_outcome(scene, row + 1, still, answers[row]))
+    if scene.skin.axes is not None:
+        counts = (count_strongest(scene.skin.axes, each, scene.contacts.response_min) for each in answers)
+        pipeline.session.set_value_order(sum_of_counts(counts))
     return pipeline
 
 

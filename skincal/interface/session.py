@@ -160,9 +160,12 @@ class Session:
 
             The skin has one axis, or no accepted poke has a reading.
         """
-        from skincal.interface.turns import turns_of_session  # only for skins of three axes
-
-        return turns_of_session(self.results.session, self.results.snapshot.estimates[self._method(method)])
+        scene, found = self.results.session.scene, self.results.session.axis_results()
+        if scene.skin.axes is None:
+            raise InputError(f"{scene.path}: the turn of a taxel needs its three axes; set axes = 3 in [skin].")
+        if found is None or not found.turns.skin.taxels:
+            raise InputError(f"{scene.path}: no accepted poke has a reading of three axes; poke the skin first.")
+        return found.turns.skin, found.findings(self._method(method))
 
     def verdict(self, method: str | None = None) -> Judgement:
         """Judge the estimates of a method; `None` for the leading one. Raises as `taxels`."""

@@ -32,6 +32,16 @@ class ValueOrder(Enum):
     BY_AXIS = "xxyyzz"
     """The first values of all taxels come first, then the second, then the third."""
 
+    @property
+    def is_by_taxel(self) -> bool:
+        """Whether the three values of a taxel are together."""
+        return self is ValueOrder.BY_TAXEL
+
+    @property
+    def other(self) -> ValueOrder:
+        """The other order."""
+        return ValueOrder.BY_AXIS if self.is_by_taxel else ValueOrder.BY_TAXEL
+
 
 class ResponseRule(Enum):
     """The one number of a taxel for thresholds and weights; the value is its word in scenes."""

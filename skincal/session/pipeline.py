@@ -214,12 +214,18 @@ class Pipeline:
         if isinstance(note, Totals):
             self._earlier = note
             self._note_frames()
+            self._note_value_order()
             return
         if note.dead is not None:
             self.session.set_detected_dead(note.dead)
         for outcome in note.outcomes:
             self.session.add(outcome)
             self.poses.add_used(outcome.pose, outcome.link_from_sensor)
+
+    def _note_value_order(self) -> None:
+        """Give the session the order of the values that all pokes show."""
+        earlier, now = self._earlier.skin.value_order, self._detector.value_order
+        self.session.set_value_order(now if earlier is None else earlier.plus(now))
 
     def _use_skin_unit(self, unit: str, host_ns: int) -> None:
         """Use the default of `response_min` for a unit, unless the scene or the operator chose one, or a poke was made."""
@@ -454,6 +460,7 @@ class Pipeline:
             dead = self._dead if self._found_dead else None
             taken = DetectorResult(outcomes, dead)
             self.apply_note(taken)
+            self._note_value_order()
             self._found_dead = False
             notes.append(taken)
         if self.journal is None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.contacts.poke_columns import GrowingPokeColumns
+from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts
 from skincal.geometry import IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import Action, AskPoke, FoundAtLandmark, Redo, Undo
@@ -39,6 +40,7 @@ from skincal.taxels.shared_errors import SharedRows
 from skincal.version import __version__
 
 if TYPE_CHECKING:
+    from skincal.axes.axis_results import AxisResults
     from skincal.files.calibration import Calibration
     from skincal.mesh.surface import Surface
     from skincal.session.tool_findings import ToolFindings
@@ -87,6 +89,8 @@ class Session:
         self._solving.taxels_changed(self.channels)
         self.wrench_frames: tuple[WrenchFrame, ...] = ()
         """Frames that the messages of the wrench named, in their order."""
+        self._value_order: OrderOfValues | None = None
+        self._axis_results: tuple[Snapshot, AxisResults] | None = None
         self.tip_frame: TipFrame | None = None
         """Frame of the tip positions; `None` before the first contact with one."""
         self.tool: ToolFindings | None = None
@@ -241,6 +245,14 @@ class Session:
         """Outcome of every poke before corrections of the rig."""
         return self._reported.values()
 
+    def set_value_order(self, counts: ValueOrderCounts | None) -> None:
+        """Set the order of the values of a skin of three axes, as the pokes of the whole session show it."""
+        axes = self.scene.skin.axes
+        if axes is None or counts is None or (self._value_order is not None and self._value_order.counts == counts):
+            return
+        self._value_order = OrderOfValues(counts, axes.order)
+        self._changed()
+
     def outcome(self, poke: int) -> Outcome | None:
         """Give a poke's outcome as the rig reported it; `None` if there is no such poke."""
         return self._reported.get(poke)
@@ -378,6 +390,7 @@ class Session:
             typed_pose_error=None if self.tool is None else self.tool.typed_error,
             off_mesh=None if self.tool is None else self.tool.off_mesh,
             wrench_frames=self.wrench_frames,
+            value_order=self._value_order,
             part_size=self._part_size(estimates),
             noise=self.scene.noise,
             table=self._solving.table_state,
@@ -411,6 +424,18 @@ class Session:
         for contact in contacts:
             self._solving.poke_changed(contact.poke, contact.channels.tolist())
 
+    def axis_results(self) -> AxisResults | None:
+        """Gather the findings on the axes; `None` for a skin of one axis, or while the part is not placed."""
+        snapshot = self.snapshot()
+        if snapshot.turns is None:
+            return None
+        from skincal.axes.axis_results import AxisResults  # other scenes do without
+
+        if self._axis_results is None or self._axis_results[0] is not snapshot:
+            layout = self.scene.skin.layout
+            self._axis_results = snapshot, AxisResults(snapshot.turns, layout, snapshot.estimates, snapshot.value_order)
+        return self._axis_results[1]
+
     def calibration(self) -> Calibration:
         """Gather what the calibration files are written from."""
         from skincal.files.calibration import Calibration, SmoothedEstimates
@@ -435,6 +460,7 @@ class Session:
             part_size=snapshot.part_size,
             part_pose=snapshot.part_pose,
             tool=session_tool_sentences(snapshot, scene),
+            axes=self.axis_results(),
         )
 
     def _counting(self, pokes: Iterable[int]) -> list[Contact]:

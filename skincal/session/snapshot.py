@@ -14,6 +14,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact, Outcome, PressPhase, Progress, Rejection
 from skincal.contacts.poke_columns import PokeColumns
 from skincal.contacts.poke_counts import PokeCounts, count_pokes
+from skincal.contacts.value_order import OrderOfValues
 from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import AskPoke
@@ -112,6 +113,8 @@ class Snapshot:
     """Distance of a tool's touches from the mesh that is far beyond their error; `None` if they agree with a given pose."""
     wrench_frames: tuple[WrenchFrame, ...] = ()
     """Frames that the messages of the wrench name; empty without such messages."""
+    value_order: OrderOfValues | None = None
+    """What the pokes say of the order of the values; `None` for a skin of one axis, and before the first poke."""
     part_size: float = inf
     """m, of `known_error`: of the mesh, else of the layout, else of the box around the estimates."""
     noise: NoiseSettings = field(default_factory=NoiseSettings)

@@ -1,10 +1,17 @@
 """The order of the values of a frame, from its strongest value in each poke."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from skincal.contacts.detector import ContactDetector
+from skincal.contacts.skin_condition import SkinCondition
 from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts, count_strongest
+from skincal.model.codec import from_json, to_json
 from skincal.model.skin_axes import ResponseRule, SkinAxes, ValueOrder
+from tests.skincal.contacts.three_axis_support import VectorScript
+from tests.skincal.poke_script import small_scene
 
 TAXELS = 7
 
@@ -43,3 +50,26 @@ def test_a_frame_without_a_change_counts_for_nothing():
 
 def test_counts_add_up():
     assert ValueOrderCounts(3, 2, 1).plus(ValueOrderCounts(4, 0, 4)) == ValueOrderCounts(7, 2, 5)
+
+
+def scene_with(order):
+    scene = small_scene()
+    return replace(scene, skin=replace(scene.skin, axes=SkinAxes(order, (1, 1, -1), (0, 1, 2), ResponseRule.PUSH, "raw")))
+
+
+def test_the_detector_counts_pokes_on_the_skin_also_rejected_ones_and_no_others():
+    """Frames come grouped by axis; the scene says by taxel. The last press misses the skin, whose noise says nothing."""
+    script = VectorScript(scene_with(ValueOrder.BY_AXIS), skin_noise=0.8).quiet()
+    for taxel in (3, 7, 8, 12, 17, 4):
+        script.press(np.array([0.5, 0.0, -8.0]), np.array([0.0, 0.0, 0.1]), {taxel: (9.0, -4.0, -80.0)}).quiet()
+    script.press(np.array([0.5, 0.0, -8.0]), np.array([0.0, 0.0, 0.1]), {}).quiet()
+    detector = ContactDetector(scene_with(ValueOrder.BY_TAXEL))
+    script.run(detector)
+    assert detector.value_order is not None
+    assert (detector.value_order.pokes, detector.value_order.on_z_by_axis) == (6, 6)
+    assert detector.value_order.is_wrong(ValueOrder.BY_TAXEL)
+    # Their z is the y or x of other taxels as often as it is a z.
+    assert detector.value_order.on_z_by_taxel < 4
+    stored = to_json(detector.condition)
+    assert from_json(SkinCondition, stored).value_order == detector.value_order
+    assert "value_order" not in to_json(ContactDetector(small_scene()).condition)

@@ -5,6 +5,7 @@ import pytest
 
 import skincal
 from skincal.axes.module_axes import AxisMistakeKind
+from skincal.axes.taxel_frames import FrameState
 from skincal.geometry import rotation_by
 from skincal.model.errors import InputError
 from tests.skincal.axes.axis_support import random_rotation, turn_between
@@ -68,6 +69,17 @@ def test_exchanged_axes_are_named_against_the_estimated_module(tmp_path):
     _, found = skincal.solve(make_scene(tmp_path), wrenches, frames).turns()
     (mistake,) = found.mistakes
     assert (mistake.kind, mistake.axes) == (AxisMistakeKind.EXCHANGED, ("x", "y"))
+
+
+def test_values_of_another_order_are_named_and_give_no_frame(tmp_path):
+    wrenches, frames, _ = poke_arrays()
+    by_axis = frames.reshape(-1, 9, 3).transpose(0, 2, 1).reshape(len(frames), 27)
+    session = skincal.solve(make_scene(tmp_path), wrenches, by_axis)
+    _, found = session.turns()
+    assert [mistake.kind for mistake in found.mistakes] == [AxisMistakeKind.ORDER]
+    frames_ = session.results.session.axis_results().frames(session.results.choose_method(None))
+    assert {frame.state for frame in frames_.values()} == {FrameState.WRONG_ORDER}
+    assert not any(frame.is_known for frame in frames_.values())
 
 
 def test_a_skin_of_one_axis_or_without_pokes_has_no_turns(tmp_path):

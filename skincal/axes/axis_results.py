@@ -1,0 +1,86 @@
+"""What the pokes of a session say of its axes: modules or taxels, mistakes of the scene, and the frame of each taxel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from skincal.axes.module_axes import AxisFindings, ModulePlan, find_axes
+from skincal.axes.session_turns import SessionTurns
+from skincal.axes.taxel_frames import TaxelFrame, frames_of_taxels
+from skincal.contacts.value_order import OrderOfValues
+from skincal.geometry import FloatArray, fit_rotation
+from skincal.model.skin import Layout, Module
+from skincal.taxels.result import Estimate, Method
+
+MIN_TAXELS_OF_PLAN = 3
+"""Taxels with a position from which the turn of a module's plan is known."""
+
+
+class AxisResults:
+    """What the pokes of a session say of its axes, by each method that places the plans of its modules.
+
+    `turns` and `estimates` are of one snapshot, in one frame. Each answer is found once.
+    """
+
+    def __init__(
+        self,
+        turns: SessionTurns,
+        layout: Layout | None,
+        estimates: Mapping[Method, Sequence[Estimate]],
+        order: OrderOfValues | None,
+    ) -> None:
+        self.turns = turns
+        self._layout, self._estimates, self._order = layout, estimates, order
+        self._findings: dict[Method, AxisFindings] = {}
+        self._frames: dict[Method, dict[int, TaxelFrame]] = {}
+
+    def findings(self, method: Method) -> AxisFindings:
+        """Decide for each module, and name mistakes of the axes."""
+        if method not in self._findings:
+            plans = () if self._layout is None else module_plans(self._layout, self._estimates[method])
+            modules = list(self.turns.modules.values())
+            self._findings[method] = find_axes(self.turns.skin, plans, self._order, modules)
+        return self._findings[method]
+
+    def frames(self, method: Method) -> dict[int, TaxelFrame]:
+        """Choose the frame of each taxel."""
+        if method not in self._frames:
+            channels = [estimate.channel for estimate in self._estimates[method]]
+            found = frames_of_taxels(self.turns.skin, self.findings(method), channels, self.turns.module_of)
+            self._frames[method] = found
+        return self._frames[method]
+
+
+def module_plans(layout: Layout, estimates: Sequence[Estimate]) -> list[ModulePlan]:
+    """Make the plan of each module, placed by the estimates of its taxels."""
+    by_channel = {
+        each.channel: (each.position, each.normal)
+        for each in estimates
+        if each.position is not None and each.normal is not None
+    }
+    return [
+        ModulePlan(module.id, tuple(module.channels.tolist()), _plan_rotation(module, by_channel)) for module in layout.modules
+    ]
+
+
+def _plan_rotation(module: Module, by_channel: dict[int, tuple[FloatArray, FloatArray]]) -> FloatArray | None:
+    """Fit the rotation (3, 3) from the plan of a module to its estimated taxels; `None` if they do not determine it."""
+    pads = module.kind.pads[~np.isnan(module.kind.pads[:, 0])] * np.array([-1.0 if module.mirror else 1.0, 1.0])
+    known = [
+        (pad, by_channel[channel]) for pad, channel in zip(pads, module.channels.tolist(), strict=True) if channel in by_channel
+    ]
+    if len(known) < MIN_TAXELS_OF_PLAN:
+        return None
+    flat = np.array([[*pad, 0.0] for pad, _ in known])
+    places = np.array([place for _, (place, _) in known])
+    normal = np.array([each for _, (_, each) in known]).sum(axis=0)
+    size = float(np.abs(flat - flat.mean(axis=0)).max())
+    # The side is that of the normals.
+    flat = np.concatenate([flat - flat.mean(axis=0), [[0.0, 0.0, size]]])
+    places = np.concatenate([places - places.mean(axis=0), [size * normal / np.linalg.norm(normal)]])
+    products = flat.T @ places
+    if np.linalg.svd(products, compute_uv=False)[1] < 0.01 * size**2:
+        return None
+    return np.ascontiguousarray(fit_rotation(products).T)

@@ -1,0 +1,115 @@
+"""The frame of each taxel for files, lists and pictures: its turn with its state, never one that the pokes do not show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.axes.module_axes import AxisFindings, AxisMistakeKind, ModuleTurn
+from skincal.axes.skin_turns import CERTAIN_LOG_ODDS, SkinTurns, Turn, TurnState
+from skincal.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+class FrameState(Enum):
+    """State of a taxel's turn; the value is its word in files."""
+
+    KNOWN = TurnState.KNOWN.value
+    """By its own pokes."""
+    BY_MODULE = "by module"
+    """The taxels of its module share one turn, which all pokes on the module show."""
+    IN_PLANE_UNKNOWN = TurnState.IN_PLANE_UNKNOWN.value
+    """No poke leaned enough."""
+    MIRRORED = "mirrored axes"
+    """x, y and z of its readings are no right-handed axes, so no rotation describes them."""
+    WRONG_ORDER = "order of values wrong"
+    """The frames have another order of values than the scene: its readings are those of other taxels."""
+    UNKNOWN = "unknown"
+    """No poke has a reading of it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TaxelFrame:
+    """The turn of one taxel."""
+
+    channel: int
+    state: FrameState
+    rotation: FloatArray | None = None
+    """(3, 3) float: columns are x, y and z of its readings in the link frame; `None` unless the whole turn is known."""
+    covariance: FloatArray | None = None
+    """(3, 3) float, rad^2, of the turn in the link frame; `None` without a rotation."""
+    pokes: int = 0
+    """Pokes with a reading of it."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether all three axes are known."""
+        return self.rotation is not None
+
+    @property
+    def normal_sd(self) -> float:
+        """rad, standard deviation of the direction of z, in its worse direction; NaN if the turn is unknown."""
+        local = self._local_covariance()
+        return float("nan") if local is None else float(np.sqrt(np.linalg.eigvalsh(local[:2, :2])[-1]))
+
+    @property
+    def in_plane_sd(self) -> float:
+        """rad, standard deviation of the turn about z; NaN if the turn is unknown."""
+        local = self._local_covariance()
+        return float("nan") if local is None else float(np.sqrt(local[2, 2]))
+
+    def _local_covariance(self) -> FloatArray | None:
+        """Covariance in the axes of the taxel."""
+        if self.rotation is None or self.covariance is None:
+            return None
+        return self.rotation.T @ self.covariance @ self.rotation
+
+
+def frames_of_taxels(
+    turns: SkinTurns, findings: AxisFindings, channels: Iterable[int], module_of: Mapping[int, int]
+) -> dict[int, TaxelFrame]:
+    """Choose the turn of each channel: that of its module if its taxels share one, else its own.
+
+    Parameters
+    ----------
+    module_of : id of the module of each channel; empty without a layout
+    """
+    by_id = {module.id: module for module in findings.modules}
+    mistakes = findings.mistakes
+    mirrored = {mistake.module for mistake in mistakes if mistake.is_mirrored}
+    if turns.is_mirrored:
+        mirrored.add(None)
+    is_wrong_order = any(mistake.kind is AxisMistakeKind.ORDER for mistake in mistakes)
+    share_usually = findings.log_odds_shared > CERTAIN_LOG_ODDS
+
+    def frame(channel: int) -> TaxelFrame:
+        own, module = turns.taxels.get(channel), by_id.get(module_of.get(channel, -1))
+        pokes = 0 if own is None else own.pokes
+        shares = module is not None and (module.is_shared or (share_usually and not module.is_separate))
+        turn = module.turn if module is not None and shares else own
+        if is_wrong_order:
+            return TaxelFrame(channel, FrameState.WRONG_ORDER, pokes=pokes)
+        if turn is None:
+            return TaxelFrame(channel, FrameState.UNKNOWN)
+        if None in mirrored or (module is not None and module.id in mirrored):
+            return TaxelFrame(channel, FrameState.MIRRORED, pokes=pokes)
+        if turn.state is TurnState.IN_PLANE_UNKNOWN:
+            return TaxelFrame(channel, FrameState.IN_PLANE_UNKNOWN, pokes=pokes)
+        state = FrameState.BY_MODULE if shares else FrameState.KNOWN
+        return TaxelFrame(channel, state, turn.fit.rotation, _covariance(turn, module if shares else None), pokes)
+
+    return {channel: frame(channel) for channel in channels}
+
+
+def _covariance(turn: Turn, module: ModuleTurn | None) -> FloatArray:
+    """Covariance (3, 3) in the link frame; a taxel of a module also leans from it by the scatter of their normals."""
+    covariance = turn.fit.turn_covariance
+    if module is None or not np.isfinite(module.spread):
+        return covariance
+    z = turn.fit.rotation[:, 2]
+    return covariance + 0.5 * module.spread**2 * (np.eye(3) - np.outer(z, z))
