@@ -1,4 +1,4 @@
-"""Step 2: the force/torque sensor: one of the URDF's, or three ways to give its pose."""
+"""Step 2: the force/torque sensor: below the part, on the tool, or none; its pose, or the tool's settings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QWidget
 
 from app.builder.fields import VectorField, button, choice, row_of, show_choice
+from app.builder.rig_pictures import RigChoice
 from app.builder.step import NO_POINTS, Step
+from app.builder.tool_fields import ToolFields
 from app.dialogs.form_widgets import number_field
 from app.panels.layouts import make_form
 from app.panels.widgets import compact_combo, secondary_label
@@ -21,6 +23,7 @@ from skincal.part.draft_preview import PartPreview
 from skincal.part.part_changes import sensors_between
 from skincal.part.part_draft import IDENTITY_POSE, pose_rows
 from skincal.part.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
+from skincal.part.tool_draft import NO_ROBOT_WITH_TOOL, Rig
 
 POINTS_PICKED_ON_FLANGE = 3
 PICK_WORDS = (
@@ -29,9 +32,18 @@ PICK_WORDS = (
     "Click the third point.",
 )
 SIGN_CHOICES = {"": "as the URDF says", "1": "the force on the part", "-1": "its reaction"}
+TOOL_SIGN_WORDS = {"": "the force on the tool (usual)", "1": "the force of the tool on the part", "-1": "the force on the tool"}
 FEELS_THE_PART = "between part and base"
 ADD_POINT = "Add the position as the next point"
 SENSOR_DEPTH_MAX_MM = 1000.0
+ON_TOOL_HINT = (
+    "The arm holds tip and sensor, and the part stays still. The pokes show where the part is in the base of the robot: "
+    "nothing is measured before."
+)
+NO_SENSOR_HINT = (
+    "A poke is the place of the tip, when a taxel answers. The pokes show where the part is in the base of the robot or "
+    "tracker."
+)
 NO_POSE_HINT = "Say where the sensor is. Until then only the axes of the part are drawn: x red, y green, z blue."
 
 
@@ -48,6 +60,9 @@ class SensorStep(Step):
 
     def __init__(self) -> None:
         super().__init__()
+        self.rig, self.tool = RigChoice(), ToolFields()
+        self.rig.chosen.connect(self._choose_rig)
+        self.tool.changed.connect(lambda tool, merge: self.change(replace(self.draft, tool=tool), merge))
         self.list = QListWidget()
         self.list.setAccessibleName("force/torque sensors of the URDF")
         self.list.setMaximumHeight(170)
@@ -60,7 +75,9 @@ class SensorStep(Step):
         self._make_free_form()
         self.sign = choice("meaning of the wrench", SIGN_CHOICES)
         self.sign.activated.connect(self._choose_sign)
-        self.fill(self.robot_form, self.free_form, make_form(("Reports", self.sign)))
+        self.sign_row = QWidget()
+        make_form(("Reports", self.sign), within=self.sign_row, margins=0)
+        self.fill(self.rig, self.robot_form, self.free_form, self.tool, self.sign_row)
 
     def _make_free_form(self) -> None:
         """Make the fields for a part without a URDF."""
@@ -91,8 +108,18 @@ class SensorStep(Step):
 
     def update_fields(self, preview: PartPreview) -> None:
         draft, robot = preview.draft, preview.robot
-        self.robot_form.setVisible(draft.urdf is not None)
-        self.free_form.setVisible(draft.urdf is None and not draft.has_dh_arm)
+        has_robot = draft.urdf is not None or draft.has_dh_arm
+        self.rig.show_rig(draft.rig, NO_ROBOT_WITH_TOOL if has_robot else "")
+        self.tool.setVisible(draft.rig is not Rig.BELOW)
+        self.sign_row.setVisible(draft.rig is not Rig.NONE)
+        self.robot_form.setVisible(draft.urdf is not None and draft.rig is Rig.BELOW)
+        self.free_form.setVisible(not has_robot and draft.rig is Rig.BELOW)
+        if draft.rig is not Rig.BELOW:
+            self.pick.setChecked(False)
+            self.hint_label.setText(ON_TOOL_HINT if draft.rig is Rig.ON_TOOL else NO_SENSOR_HINT)
+            self.tool.show_draft(draft)
+            self._show_signs(preview)
+            return
         if draft.has_dh_arm:
             self.hint_label.setText("The scene has an [arm] by Denavit-Hartenberg rows, which this page does not change.")
         if robot is not None:
@@ -113,7 +140,10 @@ class SensorStep(Step):
         self._show_picking()
 
     def _show_signs(self, preview: PartPreview) -> None:
-        first = "the force on the part (usual)"
+        is_on_tool = preview.draft.rig is Rig.ON_TOOL
+        for index, words in enumerate((TOOL_SIGN_WORDS if is_on_tool else SIGN_CHOICES).values()):
+            self.sign.setItemText(index, words)
+        first = TOOL_SIGN_WORDS[""] if is_on_tool else "the force on the part (usual)"
         if preview.draft.urdf is not None:
             says = {1: "the force on the part", -1: "its reaction", None: "the URDF does not say; the force is assumed"}
             first = f"by the URDF: {says[preview.sign]}" if preview.sign is not None else says[None]
@@ -153,6 +183,10 @@ class SensorStep(Step):
     def _choose_sign(self) -> None:
         value = str(self.sign.currentData())
         self.change(replace(self.draft, sign=int(value) if value else None))
+
+    def _choose_rig(self, rig: Rig) -> None:
+        # The signs of the two sensors are opposite by default.
+        self.change(replace(self.draft, rig=rig, sign=None))
 
     # Without a URDF
 

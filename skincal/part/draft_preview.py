@@ -30,6 +30,7 @@ from skincal.part.part_draft import PartDraft, layout_file_of
 from skincal.part.robot_copy import RobotFiles, list_robot_files
 from skincal.part.robot_mesh import describe_shapes, find_part_mesh, offer_collision_mesh, with_offer
 from skincal.part.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles, missing_packages
+from skincal.part.tool_draft import Rig, tool_problem
 from skincal.words.robot_words import replaced_mesh_findings, sensor_findings
 
 KeptResult = TypeVar("KeptResult")
@@ -272,8 +273,13 @@ class _Work:
         return self.angles.get(name, 0.0 if limits is None else float(np.clip(0.0, *limits)))
 
     def find_sensor(self) -> None:
-        """Compute the pose of the chosen sensor."""
+        """Compute the pose of the chosen sensor; with a tool it has another one at each poke."""
         draft = self.draft
+        if draft.rig is not Rig.BELOW:
+            problem = tool_problem(draft.rig, draft.tool, has_robot=draft.urdf is not None or draft.has_dh_arm)
+            if problem:
+                self.problems["sensor"] = problem
+            return
         if draft.urdf is not None:
             self.values["sensor_pose"] = self.values.get("sensors", {}).get(draft.sensor)
         elif draft.has_dh_arm and draft.source is not None:

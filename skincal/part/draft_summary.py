@@ -9,7 +9,15 @@ from skincal.mesh.findings import box_words
 from skincal.model.errors import plural
 from skincal.model.skin import SkinKind
 from skincal.part.draft_preview import PartPreview
+from skincal.part.tool_draft import Rig, tool_costs
 from skincal.words.layout_words import SHEET_WITHOUT_MESH, SKIN_KIND_WORDS, layout_size, unsaid_kind_finding
+
+LANDMARKS_OF_POSE = 3
+"""Landmarks that show a pose, if they are not on a line."""
+_RIG_WORDS = {
+    Rig.ON_TOOL: "the force/torque sensor is on the tool, whose poses are streamed",
+    Rig.NONE: "no force/torque sensor: the poses of a tool with a tip are streamed",
+}
 
 
 class State(Enum):
@@ -74,6 +82,9 @@ def _sensor(preview: PartPreview) -> tuple[SummaryLine, ...]:
     if problem is not None:
         return (SummaryLine("sensor", State.NEEDED, problem),)
     draft = preview.draft
+    if draft.rig is not Rig.BELOW:
+        costs = (SummaryLine("sensor", State.OPTIONAL, each) for each in tool_costs(draft.rig, draft.tool))
+        return (SummaryLine("sensor", State.COMPLETE, _RIG_WORDS[draft.rig]), *costs)
     pose = preview.sensor_pose
     assert pose is not None
     where = ", ".join(str(round(value * 1e3)) for value in pose[:3, 3].tolist())
@@ -85,6 +96,8 @@ def _sensor(preview: PartPreview) -> tuple[SummaryLine, ...]:
 
 
 def _joints(preview: PartPreview) -> tuple[SummaryLine, ...]:
+    if preview.draft.rig is not Rig.BELOW:
+        return ()
     problem = preview.problems.get("joints")
     if problem is not None:
         return (SummaryLine("joints", State.NEEDED, problem),)
@@ -133,10 +146,15 @@ def _place(preview: PartPreview) -> tuple[SummaryLine, ...]:
 
 def _landmarks(preview: PartPreview) -> tuple[SummaryLine, ...]:
     found = (SummaryLine("check", State.OPTIONAL, each) for each in preview.findings.get("check", ()))
-    return (_landmark_count(len(preview.draft.landmarks)), *found)
+    draft = preview.draft
+    has_pose = draft.tool.base_from_link is not None
+    return (_landmark_count(len(draft.landmarks), draft.rig, has_part_pose=has_pose), *found)
 
 
-def _landmark_count(count: int) -> SummaryLine:
+def _landmark_count(count: int, rig: Rig, *, has_part_pose: bool) -> SummaryLine:
+    if rig is not Rig.BELOW and not has_part_pose and count < LANDMARKS_OF_POSE:
+        cost = f"{plural(count, 'landmark')}: with {LANDMARKS_OF_POSE} or more a few touches show the part's pose; fewer "
+        return SummaryLine("check", State.OPTIONAL, cost + "leave it to the pokes on the skin")
     if count == 0:
         return SummaryLine("check", State.OPTIONAL, "no landmarks: a common shift of all taxels would go unnoticed")
     if count < 3:

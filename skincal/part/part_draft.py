@@ -23,10 +23,8 @@ from skincal.model.skin import Anchor
 from skincal.model.tables import parse_toml
 from skincal.model.urdf import read_urdf
 from skincal.part.robot_copy import ROBOT_FOLDER, is_with_robot, list_robot_files, read_robot_files
+from skincal.part.tool_draft import NO_TOOL, Pose, Rig, ToolDraft, Vector, read_tool_draft, tool_entries
 
-Vector: TypeAlias = tuple[float, ...]
-Pose: TypeAlias = tuple[Vector, ...]
-"""Four rows of four numbers, metres."""
 IDENTITY_POSE: Pose = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
 MM_DIGITS, UNIT_DIGITS, METRE_DIGITS = 3, 6, 6
 """Decimals in a scene file: a micrometre, and 0.06 thousandths of a degree."""
@@ -115,6 +113,9 @@ class PartDraft:
     """Of the sensor in the link, without a URDF; `None` while it is unknown."""
     has_dh_arm: bool = False
     """The scene has an `[arm]`, which this page does not change."""
+    rig: Rig = Rig.BELOW
+    tool: ToolDraft = NO_TOOL
+    """Kept while `rig` has no use for it."""
     sign: int | None = None
     """-1 if the sensor reports the reaction force; `None` for what the URDF says."""
     channels: int | None = None
@@ -196,6 +197,9 @@ def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
     if robot and surface and mesh_pose is None:
         mesh_pose = IDENTITY_POSE
     layout = scene.skin.layout
+    rig, tool = read_tool_draft(
+        None if "tool" not in document else {key: _frozen(value) for key, value in document["tool"].items()}
+    )
     return PartDraft(
         source=path,
         text=scene.text,
@@ -211,6 +215,8 @@ def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
         mesh_pose=mesh_pose,
         sensor_pose=_rows(document.get("sensor", {}).get("pose")),
         has_dh_arm="arm" in document,
+        rig=rig,
+        tool=tool,
         sign=document.get("wrench", {}).get("sign"),
         channels=scene.skin.channels,
         polarity=skin.get("polarity", "up"),
@@ -256,6 +262,11 @@ _ENTRY_COMMENTS: dict[Key, str] = {
     ("skin", "anchor", "normal"): "outward",
     ("contacts", "response_min"): "a taxel answers above it, in the unit of the skin",
     ("wrench", "sign"): "-1 if the sensor reports the reaction force",
+    ("tool", "sensor"): '"tool": the sensor is on the tool; "none": there is none',
+    ("tool", "rotation"): "form of the poses",
+    ("tool", "unit"): "of their lengths",
+    ("tool", "tip_mm"): "in the frame whose pose is streamed",
+    ("tool", "flange"): "pose of the sensor in that frame, metres",
 }
 _PATH_KEYS = (("robot", "urdf"), ("robot", "mesh"), ("surface", "mesh"))
 _POLARITY_ENTRY_COMMENTS = {"up": "raw values rise under pressure", "down": "raw values fall under pressure"}
@@ -285,8 +296,9 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
         entries[("surface", "mesh")] = _named(draft.mesh, folder)
         entries[("surface", "unit")] = draft.unit
         entries[("surface", "pose")] = None if draft.mesh_pose == IDENTITY_POSE else draft.mesh_pose
-    if draft.urdf is None:
+    if draft.urdf is None and draft.rig is Rig.BELOW:
         entries[("sensor", "pose")] = draft.sensor_pose
+    entries |= tool_entries(draft.rig, draft.tool)
     entries[("skin", "channels")] = draft.channels
     entries[("skin", "polarity")] = draft.polarity
     if draft.layout_text:
@@ -294,7 +306,7 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
     if draft.anchor is not None:
         for key in ("at_mm", "point_mm", "x", "normal"):
             entries[("skin", "anchor", key)] = getattr(draft.anchor, key)
-    entries[("wrench", "sign")] = draft.sign
+    entries[("wrench", "sign")] = None if draft.rig is Rig.NONE else draft.sign
     entries[("contacts", "response_min")] = draft.response_min
     return {key: value for key, value in entries.items() if value is not None}
 
@@ -361,6 +373,7 @@ def _all_keys(document: dict[str, Any]) -> list[Key]:
     known = [("name",), ("link",), ("skin", "channels"), ("skin", "polarity"), ("skin", "modules"), ("wrench", "sign")]
     known += [("contacts", "response_min")]
     known += [("surface", key) for key in ("mesh", "unit", "pose")] + [("sensor", "pose")]
+    known += [("tool", key) for key in document.get("tool", {})]
     known += [("robot", key) for key in ("urdf", "sensor", "mesh", "unit", "joints")]
     known += [("skin", "anchor", key) for key in ("at_mm", "point_mm", "x", "normal")]
     for table in ("fixed", "packages"):
