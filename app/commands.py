@@ -178,6 +178,9 @@ COMMANDS = (
           ("uncertainty", "Ellipses", "95 % regions of the worst taxel and the selected one"),
           ("landmarks", "Landmarks", "Known points of the part, with their names"),
           ("cone", "Cone of the target", "Accepted directions of the next push")), 1)),
+    Command("turns", "Layers", "Axes of the taxels", "Ctrl+7", "x red, y green and z blue, of taxels that measure three axes",
+            view(lambda v: v.follow_switches()),
+            lambda w: w.session_view is not None and w.session_view.has_turns, switch=True, setting="layers/turns"),
 
     Command("what", "Help", "What is this?", "F1", "Then click something to see its explanation",
             lambda _: QWhatsThis.enterWhatsThisMode()),

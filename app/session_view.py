@@ -266,6 +266,11 @@ class SessionView(QObject):
     # What is shown
 
     @property
+    def has_turns(self) -> bool:
+        """Whether the taxels measure three axes, so that each has a turn."""
+        return self.guided.part.scene.skin.axes is not None
+
+    @property
     def method(self) -> Method:
         """The method that is shown and that the guide serves."""
         return self.guided.method

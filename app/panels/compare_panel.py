@@ -5,7 +5,7 @@ It works, and the 3D view draws the arrows, only while the tab is visible.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,6 +82,7 @@ class ComparePanel(Panel):
         self._paths: dict[str, Path | None] = {}  # Where the other sets were read; `None` for the truth and references
         if (frames := robot_places(guided.part.scene)) is not None:
             self._others[frames.name], self._paths[frames.name] = in_order(self._channels, frames.places), None
+        self._axes: dict[str, Mapping[int, FloatArray]] = {}  # Axes of taxels of the other sets, where they have some
         self.modules_check = guided.modules
         self._neighbours: PlannedNeighbours | None = None  # Made when first needed
         self._sets: dict[str, FloatArray] = {}
@@ -96,6 +97,7 @@ class ComparePanel(Panel):
         )
         self.save_button = QPushButton("Save the corrected layout…", autoDefault=True)
         self.motion, self.spacing, self.listed = secondary_label(wrap=True), secondary_label(wrap=True), secondary_label()
+        self.turns = QLabel(wordWrap=True)
         self.modules = table("modules", MODULE_HEADINGS, MODULE_HINTS)
         self.worst = TaxelList("taxels with the largest difference")
         self._prepare()
@@ -135,11 +137,12 @@ class ComparePanel(Panel):
                 choices.addWidget(widget, row, column)
         choices.addLayout(make_row(self.add_file, self.add_session, 1), 2, 1, 1, 2)
         self.fill(
-            choices, self.legend, self.summary, self.motion, self.health, (self.save_button, 0, Qt.AlignmentFlag.AlignLeft),
-            self.listed, self.modules, self.spacing, secondary_label("Largest differences"), (self.worst, 1),
+            choices, self.legend, self.summary, self.motion, self.turns, self.health,
+            (self.save_button, 0, Qt.AlignmentFlag.AlignLeft), self.listed, self.modules, self.spacing,
+            secondary_label("Largest differences"), (self.worst, 1),
             margins=WIDGET_GAP_PX,
         )  # fmt: skip
-        for empty in (self.health, self.save_button, self.listed, self.motion):
+        for empty in (self.health, self.save_button, self.listed, self.motion, self.turns):
             empty.hide()
         for widget in (self.modules, self.spacing):
             widget.setVisible(self._layout is not None)
@@ -168,6 +171,7 @@ class ComparePanel(Panel):
             box.setCurrentText(name)
         here, there = (self._sets[name] for name in pair)
         self._show_numbers(pair, here, there)
+        self._show_turns(state, pair)
         self._show_health()
         self._draw(pair, here, there)
 
@@ -189,6 +193,22 @@ class ComparePanel(Panel):
         )
         if self._layout is not None:
             self._show_modules(self._layout, found.modules, there)
+
+    def _show_turns(self, state: ViewState, pair: tuple[str, str]) -> None:
+        """Compare the axes of taxels that measure three."""
+        if self._guided.part.scene.skin.axes is None:
+            return
+        from skincal.axes.turn_differences import axes_by_channel, compare_turns  # other skins do without
+        from skincal.words.turn_words import turn_difference_words
+
+        channels, turns = self._channels.tolist(), state.snapshot.on_part.turns
+        own = {} if turns is None else axes_by_channel(turns, channels)
+        here, there = (self._axes.get(name, {} if name in self._others else own) for name in pair)
+        if LAYOUT_SET in pair or pair[0] == pair[1]:
+            # A layout has no axes; one session has the same by each method.
+            here = {}
+        self.turns.setText(turn_difference_words(compare_turns(here, there), self._guided.names.taxel))
+        self.turns.setVisible(bool(self.turns.text()))
 
     def _show_modules(self, layout: Layout, differences: Sequence[ModuleDifference], there: FloatArray) -> None:
         spacing, modules = self._spacing_ratios(there), layout.modules
@@ -252,7 +272,7 @@ class ComparePanel(Panel):
 
     def add_reference(self, reference: TaxelPositions) -> None:
         name = TRUTH_SET if reference.origin is Origin.TRUTH else reference.name
-        self._others[name] = in_order(self._channels, reference.places)
+        self._others[name], self._axes[name] = in_order(self._channels, reference.places), reference.axes
         self._paths[name] = None
         self.show_again()
 
@@ -261,6 +281,7 @@ class ComparePanel(Panel):
         names = [unique_name(each.name, path, self._paths) for each in found]
         for name, each in zip(names, found, strict=True):
             self._others[name], self._paths[name] = in_order(self._channels, each.places), path
+            self._axes[name] = each.axes
         if names and self._state is not None:
             self._chosen = self.pair(self._state)[0], names[0]
         self.show_again()

@@ -34,6 +34,7 @@ from skincal.words.taxel_words import NOT_KNOWN_YET, rival_words, state_sentence
 from skincal.words.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
 
 if TYPE_CHECKING:
+    from app.panels.turn_section import TurnSection
     from skincal.following.guided_session import GuidedSession
 
 PLOT_SIZE_PX = 152
@@ -244,8 +245,10 @@ class InspectPanel(Panel):
                 grid.addWidget(label, row, column, Qt.AlignmentFlag.AlignTop)
         for row, text in enumerate(ESTIMATE_ROWS, start=1):
             grid.addWidget(secondary_label(text), row, 0, Qt.AlignmentFlag.AlignTop)
+        self.turn = _turn_section(guided)
+        turn = () if self.turn is None else (self.turn,)
         self.fill(
-            self.heading, self.diversity, grid, self.rival, self.reason, (self.use, 0, Qt.AlignmentFlag.AlignLeft),
+            self.heading, self.diversity, grid, *turn, self.rival, self.reason, (self.use, 0, Qt.AlignmentFlag.AlignLeft),
             self.pokes_title, (self.pokes, 1), secondary_label("Need pokes most"), (self.worst, 1), margins=WIDGET_GAP_PX,
         )  # fmt: skip
         for empty in (self.diversity, self.rival, self.pokes_title, self.pokes):
@@ -283,6 +286,8 @@ class InspectPanel(Panel):
         for label in chain.from_iterable(self.cells.values()):
             label.setText(DASH)
         self.reason.setText(HOW_TO_SELECT)
+        if self.turn is not None:
+            self.turn.hide()
         for widget in (self.rival, self.pokes_title, self.pokes):
             widget.hide()
 
@@ -293,6 +298,9 @@ class InspectPanel(Panel):
             for label, text in zip(self.cells[method], estimate_cells(estimate, state.snapshot.part_size), strict=True):
                 label.setText(text)
         shown = found.get(state.method)
+        if self.turn is not None:
+            turns = state.snapshot.turns
+            self.turn.show_turn(None if turns is None else turns.of_channel(channel), None if shown is None else shown.normal)
         reason = state.snapshot.dead.get(channel) or state_sentence(None if shown is None else shown.reason)
         pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
         needs = "" if state.guidance is None else needs_words(state.guidance, channel)
@@ -322,6 +330,15 @@ class InspectPanel(Panel):
         if state is not None and state.selected is not None:
             is_dead = state.selected in state.snapshot.dead
             self.action_wanted.emit(Revive(state.selected) if is_dead else MarkDead(state.selected))
+
+
+def _turn_section(guided: GuidedSession) -> TurnSection | None:
+    """Make the section on the turn of a taxel; `None` for taxels of one axis."""
+    if guided.part.scene.skin.axes is None:
+        return None
+    from app.panels.turn_section import TurnSection  # other skins do without
+
+    return TurnSection()
 
 
 def poke_cells(poke: TaxelPoke) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ Only the layers that the scene supports are built: without a mesh no surface lay
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pyvista as pv
@@ -91,7 +91,14 @@ class SceneRenderer:
         hints = HintsLayer(plotter, static)
         hints.frame = static.scene.link
         others = (self.estimates, AxesLayer(plotter, static), UncertaintyLayer(plotter, static), self.target, self.landmarks)
-        return (*layers, *others, self.compare, hints, RobotTipLayer(plotter, static))
+        return (*layers, *others, *self._turns(), self.compare, hints, RobotTipLayer(plotter, static))
+
+    def _turns(self) -> Sequence[Layer]:
+        if self.static.scene.skin.axes is None:
+            return ()
+        from app.scene3d.taxel_axes import TaxelAxesLayer  # other skins do without
+
+        return (TaxelAxesLayer(self.plotter, self.static, self.estimates),)
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from skincal.axes.module_axes import ModuleTurn, module_turn
 from skincal.axes.skin_turns import (
+    CERTAIN_LOG_ODDS,
     ReadingOfForce,
     SkinTurns,
     Turn,
@@ -28,6 +29,7 @@ from skincal.axes.skin_turns import (
 )
 from skincal.axes.turn_fit import START_ANGULAR_NOISE, AxisNoise, AxisPokes, TurnFit
 from skincal.contacts.outcome import Contact
+from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
 
 FIRST_CONTACTS_OF_NOISE = 8
@@ -39,10 +41,11 @@ MAX_POKES_OF_NOISE = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownTurn:
-    """The turn of a taxel for views: its own, or that of its module if all its taxels share it for certain."""
+    """The turn of a taxel for views: its own, or that of its module if the taxels share it."""
 
     turn: Turn
-    is_of_module: bool
+    module: ModuleTurn | None
+    """Whose turn it is; `None` for the taxel's own."""
     is_mirrored: bool
     """Whether the axes of the skin are mirrored for certain: then y points to the other side."""
 
@@ -50,6 +53,28 @@ class ShownTurn:
     def fit(self) -> TurnFit:
         """The fit of the hand that the skin has."""
         return self.turn.fits[int(self.is_mirrored)]
+
+    @property
+    def axes(self) -> FloatArray:
+        """(3, 3) float: columns are x, y and z of the readings, frame of the part."""
+        return self.fit.axes
+
+    @property
+    def normal_sd(self) -> float:
+        """rad, standard deviation of the direction of z, in its worse direction; with the scatter of the module's taxels."""
+        spread = 0.0 if self.module is None or not np.isfinite(self.module.spread) else self.module.spread
+        # The spread is of both directions.
+        return float(np.sqrt(self.fit.normal_sd**2 + 0.5 * spread**2))
+
+    @property
+    def in_plane_sd(self) -> float:
+        """rad, standard deviation of the turn about z; see `is_in_plane_known`."""
+        return self.fit.in_plane_sd
+
+    @property
+    def is_in_plane_known(self) -> bool:
+        """Whether x and y are known."""
+        return self.fit.is_in_plane_known
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +92,22 @@ class SessionTurns:
         """Whether the axes of the skin are mirrored for certain."""
         return self.skin.is_mirrored
 
+    @cached_property
+    def are_usually_shared(self) -> bool:
+        """Whether the taxels of all modules together share the turn of theirs for certain."""
+        return sum(module.log_odds_shared for module in self.modules.values()) > CERTAIN_LOG_ODDS
+
+    def is_shared(self, module: ModuleTurn) -> bool:
+        """Whether the taxels of a module have its turn: by their own pokes, or by those on other modules."""
+        return module.is_shared or (self.are_usually_shared and not module.is_separate)
+
     def of_channel(self, channel: int) -> ShownTurn | None:
-        """Give the turn of a taxel; `None` before a poke presses it, or its module if all its taxels share a turn."""
+        """Give the turn of a taxel; `None` before a poke presses it, or its module if the taxels share a turn."""
         module = self.modules.get(self.module_of.get(channel, -1))
-        if module is not None and module.is_shared:
-            return ShownTurn(module.turn, is_of_module=True, is_mirrored=self.is_mirrored)
+        if module is not None and self.is_shared(module):
+            return ShownTurn(module.turn, module, self.is_mirrored)
         own = self.skin.taxels.get(channel)
-        return None if own is None else ShownTurn(own, is_of_module=False, is_mirrored=self.is_mirrored)
+        return None if own is None else ShownTurn(own, None, self.is_mirrored)
 
 
 class TurnSolving:

@@ -23,19 +23,30 @@ from skincal.words.units import millimetres
 TRUTH_NAME = "truth.json"
 """A simulated session has one next to its segments."""
 REFERENCE_FORMS = "a truth.json, a calibration's JSON or CSV, a URDF with a tactile sensor, or an iCub position file"
+MAX_AXES_ERROR = 1e-3
+"""Largest difference of a rotation's R'R from the identity: three decimals pass."""
 SAME_RIG_MAX_DIFFERENCE_M = 1e-6
 """Between true positions of the same rig: other versions of numpy may round differently."""
+ROTATION_KEY = "rotation"
+"""In a truth file: rows of the rotation from the axes of a taxel to the link, of a skin of three axes."""
 RIG_KEY = "rig"
 """In a truth file: `seed` and `errors` of the simulated rig, from which `simulate` makes the same rig."""
 
 
-def truth_as_json(link: str, channels: IntArray, places: FloatArray, normals: FloatArray) -> dict[str, Any]:
-    """Write true taxels for `truth.json`: link frame, metres, unit normals."""
-    taxels = zip(channels.tolist(), places.tolist(), normals.tolist(), strict=True)
-    return {
-        "link": link,
-        "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
-    }
+def truth_as_json(
+    link: str, channels: IntArray, places: FloatArray, normals: FloatArray, axes: FloatArray | None = None
+) -> dict[str, Any]:
+    """Write true taxels for `truth.json`: link frame, metres, unit normals.
+
+    `axes` (n, 3, 3) are those of taxels that measure three axes, in columns; they are written as rows of a matrix.
+    """
+    taxels: list[dict[str, Any]] = [
+        {"channel": channel, "position_m": place, "normal": normal}
+        for channel, place, normal in zip(channels.tolist(), places.tolist(), normals.tolist(), strict=True)
+    ]
+    if axes is not None:
+        taxels = [{**taxel, ROTATION_KEY: turned} for taxel, turned in zip(taxels, axes.tolist(), strict=True)]
+    return {"link": link, "taxels": taxels}
 
 
 class Origin(Enum):
@@ -76,6 +87,8 @@ class TaxelPositions:
     method: Method | None = None
     """Method that estimated the positions; `None` if the file names none."""
     origin: Origin = Origin.FILE
+    axes: Mapping[int, FloatArray] = field(default_factory=dict[int, FloatArray])
+    """Channel to (3, 3) float, the axes of a taxel in columns, in that frame; NaN in those that are unknown."""
 
 
 def read_reference(path: Path) -> dict[int, FloatArray]:
@@ -269,7 +282,8 @@ def _json_sets(path: Path) -> tuple[TaxelPositions, ...]:
     document: Any = parse_json(read_regular(path, MAX_JSON_BYTES))
     if "estimates" not in document:
         places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
-        return (TaxelPositions(path.name, str(document.get("link", "")), places),)
+        axes = {int(taxel["channel"]): _axes(taxel[ROTATION_KEY]) for taxel in document["taxels"] if ROTATION_KEY in taxel}
+        return (TaxelPositions(path.name, str(document.get("link", "")), places, axes=axes),)
     rows = [
         (Method(name), taxel["channel"], taxel["module"], taxel["position_m"], taxel["rms_m"])
         for name, taxels in document["estimates"].items()
@@ -314,6 +328,13 @@ def _place(numbers: object) -> FloatArray:
     if place.shape != (3,) or not np.isfinite(place).all():
         raise ValueError
     return place
+
+
+def _axes(rows: object) -> FloatArray:
+    axes = np.array(rows, dtype=float)
+    if axes.shape != (3, 3) or not np.abs(axes.T @ axes - np.eye(3)).max() < MAX_AXES_ERROR:
+        raise ValueError
+    return axes
 
 
 def error_summary(estimates: Iterable[Estimate], reference: Mapping[int, FloatArray]) -> ErrorSummary | None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from skincal.files.reference import TRUTH_NAME, TaxelPositions, read_place_sets, read_places, require_same_part
+from skincal.geometry import FloatArray
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
 from skincal.model.skin import Layout
@@ -14,6 +15,7 @@ from skincal.part.part import lay_part
 from skincal.part.robot_places import robot_places
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
+from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 
 PLAN, TRUTH, ROBOT = "plan", "truth", "robot"
@@ -57,7 +59,7 @@ def session_places(folder: Path, which: str = "") -> TaxelPositions:
     name = folder.resolve().name
     if which == TRUTH:
         truth = read_places(folder / TRUTH_NAME)
-        return TaxelPositions(f"{name}, truth", truth.link, truth.places)
+        return replace(truth, name=f"{name}, truth")
     pipeline = load(folder)
     if which == PLAN:
         return _plan_of(pipeline, name)
@@ -95,7 +97,20 @@ def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[TaxelPositions, ...]:
         for method, found in estimates.items()
     }
     order = sorted(filter(known.__getitem__, known), key=lambda method: method is not leads)
-    return tuple(TaxelPositions(f"{name}, {each.value} method", scene.link, known[each], modules, each) for each in order)
+    axes = _axes_of(pipeline.snapshot())
+    return tuple(
+        TaxelPositions(f"{name}, {each.value} method", scene.link, known[each], modules, each, axes=axes) for each in order
+    )
+
+
+def _axes_of(snapshot: Snapshot) -> Mapping[int, FloatArray]:
+    """Gather the axes of taxels that measure three; empty for others."""
+    turns = snapshot.on_part.turns
+    if turns is None:
+        return {}
+    from skincal.axes.turn_differences import axes_by_channel  # other skins do without
+
+    return axes_by_channel(turns, {*turns.skin.taxels, *turns.module_of})
 
 
 def _plan_of(pipeline: Pipeline, name: str) -> TaxelPositions:

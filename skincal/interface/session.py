@@ -147,7 +147,7 @@ class Session:
         chosen, snapshot = self._method(method), self.results.snapshot
         # The normals of the smooth part, as in files.
         estimates = self.results.session.calibration().estimates[chosen]
-        return taxels_of(estimates, self.results.session.scene, chosen, snapshot.part_size)
+        return taxels_of(estimates, self.results.session.scene, chosen, snapshot.part_size, snapshot.on_part.turns)
 
     def turns(self, method: str | None = None) -> tuple[SkinTurns, AxisFindings]:
         """Find the turns of taxels of three axes, and what they say of modules and of the scene (`docs/three-axes.md`).

@@ -20,6 +20,7 @@ from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import known_error
 
 if TYPE_CHECKING:
+    from skincal.axes.session_turns import SessionTurns
     from skincal.geometry import FloatArray, IntArray
     from skincal.part.part import Part
 
@@ -52,6 +53,11 @@ class Taxels:
     """(n,) pokes that the taxel answered and that count."""
     module: IntArray
     """(n,) id of the taxel's module; -1 if there is none."""
+    axes: FloatArray | None = None
+    """(n, 3, 3) float: x, y and z of a taxel that measures three axes, in columns; NaN while unknown. `None` for one axis."""
+    axes_error: FloatArray | None = None
+    """(n, 2) float, rad: standard deviations of the direction of z, and of the turn about it; NaN while unknown, and in a file,
+    plan or truth. `None` for one axis."""
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -142,18 +148,40 @@ class Taxels:
         rows = list(range(len(self)))
         if len(rows) > ROWS_SHOWN_IN_NOTEBOOK:
             rows = [*rows[:half], -1, *rows[-half:]]
-        head = "".join(f"<th>{name}</th>" for name in ("channel", "module", "state", "contacts", "x", "y", "z", "error"))
+        names = (
+            "channel",
+            "module",
+            "state",
+            "contacts",
+            "x",
+            "y",
+            "z",
+            "error",
+            *(() if self.axes is None else ("turn, deg",)),
+        )
+        head = "".join(f"<th>{name}</th>" for name in names)
         body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in self._cells(row))}</tr>" for row in rows)
         return f"<p>{escape(repr(self))}; millimetres</p><table><tr>{head}</tr>{body}</table>"
 
     def _cells(self, row: int) -> list[str]:
         if row < 0:
-            return ["..."] * 8
+            return ["..."] * (8 if self.axes is None else 9)
         module = self.module[row]
         numbers = [*self.position[row], self.error[row]]
         lengths = ["" if np.isnan(number) else f"{number * 1e3:.2f}" for number in numbers]
         whole = [str(self.channel[row]), "" if module < 0 else str(module), escape(self.state[row]), str(self.contacts[row])]
-        return [*whole, *lengths]
+        return [*whole, *lengths, *self._turn_cells(row)]
+
+    def _turn_cells(self, row: int) -> list[str]:
+        """Make the cell on the turn: whether it is known, and its errors."""
+        if self.axes is None:
+            return []
+        if np.isnan(self.axes[row, 0, 2]):
+            return ["unknown"]
+        if self.axes_error is None or np.isnan(self.axes_error[row, 0]):
+            return ["known"]
+        z, plane = np.degrees(self.axes_error[row]).tolist()
+        return [f"z &plusmn;{z:.1f}, in the plane {'unknown' if np.isnan(plane) else f'&plusmn;{plane:.1f}'}"]
 
     def _columns(self) -> dict[str, Any]:
         vectors = {"": self.position, "n": self.normal}
@@ -164,18 +192,36 @@ class Taxels:
             "contacts": self.contacts,
             **{prefix + axis: values[:, column] for prefix, values in vectors.items() for column, axis in enumerate("xyz")},
             "error": self.error,
+            **self._turn_columns(),
         }
+
+    def _turn_columns(self) -> dict[str, Any]:
+        """Columns of the axes: nine numbers and two errors in rad; none for one axis."""
+        if self.axes is None:
+            return {}
+        found: dict[str, Any] = {
+            f"{axis}_axis_{part}": self.axes[:, row, column]
+            for column, axis in enumerate("xyz")
+            for row, part in enumerate("xyz")
+        }
+        if self.axes_error is not None:
+            found |= {"z_axis_error": self.axes_error[:, 0], "in_plane_error": self.axes_error[:, 1]}
+        return found
 
     def places(self) -> TaxelPositions:
         """Return the known positions by channel, as the program's own functions compare them."""
         rows = np.flatnonzero(self.is_known).tolist()
         channels = self.channel.tolist()
         modules = {channels[row]: int(self.module[row]) for row in rows if self.module[row] >= 0}
-        return TaxelPositions(self.source, self.link, {channels[row]: self.position[row] for row in rows}, modules)
+        axes = self.axes
+        turned = {} if axes is None else {channels[row]: axes[row] for row in rows if np.isfinite(axes[row, :, 2]).all()}
+        return TaxelPositions(self.source, self.link, {channels[row]: self.position[row] for row in rows}, modules, axes=turned)
 
 
-def taxels_of(estimates: Sequence[Estimate], scene: SceneFile, method: Method, part_size: float) -> Taxels:
-    """Gather the estimates of one method; `part_size` is as for `known_error`."""
+def taxels_of(
+    estimates: Sequence[Estimate], scene: SceneFile, method: Method, part_size: float, turns: SessionTurns | None = None
+) -> Taxels:
+    """Gather the estimates of one method, with the turns of taxels of three axes; `part_size` is as for `known_error`."""
     layout = scene.skin.layout
     channels = np.array([each.channel for each in estimates], dtype=np.int64)
     ids = np.full(len(channels), -1)
@@ -198,7 +244,21 @@ def taxels_of(estimates: Sequence[Estimate], scene: SceneFile, method: Method, p
         state=tuple(each.state.value for each in estimates),
         contacts=np.array([each.contacts for each in estimates], dtype=np.int64),
         module=ids.astype(np.int64),
+        **({} if turns is None else _turns_of(turns, channels.tolist())),
     )
+
+
+def _turns_of(turns: SessionTurns, channels: Sequence[int]) -> dict[str, FloatArray]:
+    from skincal.axes.turn_differences import axes_by_channel  # other skins do without
+
+    axes, errors = np.full((len(channels), 3, 3), np.nan), np.full((len(channels), 2), np.nan)
+    known = axes_by_channel(turns, channels)
+    for row, channel in enumerate(channels):
+        turn = turns.of_channel(channel)
+        if turn is not None:
+            axes[row] = known[channel]
+            errors[row] = turn.normal_sd, turn.in_plane_sd if turn.is_in_plane_known else np.nan
+    return {"axes": axes, "axes_error": errors}
 
 
 def taxels_at(read: TaxelPositions, link: str = "") -> Taxels:
@@ -216,9 +276,10 @@ def taxels_at(read: TaxelPositions, link: str = "") -> Taxels:
         state=("known",) * count,
         contacts=np.zeros(count, dtype=np.int64),
         module=np.array([read.modules.get(channel, -1) for channel in channels], dtype=np.int64),
+        axes=_vectors([read.axes.get(channel) for channel in channels], (3, 3)) if read.axes else None,
     )
 
 
-def _vectors(values: Sequence[Any], width: int = 3) -> FloatArray:
-    unknown = np.full(width, np.nan)
-    return np.array([unknown if value is None else value for value in values], dtype=float).reshape(-1, width)
+def _vectors(values: Sequence[Any], shape: int | tuple[int, int] = 3) -> FloatArray:
+    unknown = np.full(shape, np.nan)
+    return np.array([unknown if value is None else value for value in values], dtype=float).reshape(-1, *unknown.shape)

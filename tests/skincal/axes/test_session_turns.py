@@ -81,11 +81,11 @@ def test_a_taxel_without_pokes_has_the_turn_that_its_module_shares(session):
     assert 4 not in turns.skin.taxels
     shown = turns.of_channel(4)
     assert shown is not None
-    assert shown.is_of_module
+    assert shown.module is turns.modules[3]
     assert np.degrees(np.linalg.norm(turn_between(shown.fit.rotation, axes))) < 1.0
     one = fed(session, contacts[:1])
     assert one.of_channel(4) is None
-    assert not one.of_channel(0).is_of_module
+    assert one.of_channel(0).module is None
 
 
 def test_a_contact_that_counts_no_more_leaves_nothing(session):

@@ -1,0 +1,75 @@
+"""The axes of taxels that measure a force vector: x red, y green, z blue.
+
+An axis is drawn once it is known: without a poke that leans, z alone. Taxels on the far side are left out, as their balls are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista as pv
+
+from app.scene3d.estimates import EstimatesLayer
+from app.scene3d.mesh_actors import FRONT, NO_POINTS, Layer, Segments
+from app.scene3d.scene_state import ColourArray, SceneColours, StaticScene, rgb
+from app.state.view_state import ViewState
+from skincal.axes.session_turns import ShownTurn
+from skincal.geometry import FloatArray
+
+AXIS_LENGTH_OVER_SPACING = 0.5
+MAX_AXIS_LENGTH_M = 4e-3
+SELECTED_OVER_OTHERS = 2.5
+"""Length of the selected taxel's axes over that of others."""
+
+
+class TaxelAxesLayer(Layer):
+    """Three lines at each ball of `estimates` whose turn is known, in one mesh."""
+
+    name = "turns"
+
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene, estimates: EstimatesLayer) -> None:
+        super().__init__(plotter, static)
+        self.lines = Segments(plotter, FRONT, 2.0)
+        self._estimates = estimates
+        spacing = np.inf if static.layout is None else static.layout.spacing
+        self.length = min(AXIS_LENGTH_OVER_SPACING * spacing, MAX_AXIS_LENGTH_M)
+        """m, of an axis."""
+        self._ends = np.empty((0, 3, 2, 3))
+        self._known = np.empty((0, 3), dtype=bool)
+        self._key: object = None
+
+    def set_colours(self, colours: SceneColours) -> None:
+        self.colours, self._key = colours, None
+
+    def show(self, state: ViewState) -> bool:
+        key = (state.snapshot.generation, state.method, state.selected, self.comparison is None)
+        if key == self._key:
+            return False
+        self._key = key
+        layer, turns = self._estimates, state.snapshot.turns
+        known = [None if turns is None else turns.of_channel(channel) for channel in layer.shown.tolist()]
+        lengths = np.where(layer.shown == (-1 if state.selected is None else state.selected), SELECTED_OVER_OTHERS, 1.0)
+        axes = np.array([np.eye(3) if turn is None else turn.axes for turn in known]).reshape(-1, 3, 3)
+        ways = self.length * lengths[:, None, None] * axes.transpose(0, 2, 1)
+        starts = np.broadcast_to(layer.places[:, None], ways.shape)
+        self._ends = np.stack([starts, starts + ways], axis=2)
+        self._known = np.array([_known_axes(turn) for turn in known], dtype=bool).reshape(-1, 3)
+        self.draw()
+        return True
+
+    def draw(self) -> None:
+        """Leave out the far side; while sets are compared nothing is drawn."""
+        if self.viewpoint is None:
+            return
+        drawn = self._known & self._estimates.near[:, None]
+        if self.comparison is not None:
+            drawn = np.zeros_like(drawn)
+        colours: ColourArray = np.array([rgb(axis) for axis in self.colours.window.axes], dtype=np.uint8)
+        ends: FloatArray = self._ends[drawn] if drawn.any() else NO_POINTS
+        self.lines.show(ends, np.repeat(colours[np.nonzero(drawn)[1]], 2, axis=0))
+
+
+def _known_axes(turn: ShownTurn | None) -> tuple[bool, bool, bool]:
+    """Tell which of x, y and z of a taxel are known."""
+    if turn is None:
+        return False, False, False
+    return turn.is_in_plane_known, turn.is_in_plane_known, True

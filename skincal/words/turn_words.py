@@ -1,0 +1,69 @@
+"""Words on the turn of a taxel that measures three axes: where its x, y and z point, and how well that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.words.units import DASH, count, degrees, direction
+
+if TYPE_CHECKING:
+    from skincal.axes.session_turns import ShownTurn
+    from skincal.axes.turn_differences import TurnDifferences
+
+TURN_ROWS = ("x points to", "y points to", "z points to", "z from normal", "Turn's error", "Turn")
+NO_TURN_YET = "unknown: no poke has pressed it"
+IN_PLANE_UNKNOWN = "turn in the plane is unknown: press leaning"
+
+
+def turn_cells(turn: ShownTurn | None, normal: FloatArray | None) -> tuple[str, ...]:
+    """Make the cells of `TURN_ROWS`; `normal` (3,), unit, outward, is that of the skin at the taxel."""
+    if turn is None:
+        return (*(DASH,) * (len(TURN_ROWS) - 1), NO_TURN_YET)
+    x, y, z = turn.axes.T
+    if not turn.is_in_plane_known:
+        x = y = None
+    lean = None if normal is None else float(np.arccos(np.clip(z @ normal, -1.0, 1.0)))
+    return direction(x), direction(y), direction(z), degrees(lean, 1), turn_error_words(turn), turn_words(turn)
+
+
+def turn_words(turn: ShownTurn) -> str:
+    """Say whose turn it is, by how many pokes, and what is unknown."""
+    whose = "its own" if turn.module is None else "that of its module"
+    words = [f"{whose}, by {count(turn.turn.pokes, 'poke')}"]
+    if turn.is_mirrored:
+        words.append("axes are mirrored: y has the opposite sign")
+    if not turn.is_in_plane_known:
+        words.append(IN_PLANE_UNKNOWN)
+    return "; ".join(words)
+
+
+def turn_error_words(turn: ShownTurn | None) -> str:
+    """Give the error of a turn in short: of z, and of the turn about it."""
+    if turn is None:
+        return "unknown"
+    about = degrees(turn.in_plane_sd, 1) if turn.is_in_plane_known else "unknown"
+    return f"z {degrees(turn.normal_sd, 1)}, in the plane {about}"
+
+
+def turn_difference_words(found: TurnDifferences, channel_name: Callable[[int], str]) -> str:
+    """Say how far two sets of turns differ; empty without a common taxel."""
+    if not found.channels:
+        return ""
+    worst = found.channels[int(found.normals.argmax())]
+    words = (
+        f"z axes of {count(len(found.channels), 'taxel')} differ by {_median_and_largest(found.normals)}, {channel_name(worst)}"
+    )
+    known = np.flatnonzero(np.isfinite(found.in_plane))
+    if known.size:
+        worst = found.channels[int(known[found.in_plane[known].argmax()])]
+        of = "the" if known.size == len(found.channels) else f"{known.size}"
+        words += f"; {of} turns in the plane by {_median_and_largest(found.in_plane[known])}, {channel_name(worst)}"
+    return f"Turns: {words}."
+
+
+def _median_and_largest(angles: FloatArray) -> str:
+    return f"{degrees(float(np.median(angles)), 1)} in the median, {degrees(float(angles.max()), 1)} at most"
