@@ -115,6 +115,11 @@ class ModuleTurn:
         return self.taxels > 1 and self.log_odds_shared < -CERTAIN_LOG_ODDS
 
 
+def has_shared_turn(module: ModuleTurn, log_odds_of_skin: float) -> bool:
+    """Whether the taxels of a module have its turn: by their own pokes, or as those of the whole skin (`log_odds_shared`)."""
+    return module.is_shared or (log_odds_of_skin > CERTAIN_LOG_ODDS and not module.is_separate)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ModulePlan:
     """What the layout says of a module."""

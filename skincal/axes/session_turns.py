@@ -15,9 +15,8 @@ from functools import cached_property
 
 import numpy as np
 
-from skincal.axes.module_axes import ModuleTurn, module_turn
+from skincal.axes.module_axes import ModuleTurn, has_shared_turn, module_turn
 from skincal.axes.skin_turns import (
-    CERTAIN_LOG_ODDS,
     ReadingOfForce,
     SkinTurns,
     Turn,
@@ -93,18 +92,14 @@ class SessionTurns:
         return self.skin.is_mirrored
 
     @cached_property
-    def are_usually_shared(self) -> bool:
-        """Whether the taxels of all modules together share the turn of theirs for certain."""
-        return sum(module.log_odds_shared for module in self.modules.values()) > CERTAIN_LOG_ODDS
-
-    def is_shared(self, module: ModuleTurn) -> bool:
-        """Whether the taxels of a module have its turn: by their own pokes, or by those on other modules."""
-        return module.is_shared or (self.are_usually_shared and not module.is_separate)
+    def log_odds_shared(self) -> float:
+        """Natural logarithm of the odds that taxels report in the axes of their module, over all modules."""
+        return float(sum(module.log_odds_shared for module in self.modules.values()))
 
     def of_channel(self, channel: int) -> ShownTurn | None:
         """Give the turn of a taxel; `None` before a poke presses it, or its module if the taxels share a turn."""
         module = self.modules.get(self.module_of.get(channel, -1))
-        if module is not None and self.is_shared(module):
+        if module is not None and has_shared_turn(module, self.log_odds_shared):
             return ShownTurn(module.turn, module, self.is_mirrored)
         own = self.skin.taxels.get(channel)
         return None if own is None else ShownTurn(own, None, self.is_mirrored)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.axes.module_axes import AxisFindings, AxisMistakeKind, ModuleTurn
-from skincal.axes.skin_turns import CERTAIN_LOG_ODDS, SkinTurns, Turn, TurnState
+from skincal.axes.module_axes import AxisFindings, AxisMistakeKind, ModuleTurn, has_shared_turn
+from skincal.axes.skin_turns import SkinTurns, Turn, TurnState
 from skincal.geometry import FloatArray
 
 if TYPE_CHECKING:
@@ -85,12 +85,11 @@ def frames_of_taxels(
     if turns.is_mirrored:
         mirrored.add(None)
     is_wrong_order = any(mistake.kind is AxisMistakeKind.ORDER for mistake in mistakes)
-    share_usually = findings.log_odds_shared > CERTAIN_LOG_ODDS
 
     def frame(channel: int) -> TaxelFrame:
         own, module = turns.taxels.get(channel), by_id.get(module_of.get(channel, -1))
         pokes = 0 if own is None else own.pokes
-        shares = module is not None and (module.is_shared or (share_usually and not module.is_separate))
+        shares = module is not None and has_shared_turn(module, findings.log_odds_shared)
         turn = module.turn if module is not None and shares else own
         if is_wrong_order:
             return TaxelFrame(channel, FrameState.WRONG_ORDER, pokes=pokes)

@@ -88,3 +88,17 @@ def test_a_skin_of_one_axis_or_without_pokes_has_no_turns(tmp_path):
         skincal.solve(make_scene(tmp_path, ""), wrenches, frames[:, 2::3]).turns()
     with pytest.raises(InputError, match="no accepted poke"):
         skincal.solve(make_scene(tmp_path), wrenches, 0.0 * frames).turns()
+
+
+def test_the_table_of_taxels_has_the_axes_and_their_errors(tmp_path):
+    wrenches, frames, axes = poke_arrays()
+    table = skincal.solve(make_scene(tmp_path), wrenches, frames).taxels()
+    assert table.axes.shape == (9, 3, 3)
+    assert np.abs(table.axes - axes).max() < 0.05
+    assert (np.degrees(table.axes_error) < 2.0).all()
+    assert table.places().axes.keys() == table.places().places.keys()
+    assert "turn, deg" in table.html()
+    plain = skincal.solve(make_scene(tmp_path, ""), wrenches, frames[:, 2::3]).taxels()
+    assert plain.axes is plain.axes_error is None
+    assert "turn" not in plain.html()
+    assert plain._columns().keys() < table._columns().keys()
