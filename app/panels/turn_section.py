@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class TurnSection(QWidget):
-    """Where x, y and z of the taxel point in the frame of the part, how well that is known, and what to do."""
+    """Directions of the three axes of the taxel in the frame of the part, with errors and state."""
 
     def __init__(self) -> None:
         super().__init__()

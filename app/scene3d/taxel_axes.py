@@ -69,7 +69,7 @@ class TaxelAxesLayer(Layer):
 
 
 def _known_axes(turn: ShownTurn | None) -> tuple[bool, bool, bool]:
-    """Tell which of x, y and z of a taxel are known."""
+    """List for x, y and z of a taxel whether it is known."""
     if turn is None:
         return False, False, False
     return turn.is_in_plane_known, turn.is_in_plane_known, True

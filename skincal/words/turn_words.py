@@ -1,4 +1,4 @@
-"""Words on the turn of a taxel that measures three axes: where its x, y and z point, and how well that is known."""
+"""Words on the turn of a taxel of three axes: directions of x, y and z, their errors, and the state."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def turn_error_words(turn: ShownTurn | None) -> str:
 
 
 def turn_difference_words(found: TurnDifferences, channel_name: Callable[[int], str]) -> str:
-    """Say how far two sets of turns differ; empty without a common taxel."""
+    """Make the sentence on the difference of two sets of turns; empty without a common taxel."""
     if not found.channels:
         return ""
     worst = found.channels[int(found.normals.argmax())]
