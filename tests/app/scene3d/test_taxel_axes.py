@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import pyvista as pv
 
 from app.scene3d.camera import Viewpoint, pose_of
-from app.scene3d.scene_renderer import PLOTTER_SHAPE, SceneRenderer
+from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import LIGHT, Comparison, StaticScene, rgb
 from app.scene3d.taxel_axes import SELECTED_OVER_OTHERS
 from skincal.part.part import Part
 from tests.app.scene3d_support import box, estimate, laid, snapshot, tick_of
 from tests.app.three_axes_support import QUARTER, THREE_AXES_SCENE, turn_of, turns_of
+from tests.app.view3d_on_screen import make_plotter
 from tests.app.window_support import PLAN, SCENE
 
 PLACES = laid(PLAN).places
@@ -23,7 +23,7 @@ PLACES = laid(PLAN).places
 
 @pytest.fixture(scope="module")
 def plotter():
-    with closing(pv.Plotter(shape=PLOTTER_SHAPE, off_screen=True, window_size=(200, 150))) as made:
+    with closing(make_plotter((200, 150))) as made:
         yield made
 
 
