@@ -21,7 +21,7 @@ def test_the_goals_hold_and_each_case_has_a_line():
 
 
 def test_readings_of_another_taxel_miss_the_goals(monkeypatch):
-    task = Task("noise", 15.0, 8, False, 1)
+    task = Task("noise", 15.0, 8, True, 1)
     right = np.median(run_session(task)["normal"])
     monkeypatch.setattr(axes_study, "collect", lambda forces, readings: collect(forces, readings[:, :, [2, 0, 1]]))
     assert right < 1.0 < 60.0 < np.median(run_session(task)["normal"])
