@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Collection, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -118,6 +119,21 @@ def test_markers_of_the_lock_are_about_python_and_platform_only() -> None:
     assert names <= known
 
 
+@cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Functions without their bodies, imports, and calls that import or open a file: whole trees would take much memory."""
+    found: list[ast.AST] = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            found.append(ast.copy_location(ast.FunctionDef(node.name, node.args, [], []), node))
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found.append(node)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
+            name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
+            found += [node] * (name in ("import_module", "read_text", "write_text"))
+    return found
+
+
 def python_files() -> list[Path]:
     folders = ("app", "skincal", "tests", "tools")
     return [*CHECKOUT.glob("*.py"), *(path for folder in folders for path in (CHECKOUT / folder).rglob("*.py"))]
@@ -140,8 +156,8 @@ def modules() -> dict[str, Path]:
 def test_few_functions_have_many_parameters() -> None:
     many: list[str] = []
     for name, path in modules().items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        for node in nodes(path):
+            if isinstance(node, ast.FunctionDef):
                 given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
                 own = [each.arg for each in given if each.arg not in ("self", "cls")]
                 many += [f"{name}.{node.name}: {len(own)}"] * (len(own) >= MANY_PARAMETERS)
@@ -172,7 +188,7 @@ def test_a_test_file_has_the_name_of_a_module_or_says_what_it_proves() -> None:
 def neighbours(path: Path, known: Collection[str]) -> set[str]:
     """Modules of `known` that a file imports, also inside functions and for type checkers alone."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.ImportFrom):
             full = (f"{node.module}.{alias.name}" for alias in node.names)
             found |= {name if name in known else str(node.module) for name in full}
@@ -196,7 +212,7 @@ def test_no_files_import_each_other_in_a_circle() -> None:
 
 def imports(path: Path) -> Iterator[str]:
     """Modules that a file imports, also by `import_module("name")`."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -246,7 +262,7 @@ def test_files_are_opened_with_a_named_encoding() -> None:
     """On Windows the default is not UTF-8."""
     bare: list[str] = []
     for path in (path for path in python_files() if "tests" not in path.parts):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
                 keywords = {keyword.arg for keyword in node.keywords}
                 if node.func.attr in {"read_text", "write_text"} and not keywords & {"encoding", None} and len(node.args) < 2:

@@ -63,13 +63,6 @@ COMMAND_MODULES = (
 """Modules of this package with commands, in the order of the help. Each has `add_to(app)`."""
 
 
-@cache
-def _register() -> None:
-    """Add the commands, once; a function, so that each module is imported after `app` exists."""
-    for name in COMMAND_MODULES:
-        import_module(f"skincal.cli.{name}").add_to(app)
-
-
 def _hide_flag_types(command: Any) -> None:
     """Leave the type of flags out of the help: `--serve <bool>` looks as if a value followed.
 
@@ -82,6 +75,16 @@ def _hide_flag_types(command: Any) -> None:
         _hide_flag_types(each)
 
 
+@cache
+def _commands() -> Any:
+    """Make the commands, once; a function, so that each module is imported after `app` exists."""
+    for name in COMMAND_MODULES:
+        import_module(f"skincal.cli.{name}").add_to(app)
+    commands = typer.main.get_command(app)
+    _hide_flag_types(commands)
+    return commands
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
@@ -90,12 +93,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : without the program's name; those of the process when None
     """
     protect_children()
-    _register()
     try:
+        words = None if arguments is None else list(arguments)
         # Not standalone: it would end the process and print errors in its own words.
-        command = typer.main.get_command(app)
-        _hide_flag_types(command)
-        result = command.main(args=None if arguments is None else list(arguments), prog_name="skincal", standalone_mode=False)
+        result = _commands().main(args=words, prog_name="skincal", standalone_mode=False)
     except InputError as error:
         say(f"skincal: {error}", err=True)
         return 2

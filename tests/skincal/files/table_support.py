@@ -26,6 +26,9 @@ START_S = 1_714_556_400
 TAXELS = np.array([[x, y, 45.0] for y in (-9, -3, 3, 9) for x in (-9, -3, 3, 9)]) * 1e-3
 """(16, 3) m: true positions."""
 TILTS = ((0.5, 0.1), (-0.3, 0.4))
+POKED = (0, 1, 2, 5, 10, 15)
+"""Taxels that are poked. Sorted as text, backwards, row for column or shifted, they change places."""
+POKES = len(POKED) * len(TILTS)
 AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 TAXEL_NAMES = tuple(f"t{k}" for k in range(CHANNELS))
 
@@ -48,9 +51,9 @@ class Rows:
 
 
 def poked_rows(rest: float = 200.0) -> Rows:
-    """Press every taxel from two sides, 8 N; the largest answer is 400 above rest."""
+    """Press taxels from two sides, 8 N; the largest answer is 400 above rest."""
     rng = np.random.default_rng(8)
-    order = [(channel, tilt) for tilt in TILTS for channel in range(CHANNELS)]
+    order = [(channel, tilt) for tilt in TILTS for channel in POKED]
     times = np.arange(int((1.0 + POKE_S * len(order)) * RATE)) / RATE
     noise = np.repeat([0.005, 0.00015], 3)
     wrench = np.array([3, -2, 9, 0.1, -0.2, 0.05]) + rng.normal(0, noise, (len(times), 6))
@@ -107,10 +110,14 @@ class Imported:
     """What an import gave."""
 
     errors_mm: FloatArray
-    """(16,) float: distance of each taxel from its true position; NaN if it is not known."""
+    """Distance of each poked taxel from its true position, NaN if it is not known; infinite for each other one with a place."""
     accepted: int
     losses: dict[str, dict[Loss, int]]
     findings: tuple[str, ...]
+
+    def unknown(self) -> list[int]:
+        """Poked taxels without a place."""
+        return [channel for channel, error in zip(POKED, self.errors_mm, strict=False) if np.isnan(error)]
 
 
 def import_tables(wrench: RecordedPlace, skin: RecordedPlace, channels: int = CHANNELS) -> Imported:
@@ -126,10 +133,9 @@ def positions_of(opened: OpenRecording, channels: int = CHANNELS) -> Imported:
     pipeline.feed_many(list(opened.chunks()))
     pipeline.close()
     snapshot = pipeline.snapshot()
-    errors = np.full(CHANNELS, np.nan)
-    for estimate in snapshot.estimates[Method.FREE]:
-        if estimate.position is not None and estimate.channel < CHANNELS:
-            errors[estimate.channel] = 1e3 * np.linalg.norm(estimate.position - TAXELS[estimate.channel])
+    found = {each.channel: each.position for each in snapshot.estimates[Method.FREE] if each.position is not None}
+    errors = [1e3 * np.linalg.norm(found[channel] - TAXELS[channel]) if channel in found else np.nan for channel in POKED]
+    errors += [np.inf] * len(found.keys() - set(POKED))
     accepted = sum(isinstance(record.outcome, Contact) for record in snapshot.pokes)
     losses = {link.link: {loss: count for loss, count in link.losses.items() if count} for link in pipeline.live(0).links}
-    return Imported(errors, accepted, losses, opened.findings)
+    return Imported(np.array(errors), accepted, losses, opened.findings)

@@ -20,12 +20,11 @@ from skincal.files.importers.preview import guess_streams, open_places, preview_
 from skincal.files.importers.registry import RecordedPlace, importer_of
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
-from tests.skincal.files.table_support import AXES, CHANNELS, START_S, poked_rows, positions_of
+from tests.skincal.files.table_support import AXES, CHANNELS, POKES, START_S, poked_rows, positions_of
 
 R = poked_rows()
 N = len(R.times)
 FRAMES = R.skin.reshape(-1, 4, 4)
-POKES = 32
 MAX_ERROR_MM = 0.1
 WRENCH_COLUMNS = dict(zip(AXES, R.wrench.T, strict=True))
 GRID_COLUMNS = {f"r{k // 4}c{k % 4}": R.skin[:, k] for k in range(CHANNELS)}

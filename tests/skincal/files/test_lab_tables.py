@@ -15,6 +15,7 @@ from skincal.model.readings import Stream
 from tests.skincal.files.table_support import (
     AXES,
     CHANNELS,
+    POKES,
     TAXEL_NAMES,
     Table,
     fields,
@@ -28,7 +29,6 @@ ROWS = poked_rows()
 N = len(ROWS.times)
 W, S = wrench_table(ROWS), skin_table(ROWS)
 IN_NMM = replace(W, columns=[*W.columns[:4], *fields(ROWS.wrench[:, 3:] * 1000, "{:.2f}")])
-POKES = 32
 MAX_ERROR_MM = 0.2
 
 
