@@ -204,6 +204,19 @@ def inverse_pose(pose: FloatArray) -> FloatArray:
     return inverse
 
 
+def pose_between(before: FloatArray, after: FloatArray, share: float) -> FloatArray:
+    """Interpolate two rigid poses (4, 4): the place linearly, the rotation about one axis; share 0 is the first.
+
+    Equal poses give the first one itself.
+    """
+    if (before == after).all():
+        return before
+    between = before + share * (after - before)
+    turn = before[:3, :3].T @ after[:3, :3]
+    between[:3, :3] = before[:3, :3] @ rotation_by(share * rotation_vector(turn))
+    return between
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
     """The joints between the sensor and the link.

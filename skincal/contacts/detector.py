@@ -134,6 +134,19 @@ class ContactDetector:
         return self._answers.responses(self._last.skin - self._drift.rest_at(tare, self._last.host_s))
 
     @property
+    def is_pressing(self) -> bool:
+        """Whether a press is in progress."""
+        return self._press is not None
+
+    @property
+    def signals(self) -> tuple[float, float]:
+        """Force, N, and answer of the strongest taxel, raw units, of the last sample above its tares; 0 before the first."""
+        tare, responses = self._tares.tare, self.responses[self._candidates]
+        if self._last is None or tare is None:
+            return 0.0, 0.0
+        return _force(self._last, tare), float(np.fmax.reduce(responses, initial=0.0))
+
+    @property
     def last_s(self) -> float:
         """Time of the last sample, host clock; 0 before the first."""
         return 0.0 if self._last is None else self._last.host_s

@@ -181,7 +181,7 @@ class GuidedSession:
         if is_recording:
             record_request(self.guidance, pipeline, now_ns)
         self.setup.check_snapshot(snapshot, pipeline.session.wrench_frames)
-        self.setup.check_skin(snapshot, lambda: pipeline.skin_condition)
+        self.setup.check_skin(snapshot, pipeline.totals)
         if self.shows_modules:
             self.modules.check_snapshot(snapshot)
         if self.shows_errors:

@@ -95,13 +95,14 @@ class SessionResults:
 
     @cached_property
     def tool(self) -> tuple[str, ...]:
-        """Sentences on the tip of a tool and the part's pose in the base of its poses; empty for other rigs."""
-        return session_tool_sentences(self.snapshot, self.session.scene)
+        """Sentences on a tool's tip, on the part's pose in the base of its poses, and on their delay; empty for other rigs."""
+        return session_tool_sentences(self.snapshot, self.session.scene, self.pipeline.totals().pose_delays)
 
     @cached_property
     def skin(self) -> tuple[str, ...]:
         """Sentences on faults of the skin; empty without one."""
-        return session_skin_sentences(self.snapshot, self.pipeline.totals().skin, self.session.scene)
+        totals = self.pipeline.totals()
+        return session_skin_sentences(self.snapshot, totals.skin, self.session.scene, totals.pose_delays)
 
     @cached_property
     def leading(self) -> Method | None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-from skincal.contacts.skin_condition import SkinCondition
 from skincal.following.background import BackgroundJob, Run
 from skincal.following.tool_check import check_tool_setup
+from skincal.journal.documents import Totals
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.part.part import Part
 from skincal.rig.correction import UsedCorrection
@@ -52,14 +52,15 @@ class SetupFollower:
         """On the wrench's frame, the skin, then of the last check."""
         return self._of_frames + self._of_skin + self._of_pokes
 
-    def check_skin(self, snapshot: Snapshot, read_condition: Callable[[], SkinCondition]) -> None:
-        """Look for faults of the skin after each few pokes, and in a session that was opened."""
+    def check_skin(self, snapshot: Snapshot, read_totals: Callable[[], Totals]) -> None:
+        """Look for faults of the skin and of a tool's poses after each few pokes, and in a session that was opened."""
         pokes = len(snapshot.pokes)
         if pokes < self._skin_at + SKIN_CHECK_EACH_POKES:
             return
         self._skin_at = pokes
         before = {_first_words(sentence) for sentence in self._of_skin}
-        self._of_skin = session_skin_sentences(snapshot, read_condition(), self._part.scene)
+        totals = read_totals()
+        self._of_skin = session_skin_sentences(snapshot, totals.skin, self._part.scene, totals.pose_delays)
         self._news += [sentence for sentence in self._of_skin if _first_words(sentence) not in before]
 
     def check_snapshot(self, snapshot: Snapshot, frames: Sequence[WrenchFrame] = ()) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from skincal.contacts.outcome import Contact, Outcome, Rejection
+from skincal.contacts.pose_delays import PoseDelays
 from skincal.contacts.press import FinishedPress
 from skincal.contacts.skin_condition import SkinCondition
 from skincal.contacts.tare import Tare
@@ -85,8 +86,12 @@ class Totals:
     """Skin frames without a wrench."""
     skin: SkinCondition = field(default_factory=SkinCondition)
     """Condition of the skin; without pokes in sessions that do not tell it."""
+    pose_delays: PoseDelays | None = None
+    """Delays of the tool's poses; `None` without a tool."""
 
-    def plus(self, health: Sequence[LinkHealth], unpaired: int, skin: SkinCondition) -> Totals:
+    def plus(
+        self, health: Sequence[LinkHealth], unpaired: int, skin: SkinCondition, pose_delays: PoseDelays | None = None
+    ) -> Totals:
         """Add the counts of one more segment."""
         links = {link.link: link for link in self.links}
         for new in health:
@@ -97,7 +102,9 @@ class Totals:
             frames = tuple(dict.fromkeys((*old.frames, *new.frames)))
             outages = old.outages.plus(new.outages)
             links[new.link] = LinkTotals(new.link, new.format or old.format, *counts, frames, outages)
-        return Totals(tuple(links.values()), self.unpaired + unpaired, self.skin.plus(skin))
+        if self.pose_delays is not None:
+            pose_delays = self.pose_delays if pose_delays is None else self.pose_delays.plus(pose_delays)
+        return Totals(tuple(links.values()), self.unpaired + unpaired, self.skin.plus(skin), pose_delays)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +174,8 @@ def result_to_json(result: Result) -> dict[str, Any]:
             for link in result.links
         }
         skin = {"skin": to_json(result.skin)} if result.skin.is_known else {}
-        return {"type": "totals", "links": counts, "unpaired": result.unpaired, **skin}
+        delays = {} if result.pose_delays is None else {"pose_delays": to_json(result.pose_delays)}
+        return {"type": "totals", "links": counts, "unpaired": result.unpaired, **skin, **delays}
     dead = {} if result.dead is None else {"dead": {str(channel): why for channel, why in result.dead.items()}}
     return {"type": "taken", "outcomes": [_outcome_to_json(outcome) for outcome in result.outcomes], **dead}
 
@@ -230,7 +238,8 @@ def _from_body(kind: object, body: dict[str, Any], path: Path) -> SessionEvent |
             )
         case "totals":
             links = tuple(_read_totals(name, link) for name, link in body["links"].items())
-            return Totals(links, body["unpaired"], from_json(SkinCondition, body.get("skin", {})))
+            delays = from_json(PoseDelays, body["pose_delays"]) if "pose_delays" in body else None
+            return Totals(links, body["unpaired"], from_json(SkinCondition, body.get("skin", {})), delays)
         case _:
             raise InputError(
                 f"{path}: has an event or result {quoted(kind)}, which this version does not know; "

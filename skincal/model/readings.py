@@ -138,6 +138,8 @@ class ToolReading:
     """(4, 4) float, metres, in the fixed frame of the stream."""
     max_age_s: float
     """s. Several periods of the stream: the tool may have moved since an older pose."""
+    delay_s: float = 0.0
+    """s, delay of the stream that `host_s` is corrected for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ import numpy as np
 
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import BeforePokes, Contact, Outcome, PressPhase
+from skincal.contacts.pose_delays import PoseDelays
 from skincal.contacts.skin_condition import SkinCondition
 from skincal.geometry import FloatArray
 from skincal.journal.documents import DetectorResult, Item, Result, SessionClosed, Totals
@@ -40,6 +41,7 @@ from skincal.streams.links import LinkSpec
 from skincal.words.link_words import BINARY_LEVELS, binary_skin, freeze_sentences
 
 if TYPE_CHECKING:
+    from skincal.contacts.pose_delay_watch import PoseDelayWatch
     from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
 
@@ -47,6 +49,8 @@ ITEMS_AT_ONCE = 64
 """Items of a recording that are fed together: a second or some, and 0.01 s of work."""
 WRENCH_RECORD_PERIOD_NS = 500_000_000
 """ns between decoded wrenches in the journal."""
+DELAY_USED_MAX_SD_S, DELAY_REFIT_RATIO = 0.030, 1.25
+"""s, largest sd of a delay that is corrected; it is found again when its presses grow by a quarter."""
 READING_COUNTS_RECORD_PERIOD_NS = 5_000_000_000
 """ns between counts of readings in the journal; the last come at the end."""
 _LOST_STATES = (LinkState.LOST, LinkState.FAILED)
@@ -59,6 +63,15 @@ def _detector_of(scene: Scene) -> type[ContactDetector]:
     from skincal.contacts.touch_detector import TouchDetector  # other rigs do without
 
     return TouchDetector
+
+
+def _delay_watch_of(scene: Scene) -> PoseDelayWatch | None:
+    """Make the watch of the delay of a tool's poses; `None` for a rig without them."""
+    if scene.tool is None:
+        return None
+    from skincal.contacts.pose_delay_watch import PoseDelayWatch  # other rigs do without
+
+    return PoseDelayWatch(has_sensor=scene.has_sensor)
 
 
 class Pipeline:
@@ -107,6 +120,8 @@ class Pipeline:
     def _connect(self, links: Sequence[LinkSpec]) -> None:
         self.links = tuple(links)
         self._intake = Intake(ExpectedReadings.of_scene(self.scene), links, self._find_frame)
+        self._delay_watch = _delay_watch_of(self.scene)
+        self._delay_fitted = 0
         self._frozen = frozenset[str]()
         self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
@@ -313,6 +328,10 @@ class Pipeline:
         # The noise of a skin at rest may have two values as well.
         is_binary = link.levels in BINARY_LEVELS or bool(self.session.last_poke)
         binary = binary_skin(link.levels) if is_binary else ""
+        if Stream.TOOL in link.carries and (delays := self._own_pose_delays()) is not None:
+            from skincal.words.tool_words import pose_stream_faults  # other rigs do without
+
+            return binary or " ".join(pose_stream_faults(delays))
         return binary or (self.poses.limit_warning if Stream.JOINTS in link.carries else "")
 
     def freeze_findings(self) -> list[str]:
@@ -345,7 +364,8 @@ class Pipeline:
 
     def totals(self) -> Totals:
         """Count the readings and losses of the whole session."""
-        return self._earlier.plus(self._intake.health(0), self._intake.unpaired, self._detector.condition)
+        health, delays = self._intake.health(0), self._own_pose_delays()
+        return self._earlier.plus(health, self._intake.unpaired, self._detector.condition, delays)
 
     @property
     def skin_condition(self) -> SkinCondition:
@@ -418,12 +438,39 @@ class Pipeline:
             sample = replace(sample, angles_max_age_s=np.inf)
         sample, (name, link_from_sensor) = self._place_sample(sample)
         outcomes = self._detector.feed(sample, link_from_sensor, name)
+        if self._delay_watch is not None and link_from_sensor is not None and not sample.has_late_tool:
+            self._watch_delay(self._delay_watch, sample, link_from_sensor)
         if self._detector.dead is not self._dead:
             self._dead = self._detector.dead
             self.session.set_detected_dead(self._dead)
             self._found_dead = True
             outcomes += self._detector.ignore_channels(self.session.dead.keys())
         return outcomes
+
+    def _watch_delay(self, watch: PoseDelayWatch, sample: Sample, link_from_sensor: FloatArray) -> None:
+        """Measure the delay of the tool's poses at a sample, and correct for it once presses show it.
+
+        Each segment of a recording is corrected by its own presses: a replay knows no others at the same time.
+        """
+        assert sample.tool is not None
+        detector, place = self._detector, link_from_sensor[:3, 3] if sample.tip is None else sample.tip
+        if not watch.feed(sample.host_s, place, detector.signals, sample.tool.delay_s, presses=detector.is_pressing):
+            return
+        found = watch.delays.leading
+        if found is None or found.sd_s > DELAY_USED_MAX_SD_S or found.presses < self._delay_fitted * DELAY_REFIT_RATIO:
+            return
+        self._delay_fitted = found.presses
+        self._intake.use_tool_delay(found.delay_s)
+
+    @property
+    def pose_delays(self) -> PoseDelays | None:
+        """Delays of the tool's poses that presses of the whole session show; `None` without a tool."""
+        return self.totals().pose_delays
+
+    def _own_pose_delays(self) -> PoseDelays | None:
+        if self._delay_watch is None:
+            return None
+        return replace(self._delay_watch.delays, repeated_s=self._intake.tool_change_s)
 
     def _place_sample(self, sample: Sample) -> tuple[Sample, CurrentPose]:
         """Find the pose of the sensor at a sample; on a tool with a known tip, the tip's position too."""

@@ -5,20 +5,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from skincal.contacts.pose_delays import PoseDelays
     from skincal.model.scene import Scene
     from skincal.session.snapshot import Snapshot
 
 
-def session_tool_sentences(snapshot: Snapshot, scene: Scene) -> tuple[str, ...]:
-    """Describe the tip of a tool and the part's pose in the base of its poses; empty for other rigs."""
+def session_tool_sentences(snapshot: Snapshot, scene: Scene, delays: PoseDelays | None = None) -> tuple[str, ...]:
+    """Describe the tip of a tool, the part's pose in the base of its poses, and the `delays` of these; empty for other rigs."""
     if scene.tool is None:
         return ()
     from skincal.words.part_words import tool_rig_sentences
+    from skincal.words.tool_words import pose_delay_sentence
 
-    return tool_rig_sentences(
+    of_rig = tool_rig_sentences(
         snapshot.tip_frame,
         snapshot.part_pose,
         snapshot.typed_pose_error,
         snapshot.at_landmarks,
         snapshot.off_mesh,
     )
+    of_delay = pose_delay_sentence(delays)
+    return (*of_rig, of_delay) if of_delay else of_rig

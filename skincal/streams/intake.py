@@ -89,6 +89,15 @@ class Intake:
         """Skin frames that found no wrench, LATE or UNPAIRED; the losses of the skin's link count them by reason."""
         return self._pairing.counts.total()
 
+    def use_tool_delay(self, delay_s: float) -> None:
+        """Take the poses of the tool to be from this much before their stamps, s, from the next skin frame on."""
+        self._pairing.tool_delay_s = delay_s
+
+    @property
+    def tool_change_s(self) -> float:
+        """Median time, s, from one pose of the moving tool to the next different one; NaN with few of them."""
+        return self._pairing.tool_change_s
+
     def check(self, item: Chunk | LinkEvent) -> None:
         """Raise InputError for an item of an unknown link."""
         if item.link not in self._links:

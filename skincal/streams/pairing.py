@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.devices.decoding import WRENCH_VALUES
-from skincal.geometry import FloatArray, mean_rows
+from skincal.geometry import FloatArray, length_of, mean_rows, pose_between
 from skincal.model.readings import Batch, Loss, Sample, ToolReading
 from skincal.streams.intervals import usual_interval
 
@@ -38,6 +38,10 @@ LATE_ANGLES_MIN_PERIODS, LATE_ANGLES_MIN_S = 5.0, 0.5
 """Angles that are older than both belong to no skin frame for certain: the arm may have moved since then."""
 LATE_TOOL_MIN_PERIODS, LATE_TOOL_MIN_S = 5.0, 0.1
 """A pose of the tool that is older than both belongs to no skin frame for certain: a robot moves by centimetres meanwhile."""
+POSE_CHANGE_MIN_M = 0.0005
+"""m from one pose of the tool to the next, from which it counts as moving."""
+POSE_CHANGES_FOR_MEDIAN, POSE_CHANGES_KEPT = 20, 100
+"""Changes of the pose of a moving tool from which their period is told, and that are kept."""
 TIP_MAX_AGE_S = 0.2
 """s. An older position of the tip does not belong to a skin frame: it moves by millimetres in that time."""
 MAX_STORED_WRENCHES = 16384
@@ -65,6 +69,10 @@ class Pairing:
         self._joint_intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
         self._last_joints_s: float | None = None
         self._tools: deque[ToolReading] = deque(maxlen=MAX_STORED_JOINT_READINGS)
+        self.tool_delay_s = 0.0
+        """s. Poses of the tool are taken to be from this much before their stamps."""
+        self._pose_changes: deque[float] = deque(maxlen=POSE_CHANGES_KEPT)
+        self._changed_pose: ToolReading | None = None
         self._tool_intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
         self._tips: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_STORED_JOINT_READINGS)
 
@@ -100,7 +108,26 @@ class Pairing:
         if self._tools:
             self._tool_intervals.append(host_s - self._tools[-1].host_s)
             max_age_s = max(LATE_TOOL_MIN_S, LATE_TOOL_MIN_PERIODS * median(self._tool_intervals))
-        self._tools.append(ToolReading(host_s, pose, max_age_s))
+        self._note_change(reading := ToolReading(host_s, pose, max_age_s))
+        self._tools.append(reading)
+
+    def _note_change(self, reading: ToolReading) -> None:
+        """Note the time since the pose of a moving tool changed last."""
+        before = self._changed_pose
+        if before is None:
+            self._changed_pose = reading
+            return
+        step = reading.base_from_tool[:3] - before.base_from_tool[:3]
+        if not step.any():
+            return
+        if length_of(step[:, 3]) >= POSE_CHANGE_MIN_M:
+            self._pose_changes.append(reading.host_s - before.host_s)
+        self._changed_pose = reading
+
+    @property
+    def tool_change_s(self) -> float:
+        """Median time, s, from one pose of the moving tool to the next different one; NaN with few of them."""
+        return median(self._pose_changes) if len(self._pose_changes) >= POSE_CHANGES_FOR_MEDIAN else math.nan
 
     def add_frame(self, host_s: float, arrival_s: float, values: FloatArray) -> None:
         """Add a skin frame, which `pop_paired` returns once its wrench is known."""
@@ -118,6 +145,8 @@ class Pairing:
         samples: list[Sample] = []
         while self._waiting:
             frame = self._waiting[0]
+            if self._tools and self._waits_for_tool(frame, now_s):
+                break
             sample = self._pair(frame) if self.ring.newest_s >= frame.host_s else None
             if sample is not None:
                 samples.append(sample)
@@ -153,11 +182,29 @@ class Pairing:
             age_s = max(age_s, LATE_ANGLES_MIN_PERIODS * median(self._joint_intervals))
         return Sample(frame.host_s, frame.values, wrench, readings, flagged, angles, position, angles_s, age_s, tool)
 
-    def _tool_at(self, host_s: float) -> ToolReading | None:
-        """Find the last pose of the tool at or before an instant, and drop those before it."""
+    def _waits_for_tool(self, frame: _Frame, now_s: float) -> bool:
+        """Whether the pose of the tool at a frame may still come."""
+        if self._tools and self._tools[-1].host_s - self.tool_delay_s >= frame.host_s:
+            return False
+        return now_s - max(frame.host_s, frame.arrival_s) <= FRAME_MAX_WAIT_FOR_WRENCH_S + max(self.tool_delay_s, 0.0)
+
+    def _tool_at(self, frame_s: float) -> ToolReading | None:
+        """Find the pose of the tool at a frame, between the poses around it, and drop those before.
+
+        Poses that are farther apart than their largest age are not interpolated: then it is the one before.
+        """
+        host_s = frame_s + self.tool_delay_s
         while len(self._tools) > 1 and self._tools[1].host_s <= host_s:
             self._tools.popleft()
-        return self._tools[0] if self._tools[0].host_s <= host_s else None
+        before = self._tools[0]
+        if before.host_s > host_s:
+            return None
+        made_s, pose = before.host_s, before.base_from_tool
+        if len(self._tools) > 1 and self._tools[1].host_s - before.host_s <= before.max_age_s and host_s > before.host_s:
+            after, made_s = self._tools[1], host_s
+            share = (host_s - before.host_s) / (after.host_s - before.host_s)
+            pose = pose_between(pose, after.base_from_tool, share)
+        return ToolReading(made_s - self.tool_delay_s, pose, before.max_age_s, self.tool_delay_s)
 
 
 def _wrench_columns(batch: Batch) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -174,8 +221,7 @@ class PairingWithTool(Pairing):
         samples: list[Sample] = []
         while self._waiting:
             frame = self._waiting[0]
-            is_known = bool(self._tools) and self._tools[-1].host_s >= frame.host_s
-            if not is_known and now_s - max(frame.host_s, frame.arrival_s) <= FRAME_MAX_WAIT_FOR_WRENCH_S:
+            if self._waits_for_tool(frame, now_s):
                 break
             self._waiting.popleft()
             tool = self._tool_at(frame.host_s) if self._tools else None

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skincal.contacts.outcome import Contact
+from skincal.contacts.pose_delays import DELAY_MIN_PRESSES, PoseDelays
 from skincal.geometry import FloatArray
 from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.pose_form import PoseForm, RotationForm
@@ -119,6 +120,42 @@ def repeated_pose_sentence(contacts: Sequence[Contact]) -> str:
         f"tool: {repeated} pokes on {taxels} taxels have the same pose of the tool to the last digit: its stream repeats "
         "one pose. Their positions are wrong: exclude these pokes, and check the program that sends the poses."
     )
+
+
+def pose_delay_sentence(delays: PoseDelays | None) -> str:
+    """Describe the delay of a tool's poses; empty while too few presses show it."""
+    found = [] if delays is None else [(delays.against_wrench, "wrench"), (delays.against_skin, "skin")]
+    known = [(delay, stream) for delay, stream in found if delay is not None]
+    if not known:
+        return ""
+    ways = [
+        f"{abs(delay.delay_s) * 1e3:.0f} ms {'later' if delay.delay_s >= 0.0 else 'earlier'} than the {stream}"
+        for delay, stream in known
+    ]
+    first, stream = known[0]
+    return (
+        f"Poses of the tool come {' and '.join(ways)} (known to {first.sd_s * 1e3:.0f} ms, from {first.presses} presses). "
+        f"The delay against the {stream} is corrected."
+    )
+
+
+def pose_stream_faults(delays: PoseDelays | None) -> tuple[str, ...]:
+    """Name faults of the stream of a tool's poses: late beyond `LATE_POSES_MIN_S`, or with repeated values."""
+    found: list[str] = []
+    leading = None if delays is None else delays.leading
+    if leading is not None and leading.is_late:
+        side = "late" if leading.delay_s > 0.0 else "early"
+        found.append(
+            f"tool: its poses are {abs(leading.delay_s) * 1e3:.0f} ms {side}. This is corrected, except in the first "
+            f"{DELAY_MIN_PRESSES} presses. Check the program that sends the poses: a buffer, a slow network, or stamps of "
+            "another clock."
+        )
+    if delays is not None and delays.repeats:
+        found.append(
+            f"tool: while it moves, its pose changes only every {delays.repeated_s:.2f} s: the stream is slow, or it repeats "
+            "its values. Places between them are guessed. Send 50 poses a second, each of them measured."
+        )
+    return tuple(found)
 
 
 def tool_facts(tool: ToolSpec) -> dict[str, str]:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from skincal.cli.output import poke_counts, poke_lines
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.following.results import SessionResults
+from skincal.journal.writer import create_session
 from skincal.mesh.load import load_surface
 from skincal.model.actions import AskLandmark, AtLandmark
 from skincal.model.errors import InputError
@@ -20,6 +21,7 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.model.scene import load_scene
 from skincal.rig.part_pose import PartPoseState
 from skincal.session.pipeline import Pipeline
+from skincal.session.replay import load, replay
 from skincal.session.tool_streams import check_tool_streams
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
@@ -219,8 +221,9 @@ def test_results_say_nothing_of_a_sensor_and_landmarks_check_the_part(recorded):
     verdict = results.verdict(Method.SURFACE)
     assert verdict.unchecked is None
     assert "Landmarks agree" in verdict_sentence(verdict)
-    (said,) = results.tool
+    said, of_delay = results.tool
     assert said.startswith("Part: its pose in the base is known to")
+    assert re.match(r"Poses of the tool come \d ms (later|earlier) than the skin \(known to \d ms", of_delay)
     names = ChannelNames(None)
     contact = next(each for each in outcomes_of(recorded) if isinstance(each, Contact))
     assert outcome_headline(contact, names) == f"accepted: taxel {contact.strongest_channel}"
@@ -342,3 +345,50 @@ def test_touches_of_a_right_tip_are_on_the_mesh(tmp_path, off):
     results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, off], layout=False)), chunks(EVERY[4:])))
     assert results.snapshot.off_mesh is None
     assert not any("the mesh (median)" in each for each in results.tool)
+
+
+def late_chunks(contacts, late_s, every=1):
+    """Chunks whose poses come `late_s` after their time, and repeat each `every` times."""
+    items, held = [], None
+    for row, (name, t, values) in enumerate(readings(contacts)):
+        if name == "tool":
+            held = values if held is None or (row // 2) % every == 0 else held
+        items.append((t + late_s, name, held) if name == "tool" else (t, name, values))
+    for number, (t, name, values) in enumerate(sorted(items, key=lambda each: each[0])):
+        yield Chunk(name, round(t * 1e9), line({"skin": "T", "tool": "P"}[name], number, t, values))
+
+
+def test_late_poses_are_measured_named_and_corrected(tmp_path):
+    pipeline = calibrate(scene_of(tmp_path, scene_text()), late_chunks(EVERY[4:16], 0.16))
+    found = pipeline.pose_delays.leading
+    assert abs(found.delay_s - 0.16) < 2.0 * found.sd_s
+    results = SessionResults(pipeline)
+    assert any(each.startswith("Poses of the tool come 1") for each in results.tool)
+    (said,) = [each for each in results.skin if each.startswith("tool: its poses are 1")]
+    assert "buffer" in said
+    (warned,) = [link.warning for link in pipeline.live(0).links if link.warning]
+    assert warned == said
+    # A press is then paired with the poses of its own time.
+    true = outcomes_of(calibrate(scene_of(tmp_path, scene_text()), late_chunks(EVERY[4:16], 0.0)))[-1]
+    last = outcomes_of(pipeline)[-1]
+    assert last.link_from_sensor == pytest.approx(true.link_from_sensor, abs=2e-4)
+    assert last.end_s == pytest.approx(true.end_s, abs=0.03)
+
+
+def test_a_stream_that_repeats_its_poses_is_named(tmp_path):
+    pipeline = calibrate(scene_of(tmp_path, scene_text()), late_chunks(EVERY[4:8], 0.0, every=10))
+    assert pipeline.pose_delays.repeated_s == pytest.approx(0.2, abs=0.021)
+    assert any("changes only every 0.20 s" in each for each in SessionResults(pipeline).skin)
+
+
+def test_delays_are_kept_on_the_disk_and_a_replay_has_the_same(tmp_path):
+    scene = scene_of(tmp_path, scene_text())
+    links = [LinkSpec(name, f"simulated:{name}", (STREAMS[name],)) for name in ("skin", "tool")]
+    pipeline = Pipeline(scene, links, load_surface(scene.surface)[0], create_session(tmp_path / "s", scene, links))
+    pipeline.feed_many([LinkEvent("skin", 1, LinkState.OPEN), LinkEvent("tool", 1, LinkState.OPEN)])
+    pipeline.feed_many(list(late_chunks(EVERY[4:10], 0.16)))
+    pipeline.close()
+    for again in (replay(tmp_path / "s"), load(tmp_path / "s")):
+        assert again.pose_delays.of_skin.tolist() == pipeline.pose_delays.of_skin.tolist() != []
+        for one, other in zip(outcomes_of(again), outcomes_of(pipeline), strict=True):
+            assert np.array_equal(one.link_from_sensor, other.link_from_sensor)
