@@ -42,10 +42,12 @@ from app.session.controller import Controller
 from app.sound.cues import CueMemory, due_cue
 from app.state.memo import Memo
 from app.state.policies import Allowed, RigReview, allowed
+from app.state.tool_tip import tip_in_sensor
 from app.state.view_state import ViewState, focused_channel
 from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORT_IN_PROGRESS, REPORT_WORK, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
+from app.text.part_pose_text import unplaced_note
 from app.text.rig_text import corrected_words, offer_news, rig_state
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
@@ -103,6 +105,7 @@ class Workspace(QWidget):
         make_column(self.tabs, within=self._tabs_card, margins=1)
         self.docks = Docks(self, left, self.card, self._tabs_card, self.tabs)
         self._state: ViewState | None = None
+        self._was_placed = True  # The 3D view has no note
         self.view.taxel_picked.connect(self.taxel_selected)
         self.map.taxel_clicked.connect(self.taxel_selected)
         for panel in self.panels.values():
@@ -153,6 +156,9 @@ class Workspace(QWidget):
         is_changed = before is None or (before.revision, before.method) != (state.revision, state.method)
         self.card.show_state(state, is_changed=is_changed)
         self.view.show_state(state)
+        if not state.snapshot.is_placed or not self._was_placed:
+            self.view.set_note(unplaced_note(state, tip_in_sensor(state)))
+            self._was_placed = state.snapshot.is_placed
         self._show_tab()
 
     def current_panel(self) -> Panel | None:

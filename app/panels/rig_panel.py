@@ -132,7 +132,11 @@ class RigPanel(Panel):
         guidance = state.guidance
         self._list_points(state)
         landmark = None if guidance is None else guidance.landmark
-        asked = () if guidance is None or landmark is None else (landmark_words(landmark), gain_words(guidance.gain))
+        asked = (
+            ()
+            if guidance is None or landmark is None
+            else (landmark_words(landmark, has_tool=state.scene.tool is not None), gain_words(guidance.gain))
+        )
         self.asked.setText("; ".join(filter(None, asked)))
         self.asked.setVisible(bool(asked))
         self.said.setText("\n".join([*self._setup.sentences, _words(state)]))

@@ -49,7 +49,7 @@ class AxesLayer(Layer):
 
     def _show_current(self, state: ViewState) -> bool:
         progress = state.live.progress
-        axis = _key(progress)
+        axis = _key(progress) if state.snapshot.is_placed else b""
         if axis == self._axis:
             return False
         self._axis = axis
@@ -69,7 +69,7 @@ class AxesLayer(Layer):
 
     def _show_past(self, state: ViewState) -> None:
         channel = state.selected
-        if channel is None or channel not in self.static.row:
+        if channel is None or channel not in self.static.row or not state.snapshot.is_placed:
             self.past.show(NO_POINTS, self.colours.ink)
             return
         place = self._place_of(state, channel)

@@ -27,9 +27,11 @@ class RobotTipLayer(Layer):
         self._tip: TipPose | None = None
 
     def show(self, state: ViewState) -> bool:
-        if state.tip is self._tip:
+        # The poses of a tool show it better: `ToolLayer`.
+        tip = state.tip if state.scene.tool is None else None
+        if tip is self._tip:
             return False
-        self._tip = state.tip
+        self._tip = tip
         self.draw()
         return True
 

@@ -26,6 +26,7 @@ from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
 from app.scene3d.robot_tip import RobotTipLayer
 from app.scene3d.scene_state import DEFAULT_VIEW_HALF_HEIGHT_M, Comparison, SceneColours, StaticScene
 from app.scene3d.target import TargetLayer
+from app.scene3d.tool import ToolLayer
 from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
 
@@ -91,7 +92,8 @@ class SceneRenderer:
         hints = HintsLayer(plotter, static)
         hints.frame = static.scene.link
         others = (self.estimates, AxesLayer(plotter, static), UncertaintyLayer(plotter, static), self.target, self.landmarks)
-        return (*layers, *others, *self._turns(), self.compare, hints, RobotTipLayer(plotter, static))
+        tool = () if static.scene.tool is None else (ToolLayer(plotter, static),)
+        return (*layers, *others, *self._turns(), self.compare, hints, RobotTipLayer(plotter, static), *tool)
 
     def _turns(self) -> Sequence[Layer]:
         if self.static.scene.skin.axes is None:
@@ -127,7 +129,8 @@ class SceneRenderer:
             layer.comparison, layer.difference = comparison, difference
 
     def show(self, state: ViewState) -> bool:
-        """Update all layers; return whether the picture changes."""
+        """Update all layers; return whether the picture changes. Positions in another frame than the part's are left out."""
+        state = state.on_part
         changed = [layer.name for layer in self.layers if layer.show(state)]
         places, (middle, reach) = self._known_places(), self._known_reach
         # Nothing else says where the part is.

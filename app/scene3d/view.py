@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, Signal
-from PySide6.QtGui import QMouseEvent, QShowEvent, QWheelEvent
+from PySide6.QtGui import QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
@@ -19,6 +19,7 @@ from app.scene3d.canvas import Canvas, best_canvas, load, mount, release
 from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene
 from app.state.camera_pose import PLAIN_POSE, CameraPose
 from app.state.view_state import ViewState
+from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 
@@ -32,6 +33,7 @@ MAX_CLICK_MOVE_PX = 4.0  # A press that moves less before its release is a click
 ROTATION_PER_FULL_DRAG_DEG = 220.0
 """A drag across the shorter side of the view turns the part by this much: a bit more than to its far side."""
 ZOOM_FACTOR_PER_WHEEL_NOTCH = 1.15  # Zoom factor for one notch of the wheel
+NOTE_TOP_PX = 44  # A message of one line lies above the note
 QT_WHEEL_UNITS_PER_NOTCH = 120.0  # Qt's units of a notch
 KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease, QEvent.Type.ShortcutOverride)
 
@@ -145,6 +147,11 @@ class View3D(QWidget):
         self._message = QLabel("The 3D view is loading …", self, alignment=Qt.AlignmentFlag.AlignCenter, wordWrap=True)
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._message)
+        self._note = QLabel("", self, wordWrap=True, textFormat=Qt.TextFormat.PlainText)
+        self._note.setAccessibleName("note in the 3D view")
+        self._note.setAutoFillBackground(True)
+        self._note.setMargin(WIDGET_GAP_PX)
+        self._note.hide()
 
     def build_scene(self, static: StaticScene) -> None:
         """Start to build the layers that a scene supports; call once the window is on the screen.
@@ -180,6 +187,19 @@ class View3D(QWidget):
         """
         self._state = state
         return self.isVisible() and self._show_state()
+
+    def set_note(self, text: str) -> None:
+        """Show a note over the upper edge of the picture; nothing for an empty text."""
+        if text == self._note.text():
+            return
+        self._note.setText(text)
+        self._note.setVisible(bool(text))
+        self._place_note()
+
+    def _place_note(self) -> None:
+        width = self.width() - 2 * WIDGET_GAP_PX
+        self._note.setGeometry(WIDGET_GAP_PX, NOTE_TOP_PX, width, self._note.heightForWidth(width))
+        self._note.raise_()
 
     def set_difference(self, wanted: bool) -> None:
         """Show or hide the lines from each estimate to another method's estimate."""
@@ -282,6 +302,10 @@ class View3D(QWidget):
             self._canvas.deleteLater()
         self._renderer = self._canvas = None
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        super().resizeEvent(event)
+        self._place_note()
+
     def showEvent(self, event: QShowEvent) -> None:
         """Show the newest moment, which was only kept while the view was hidden."""
         super().showEvent(event)
@@ -308,6 +332,7 @@ class View3D(QWidget):
         Pointer(self, self._canvas, self._renderer)
         self._stack.addWidget(self._canvas)
         self._stack.setCurrentWidget(self._canvas)
+        self._note.raise_()
         # Theme, size and what is shown may have changed since the loading began.
         if self._choice is Canvas.RASTER:
             self._renderer.plotter.window_size = self._pixels()

@@ -457,7 +457,9 @@ class Controller(QObject):
             self.unsaid.emit(Message(sentence, error=True))
         for sentence in reversed(guided.setup.take_news()):  # the newest message is on top
             self.said.emit(Message(sentence, error=True))
-        guided.coach.follow_reading(live.progress, None if guided.guidance is None else guided.guidance.target)
+        # A press in the base cannot be compared with a target on the part.
+        target = None if guided.guidance is None or not snapshot.is_placed else guided.guidance.target
+        guided.coach.follow_reading(live.progress, target)
         self._solving_since_ns = (self._solving_since_ns or now_ns) if session.unsolved else 0
         unsolved = session.unsolved if now_ns - self._solving_since_ns >= 1e9 * SHOW_SOLVING_AFTER_S else 0
         scene, thresholds = guided.part.scene, snapshot.decisions.thresholds

@@ -38,7 +38,7 @@ def position_sets(
     sets = {} if laid is None else {LAYOUT_SET: laid}
     own: dict[Method, FloatArray] = {}
     for method in methods:
-        estimates = state.snapshot.estimates.get(method, ())
+        estimates = state.on_part.snapshot.estimates.get(method, ())
         own[method] = places_of(estimates) if len(estimates) == len(channels) else np.full((len(channels), 3), np.nan)
         sets[method_label(method)] = own[method]
     if state.review is not None:

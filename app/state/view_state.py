@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from app.state.camera_pose import PLAIN_POSE, CameraPose
@@ -113,6 +113,11 @@ class ViewState:
     """Approximate pokes that each method needs in total; empty without a layout."""
     eye: CameraPose = PLAIN_POSE
     """Camera of the 3D view; small pictures have the same direction up."""
+
+    @property
+    def on_part(self) -> ViewState:
+        """The state without positions in another frame than the part's; itself once the part's pose is known."""
+        return self if self.snapshot.is_placed else replace(self, snapshot=self.snapshot.on_part)
 
     @property
     def revision(self) -> int:

@@ -54,9 +54,10 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
     return f"{press}, lean {degrees(target.tilt)}{side}"
 
 
-def landmark_words(landmark: LandmarkTarget) -> str:
-    """Count the landmark pokes of this arm pose."""
-    return f"Landmark poke {landmark.done + 1} of {landmark.wanted} in this arm pose"
+def landmark_words(landmark: LandmarkTarget, *, has_tool: bool = False) -> str:
+    """Count the landmark pokes of this arm pose; with a tool whose poses are streamed the part has only one."""
+    which = f"Landmark poke {landmark.done + 1} of {landmark.wanted}"
+    return f"{which}: landmarks show where the part is in the base" if has_tool else f"{which} in this arm pose"
 
 
 def gain_words(gain: Gain | None) -> str:
@@ -67,7 +68,9 @@ def gain_words(gain: Gain | None) -> str:
     return f"after {count(gain.pokes, 'poke')} the error of the rig should fall from {now} to {after}"
 
 
-def why_words(guidance: Guidance, target: Target, dead: Collection[int], part_size: float = math.inf) -> str:
+def why_words(
+    guidance: Guidance, target: Target, dead: Collection[int], part_size: float = math.inf, *, has_tool: bool = False
+) -> str:
     """Give the purpose of the poke, then the progress of the session. `part_size` is that of the snapshot."""
     if guidance.closing is not None:
         at = guidance.closing
@@ -76,7 +79,9 @@ def why_words(guidance: Guidance, target: Target, dead: Collection[int], part_si
             why = f"Only poke {at.suspect_poke} indicates a movement: press this point again to see if the tip slid"
         return f"{why}{DOT_SEPARATOR}Shift+N skips"
     if guidance.landmark is not None:
-        return DOT_SEPARATOR.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
+        return DOT_SEPARATOR.join(
+            filter(None, (landmark_words(guidance.landmark, has_tool=has_tool), gain_words(guidance.gain)))
+        )
     return DOT_SEPARATOR.join(
         filter(None, (_reason(guidance, target, part_size), progress_words(guidance, dead), left_words(guidance)))
     )

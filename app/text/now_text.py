@@ -298,7 +298,9 @@ def _guided(at: ViewState) -> Now:
         return Now(Tone.GOOD, enough_words(guidance, dead), first + end_words(guidance, dead))
     if guidance is not None and at.target is not None:
         return Now(
-            Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead, at.snapshot.part_size)
+            Tone.GO,
+            target_words(guidance, at.target, at.names),
+            why_words(guidance, at.target, dead, at.snapshot.part_size, has_tool=at.scene.tool is not None),
         )
     limits = at.scene.contacts
     low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)

@@ -341,9 +341,12 @@ class LandmarkGuide:
         return self._remembered[key]
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
-        """Predict how much landmark pokes in this arm pose reduce the errors of all taxels poked so far."""
+        """Predict how much landmark pokes in this arm pose reduce the errors of all taxels poked so far.
+
+        `None` with `[tool]`: there they show the part's pose, whose error the snapshot has.
+        """
         name, here = self._pose
-        if here is None or not len(self._taxels):
+        if here is None or not len(self._taxels) or self._scene.tool is not None:
             return None
         last = snapshot.columns.last_rows_of_poses(MAX_PREDICTED_ARM_POSES)
         poses = {

@@ -303,6 +303,8 @@ class Pipeline:
     def live(self, now_ns: int) -> LiveView:
         detector = self._detector
         name, link_from_sensor = self.poses.current
+        if link_from_sensor is not None and self.session.tool is not None:
+            link_from_sensor = self.session.tool.placed_pose(link_from_sensor)
         used = self.session.decisions.corrections
         progress = corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name, used)
         if not self._has_samples(now_ns):

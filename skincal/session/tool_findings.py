@@ -264,11 +264,17 @@ class ToolFindings:
     def _carried(self, outcome: Outcome) -> Outcome:
         if self.part is None or not self.part.is_known or outcome.link_from_sensor is None:
             return outcome
-        link_from_sensor = self.part.link_from_base @ outcome.link_from_sensor
+        return replace(outcome, link_from_sensor=self.placed_pose(outcome.link_from_sensor))
+
+    def placed_pose(self, link_from_sensor: FloatArray) -> FloatArray:
+        """Carry a pose of the sensor, (4, 4) float, metres, into the part's frame; itself while the part's pose is unknown."""
+        if self.part is None or not self.part.is_known:
+            return link_from_sensor
+        placed = self.part.link_from_base @ link_from_sensor
         if not self._tool.has_sensor:
             # Its origin is the tip.
-            link_from_sensor[:3, 3] += link_from_sensor[:3, :3] @ self.part.tip_shift
-        return replace(outcome, link_from_sensor=link_from_sensor)
+            placed[:3, 3] += placed[:3, :3] @ self.part.tip_shift
+        return placed
 
     def _with_tip(self, outcome: Outcome) -> Outcome:
         if not isinstance(outcome, Contact):

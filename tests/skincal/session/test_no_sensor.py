@@ -160,6 +160,16 @@ def test_landmarks_and_mesh_place_the_part_and_taxels_are_within_their_errors(re
         assert 0.3 < np.median(squares) < 7.8
 
 
+def test_the_live_tool_and_press_are_in_the_frame_of_the_part_once_it_is_known(recorded):
+    _, in_base = recorded.poses.current
+    live = recorded.live(0)
+    part = recorded.snapshot().part_pose
+    shift = np.eye(4)
+    shift[:3, 3] = part.tip_shift
+    assert live.link_from_sensor == pytest.approx(part.link_from_base @ in_base @ shift, abs=1e-12)
+    assert np.linalg.norm(live.link_from_sensor[:3, 3]) < 0.2 < np.linalg.norm(in_base[:3, 3]), "near the part"
+
+
 def test_one_poke_places_a_taxel_of_a_part_without_mesh_in_the_base(tmp_path):
     text = (
         scene_text(landmarks=False)
