@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import permutations, product
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -99,6 +100,13 @@ def fit_rotation(products: FloatArray) -> FloatArray:
     left, _, right = np.linalg.svd(products)
     left[..., 2] *= np.sign(np.linalg.det(left @ right))[..., None]
     return left @ right
+
+
+def cube_rotations() -> list[FloatArray]:
+    """List the 24 rotations (3, 3) that exchange axes."""
+    signs, orders = list(product((1.0, -1.0), repeat=3)), list(permutations(range(3)))
+    made = [np.eye(3)[list(order)] * np.array(sign, dtype=np.float64) for order in orders for sign in signs]
+    return [each for each in made if np.linalg.det(each) > 0]
 
 
 def orthonormal_pair(u: FloatArray) -> FloatArray:

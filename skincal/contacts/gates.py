@@ -206,7 +206,9 @@ def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, i
     }
     if failure is None:
         tip = None if mean is None else mean.tip
-        vectors = None if press.vectors is None else press.vectors[used]
-        return Contact(**common, responses=press.responses[used], tare_change=tare_change, tip=tip, vectors=vectors)
+        common["vectors"] = None if press.vectors is None else press.vectors[used]
+        if scene.tool is not None and scene.has_sensor and mean is not None:
+            common["rest_wrench"] = wrench_baseline(press.before, after, mean.time_s)
+        return Contact(**common, responses=press.responses[used], tare_change=tare_change, tip=tip)
     value, limit = float(failure.value), float(failure.limit)
     return Rejection(**common, reason=failure.reason, value=value, limit=limit, unit=failure.unit)

@@ -87,6 +87,9 @@ class Contact:
     vectors: FloatArray | None = field(default=None, metadata=OPTIONAL_FIELD)
     """(k, 3) float, raw units above the baseline: readings of `channels` in the axes of each taxel, z out of the skin, force on
     the taxel. NaN if a value is at an end of the range; `None` for a skin of one axis."""
+    rest_wrench: FloatArray | None = field(default=None, metadata=OPTIONAL_FIELD)
+    """(6,) float, N and N m, sensor frame: the wrench without a touch that was subtracted, with the weight of a tool that
+    carries the sensor; `None` for other rigs."""
     press: FinishedPress | None = field(default=None, repr=False, metadata=NOT_STORED)
     """The press, to judge it again with other dead channels. `None` if these cannot change the result."""
     tare_after: Tare | None = field(default=None, repr=False, metadata=NOT_STORED)

@@ -12,7 +12,8 @@ from skincal.mesh.surface import Surface
 from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.scene import Scene
 from skincal.model.wrench_frames import WrenchFrame
-from skincal.rig.scene_mistakes import MistakeKind
+from skincal.rig.correction import FRAME, rigid_motion
+from skincal.rig.scene_mistakes import Mistake, MistakeKind
 from skincal.rig.setup_check import SetupDiagnosis, check_setup
 from skincal.rig.touch_mistakes import (
     LANDMARK_TOUCH_SD_M,
@@ -46,6 +47,9 @@ def check_tool_setup(
         return found
     touched = touched_places(snapshot, scene, laid)
     by_touches = None if touched is None else find_touch_mistake(touched)
+    turned = None if by_touches is not None else find_turned_sensor(snapshot, scene)
+    if turned is not None:
+        return SetupDiagnosis(len(snapshot.contacts), 0.0, (turned,), of_touches=True)
     if touched is None or by_touches is None:
         misfit = snapshot.part_misfit
         mistake = None if misfit is None else misfit.explain()
@@ -53,6 +57,26 @@ def check_tool_setup(
             return found
         return SetupDiagnosis(len(misfit.pokes), 0.0, (mistake,), of_touches=True)
     return SetupDiagnosis(len(touched.number), by_touches.miss, (by_touches.mistake,), of_touches=True)
+
+
+def find_turned_sensor(snapshot: Snapshot, scene: Scene) -> Mistake | None:
+    """Find a sensor that is turned on the flange, by the weight of the tool; `None` without, and under a correction."""
+    tool, part = scene.tool, snapshot.part_pose
+    if tool is None or not tool.has_sensor or FRAME in snapshot.decisions.corrections:
+        return None
+    known = [(each.link_from_sensor, each.rest_wrench) for each in snapshot.contacts if each.rest_wrench is not None]
+    if not known:
+        return None
+    from skincal.rig.sensor_turn import find_sensor_turn  # other rigs do without
+
+    is_carried = part is not None and part.is_known
+    into_base = inverse_pose(part.link_from_base if part is not None and is_carried else tool.link_from_base)
+    found = find_sensor_turn(
+        np.array([(into_base @ pose)[:3, :3] for pose, _ in known]), np.array([wrench[:3] for _, wrench in known])
+    )
+    if found is None:
+        return None
+    return Mistake(MistakeKind.TOOL_SENSOR_TURNED, motion=rigid_motion(found.turn, np.zeros(3)))
 
 
 def touched_places(snapshot: Snapshot, scene: Scene, laid: PlacedLayout | None) -> TouchedPlaces | None:

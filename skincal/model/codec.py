@@ -25,7 +25,8 @@ PARSE_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError, Ove
 OPTIONAL_FIELD: Mapping[str, Any] = {"optional": True}
 """Metadata of a field that is left out while it is `None`, so that older files keep their bytes."""
 ARRAY_SHAPES: Mapping[str, tuple[int | None, ...]] = {
-    "tip": (3,), "force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4), "vectors": (None, 3),
+    "tip": (3,), "force": (3,), "moment": (3,), "wrench": (6,), "rest_wrench": (6,), "link_from_sensor": (4, 4),
+    "vectors": (None, 3),
 }  # fmt: skip
 """Shapes of arrays by the name of their field, `None` for any length; all others have one dimension."""
 MAX_POSE_COORDINATE_M = 1e3

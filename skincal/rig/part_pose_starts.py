@@ -9,11 +9,9 @@ nothing; the best different ones remain.
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, fit_rotation, orthonormal_pair, rotations
+from skincal.geometry import FloatArray, IntArray, cube_rotations, fit_rotation, orthonormal_pair, rotations
 from skincal.mesh.surface import Surface
 from skincal.rig.part_touches import (
     HUBER_THRESHOLD_SDS,
@@ -115,7 +113,7 @@ def _from_targets(touches: PartTouches) -> tuple[FloatArray, FloatArray]:
     off = points - points.mean(axis=0)
     # R x = y as rows: x R' = y.
     kabsch = fit_rotation(off.T @ (goals - goals.mean(axis=0))).T
-    turns = np.array([kabsch, *_cube_rotations()])
+    turns = np.array([kabsch, *cube_rotations()])
     roots = roots_of(precision, 0.01**2)
     shifts = np.empty((len(turns), 3))
     for row, turn in enumerate(turns):
@@ -124,12 +122,6 @@ def _from_targets(touches: PartTouches) -> tuple[FloatArray, FloatArray]:
         wanted = (by_link.reshape(-1, 3, 3) @ goals[:, :, None]).ravel() - (roots @ points[:, :, None]).ravel()
         shifts[row] = np.linalg.lstsq(by_link, wanted, rcond=1e-9)[0]
     return turns, shifts
-
-
-def _cube_rotations() -> list[FloatArray]:
-    signs, orders = list(itertools.product((1.0, -1.0), repeat=3)), list(itertools.permutations(range(3)))
-    made = [np.eye(3)[list(order)] * np.array(sign) for order in orders for sign in signs]
-    return [each for each in made if np.linalg.det(each) > 0]
 
 
 def _targets_suffice(touches: PartTouches, shape: PartShape, starts: list[tuple[FloatArray, FloatArray]]) -> bool:

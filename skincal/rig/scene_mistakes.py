@@ -77,6 +77,8 @@ class MistakeKind(Enum):
     """Two axes of the positions are exchanged."""
     TOOL_PART_MOVED = "tool part moved"
     """The part moved once; `names` are the first poke after it, and the way, mm."""
+    TOOL_SENSOR_TURNED = "tool sensor turned"
+    """The sensor is turned on the flange; `motion` is its turn."""
     TOOL_UNEXPLAINED = "tool unexplained"
     """The pokes of a tool miss, and no known mistake explains it."""
 

@@ -61,6 +61,8 @@ ERROR_WAVES = 200
 LANDMARK_TOUCHES = 3
 """Touches of each landmark, from different sides."""
 STANDARD_GRAVITY = 9.81
+SENSOR_OFFSET_N, SENSOR_OFFSET_N_M = 5.0, 0.3
+"""sd of each component of what a sensor reads without load."""
 NO_LANDMARK = -1
 
 
@@ -139,6 +141,8 @@ class ToolSession:
 
     wrench: FloatArray
     """(n, 6) float, N and N m, tared, sensor frame: force on the part, about the sensor's origin."""
+    rest_wrench: FloatArray
+    """(n, 6) float, N and N m: the same before each touch, with the weight of the tool and the sensor's offset."""
     base_from_tool: FloatArray
     """(n, 4, 4) float, metres: reported pose of the flange."""
     tip: FloatArray
@@ -262,9 +266,10 @@ def simulate_tool_session(
     )
     arm_errors = _Arm(model, random_part_pose(arm), arm)
     true, reported = arm_errors.poses(touches, noise)
-    wrench = _read(arm_errors, touches, true, Sensor(world, sensor), noise)
+    wrench, rest = _read(arm_errors, touches, true, Sensor(world, sensor), noise)
     return ToolSession(
         wrench=wrench,
+        rest_wrench=rest,
         base_from_tool=reported,
         tip=arm_errors.given_tip,
         tool_from_sensor=arm_errors.given_sensor,
@@ -357,8 +362,10 @@ class _Arm:
         return true, reported
 
 
-def _read(arm: _Arm, touches: _Touches, true: FloatArray, sensor: Sensor, rng: np.random.Generator) -> FloatArray:
-    """Read the tared wrenches (n, 6), as forces on the part, in the sensor's frame and about its origin."""
+def _read(
+    arm: _Arm, touches: _Touches, true: FloatArray, sensor: Sensor, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Read the tared wrenches (n, 6), as forces on the part, in the sensor's frame and about its origin, and those at rest."""
     poses = true @ arm.true_sensor
     turn, shift = arm.base_from_part[:3, :3], arm.base_from_part[:3, 3]
     back = poses[:, :3, :3].transpose(0, 2, 1)
@@ -369,6 +376,10 @@ def _read(arm: _Arm, touches: _Touches, true: FloatArray, sensor: Sensor, rng: n
     weight = np.zeros((len(force), 3))
     weight[:, 2] = -STANDARD_GRAVITY * arm.model.mass
     swayed = turns(arm.model.sway * rng.standard_normal(weight.shape))
-    change = (back @ (weight[:, :, None] - swayed @ weight[:, :, None]))[:, :, 0]
+    hung = (back @ swayed @ weight[:, :, None])[:, :, 0]
+    change = (back @ weight[:, :, None])[:, :, 0] - hung
     felt = -on_part + np.concatenate([change, np.cross(np.broadcast_to(arm.centre_of_mass, change.shape), change)], axis=1)
-    return -sensor.read(felt, rng)
+    tared = -sensor.read(felt, rng)
+    at_rest = np.concatenate([hung, np.cross(np.broadcast_to(arm.centre_of_mass, hung.shape), hung)], axis=1)
+    offset = np.repeat([SENSOR_OFFSET_N, SENSOR_OFFSET_N_M], 3) * rng.standard_normal(6)
+    return tared, -(sensor.read(at_rest, rng) + offset)

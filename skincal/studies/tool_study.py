@@ -241,7 +241,7 @@ def contacts_of(poked: ToolSession, scene: Scene) -> list[Contact]:
                 poke=row + 1, start_s=POKE_CYCLE_S * row, end_s=POKE_CYCLE_S * row + scene.contacts.still_s, force=force,
                 moment=moment, channels=poked.channels[own], responses=poked.responses[row, own],
                 link_from_sensor=scene.tool.link_from_sensor(poked.base_from_tool[row]), pose=scene.tool.arm_pose,
-                tare_change=0.0, final=True,
+                tare_change=0.0, final=True, rest_wrench=poked.rest_wrench[row] if scene.has_sensor else None,
             )
         )  # fmt: skip
     return contacts

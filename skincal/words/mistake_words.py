@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, rotation_vector
 from skincal.rig.frame_check import FrameDiagnosis
 from skincal.rig.scene_mistakes import STANDARD_GRAVITY, Mistake, MistakeKind
 from skincal.rig.setup_check import SetupDiagnosis
 from skincal.words.taxel_words import rig_name
-from skincal.words.units import millimetres
+from skincal.words.units import direction, millimetres
 
 MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
 """Landmark miss above which a sentence on a right frame names errors of sensor and arm; noise and hand cause 1 to 3 mm."""
@@ -143,6 +143,14 @@ def mistake_words(mistake: Mistake) -> tuple[str, str]:
         return (
             f"the tip is elsewhere in the tool's frame than tip_mm, by ({shift}) mm",
             "check that the tool centre point is that of this tool, and make the fixed-point test",
+        )
+    if mistake.kind is MistakeKind.TOOL_SENSOR_TURNED:
+        turn = rotation_vector(mistake.motion[:3, :3])
+        about = direction(turn / np.linalg.norm(turn))
+        return (
+            f"the sensor is turned by {_degrees(mistake.motion):.0f} degrees about ({about}) of its own axes against flange of "
+            "[tool], as the weight of the tool shows",
+            "turn flange by that, or send the wrench in the axes that flange gives",
         )
     if mistake.kind is MistakeKind.MESH_ORIGIN:
         shift = ", ".join(f"{value * 1e3:.0f}" for value in mistake.shift)

@@ -25,7 +25,10 @@ def poked(seed=1, skin=SKIN_POKES):
     made = simulate_tool_session(part.scene, part.surface.vertices, part.surface.triangles, model, seed, (LANDMARKS, skin))
     first = np.flatnonzero(made.landmark != NO_LANDMARK)[:LANDMARKS]
     rows = np.concatenate([first, np.flatnonzero(made.landmark == NO_LANDMARK)])
-    picked = {name: getattr(made, name)[rows] for name in ("wrench", "base_from_tool", "responses", "landmark", "contact")}
+    picked = {
+        name: getattr(made, name)[rows]
+        for name in ("wrench", "rest_wrench", "base_from_tool", "responses", "landmark", "contact")
+    }
     return replace(made, **picked)
 
 
@@ -81,11 +84,15 @@ def left_handed(made):
 
 def sensor_turned(made):
     turn = Rotation.from_euler("z", 90, degrees=True).as_matrix()
-    return replace(made, wrench=np.concatenate([made.wrench[:, :3] @ turn.T, made.wrench[:, 3:] @ turn.T], axis=1))
+
+    def read(wrench):
+        return np.concatenate([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T], axis=1)
+
+    return replace(made, wrench=read(made.wrench), rest_wrench=read(made.rest_wrench))
 
 
 def force_sign(made):
-    return replace(made, wrench=-made.wrench)
+    return replace(made, wrench=-made.wrench, rest_wrench=-made.rest_wrench)
 
 
 def part_moved(made):
