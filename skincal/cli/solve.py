@@ -336,6 +336,8 @@ def _write_all(results: SessionResults, folder: Path, options: ExportOptions) ->
     files: list[Path] = []
     findings: dict[str, None] = {}
     for format_ in ExportFormat:
+        if format_.needs_three_axes and calibration.axes is None:
+            continue
         stem = "positions" if format_ is ExportFormat.ICUB else "taxels"
         for method in list(calibration.estimates)[: 1 if format_.holds_all_methods else None]:
             name = "calibration" if format_.holds_all_methods else f"{stem}-{method.value}"

@@ -68,6 +68,12 @@ EXPORT_CONSUMERS = (
     ),
     Consumer("MeshLab", ExportFormat.PLY, "", "Keeps positions, normals and quality, the sd in mm."),
     Consumer("Blender", ExportFormat.PLY, "", "Keeps channel, method, sd_mm and quality as attributes of the points."),
+    Consumer(
+        "nb-touch",
+        ExportFormat.TAXEL_GEOMETRY,
+        "",
+        "Three axes. Its frame sensor is the link. It needs readings with z out of the skin, as the file's comment says.",
+    ),
 )
 
 

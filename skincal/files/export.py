@@ -27,7 +27,7 @@ import numpy as np
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.formats import NO_OPTIONS, ExportFormat, ExportOptions
-from skincal.files.frames import mjcf_text, named_poses, npz_bytes, sdf_text, skin_name, urdf_text
+from skincal.files.frames import mjcf_text, named_poses, npz_bytes, quaternion_of_rotation, sdf_text, skin_name, urdf_text
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, robot_skin_part, skin_part
 from skincal.files.robot_file import check_robot, mesh_sentences, require_other_file
 from skincal.files.tactile_urdf import tactile_urdf_text
@@ -49,6 +49,7 @@ from skincal.words.taxel_words import STATE_WORDS, state_count_words, state_line
 from skincal.words.units import millimetres
 
 if TYPE_CHECKING:
+    from skincal.axes.taxel_frames import TaxelFrame
     from skincal.rig.part_pose import PartPose
 
 PART_BOX_MARGIN_M = 0.020
@@ -169,23 +170,29 @@ CSV_COLUMNS = (
 )  # fmt: skip
 
 
+TURN_COLUMNS = ("turn_state", "turn_qw", "turn_qx", "turn_qy", "turn_qz", "turn_normal_sd_deg", "turn_in_plane_sd_deg")
+"""Of taxels of three axes: state of the turn, the unit quaternion w x y z from the axes of the readings to the link, and the
+standard deviations of its z axis and of the turn about it, degrees; empty unless the turn is known."""
+
+
 def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
     """Return the CSV text of every method; what is not known is left empty.
 
     Positions are metres in the link frame, `sd_mm` is the predicted sd along the weakest direction, millimetres; gains are as
     for `taxel_gains`; `normal_sd_deg` is the predicted sd of the normal's angle, degrees. Numbers have every digit that a
-    double needs.
+    double needs. Taxels of three axes have more columns, see `TURN_COLUMNS`.
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
+    writer.writerow(CSV_COLUMNS if calibration.axes is None else (*CSV_COLUMNS, *TURN_COLUMNS))
     for method, estimates in calibration.estimates.items():
         for estimate, gain in zip(estimates, calibration.gains(method), strict=True):
             channel, module = estimate.channel, calibration.module_id(estimate.channel)
             words = (method.value, estimate.state.value)
             gained = (gain.mean, gain.spread, gain.pokes)
             turn = None if estimate.normal_sd is None else math.degrees(estimate.normal_sd)
-            writer.writerow([channel, module, *words, estimate.contacts, *_csv_numbers(estimate), *gained, turn])
+            row = [channel, module, *words, estimate.contacts, *_csv_numbers(estimate), *gained, turn]
+            writer.writerow([*row, *_csv_turn(calibration.frame(channel, method))])
     return out.getvalue()
 
 
@@ -196,6 +203,16 @@ def _csv_numbers(estimate: Estimate) -> list[float | None]:
     normal = [np.nan] * 3 if estimate.normal is None else estimate.normal.tolist()
     sd = np.nan if estimate.sd is None else float(estimate.sd) * 1e3
     return [number if math.isfinite(number) else None for number in (*estimate.position.tolist(), *normal, sd)]
+
+
+def _csv_turn(frame: TaxelFrame | None) -> list[str | float | None]:
+    """Return the columns `TURN_COLUMNS`; no columns for a skin of one axis."""
+    if frame is None:
+        return []
+    if frame.rotation is None:
+        return [frame.state.value, *[None] * 6]
+    sds = math.degrees(frame.normal_sd), math.degrees(frame.in_plane_sd)
+    return [frame.state.value, *quaternion_of_rotation(frame.rotation).tolist(), *sds]
 
 
 METHOD_CODE = {Method.FREE: 0, Method.SURFACE: 1, Method.MODULES: 2}
@@ -293,6 +310,11 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
     scene = calibration.scene
     layout = scene.skin.layout
     closings = [_closing(closing) for closing in calibration.closings]
+    keys, contact_units = CONTACT_KEYS, CONTACT_UNITS
+    if scene.skin.axes is not None:
+        unit = scene.skin.axes.unit
+        keys = CONTACT_KEYS | {"responses": f"responses_{unit}", "vectors": f"readings_{unit}"}
+        contact_units = CONTACT_UNITS | {"response_min": unit}
     document = {
         "format": JSON_FORMAT,
         "skincal_version": calibration.version,
@@ -306,7 +328,7 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
         "mesh": None
         if scene.surface is None
         else {"file": scene.surface.path.name, "sha256": calibration.mesh_sha256, "findings": list(calibration.mesh_findings)},
-        "contact_settings": _settings(scene.contacts, CONTACT_UNITS),
+        "contact_settings": _settings(scene.contacts, contact_units),
         "noise": _settings(scene.noise, NOISE_UNITS),
         "channels": [int(channel) for channel in calibration.channels],
         "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
@@ -320,10 +342,11 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
         "closing_checks_before": closings[:-1],
         "landmark_pokes": [_written(poke, LANDMARK_KEYS) for poke in calibration.landmark_pokes],
         "excluded_pokes": [int(poke) for poke in calibration.excluded],
-        "contacts": [_written(contact, CONTACT_KEYS) for contact in calibration.contacts],
+        "contacts": [_written(contact, keys) for contact in calibration.contacts],
+        **_axes(calibration),
         "estimates": {
             method.value: [
-                _estimate(calibration, estimate, gain)
+                _estimate(calibration, method, estimate, gain)
                 for estimate, gain in zip(estimates, calibration.gains(method), strict=True)
             ]
             for method, estimates in calibration.estimates.items()
@@ -415,7 +438,46 @@ def _correction(used: UsedCorrection) -> dict[str, Any]:
     }
 
 
-def _estimate(calibration: Calibration, estimate: Estimate, gain: TaxelGain) -> dict[str, Any]:
+def _axes(calibration: Calibration) -> dict[str, Any]:
+    """Write what the pokes say of the axes of the taxels, by method; empty for a skin of one axis."""
+    axes, found = calibration.scene.skin.axes, calibration.axes
+    if axes is None or found is None:
+        return {}
+    from skincal.words.axis_words import axis_sentences, reading_words
+
+    noise = found.turns.skin.noise
+    return {
+        "axes": {
+            "reading": f"force on the taxel, z out of the skin: {reading_words(axes)}",
+            "quaternion_order": "wxyz",
+            "unit": axes.unit,
+            "shear_over_normal_gain": math.exp(noise.log_ratio),
+            "findings": {method.value: list(axis_sentences(axes, found.findings(method))) for method in calibration.estimates},
+            "modules": [
+                {"module": module.id, "taxels": module.taxels, "log_odds_shared": float(module.log_odds_shared)}
+                for module in found.turns.modules.values()
+            ],
+        }
+    }
+
+
+def _turn(frame: TaxelFrame | None) -> dict[str, Any]:
+    """Write the turn of a taxel; empty for a skin of one axis."""
+    if frame is None:
+        return {}
+    rotation = frame.rotation
+    values = {
+        "state": frame.state.value,
+        "pokes": frame.pokes,
+        "quaternion_wxyz": None if rotation is None else quaternion_of_rotation(rotation),
+        "covariance_rad2": frame.covariance,
+        "normal_sd_rad": frame.normal_sd,
+        "in_plane_sd_rad": frame.in_plane_sd,
+    }
+    return {"turn": {key: _plain(value) for key, value in values.items()}}
+
+
+def _estimate(calibration: Calibration, method: Method, estimate: Estimate, gain: TaxelGain) -> dict[str, Any]:
     rival = estimate.rival
     return {
         "channel": int(estimate.channel),
@@ -428,6 +490,7 @@ def _estimate(calibration: Calibration, estimate: Estimate, gain: TaxelGain) -> 
         },
         "doubted": {str(poke): trust for poke, trust in sorted(estimate.doubted.items())},
         "gain": _written(gain, GAIN_KEYS),
+        **_turn(calibration.frame(estimate.channel, method)),
     }  # fmt: skip
 
 
@@ -480,6 +543,12 @@ def write_calibration(
     return sentences if kept is None else (*sentences, f"The older {path.name} is kept as {kept.name}.")
 
 
+def _taxel_geometry_text(calibration: Calibration, method: Method) -> str:
+    from skincal.files.taxel_geometry import taxel_geometry_text  # for skins of three axes alone
+
+    return taxel_geometry_text(calibration, method)
+
+
 WRITER_OF_FORMAT: dict[ExportFormat, Callable[[Calibration, Method], str | bytes]] = {
     ExportFormat.ICUB: icub_text,
     ExportFormat.JSON: json_text,
@@ -490,6 +559,7 @@ WRITER_OF_FORMAT: dict[ExportFormat, Callable[[Calibration, Method], str | bytes
     ExportFormat.SDF: sdf_text,
     ExportFormat.MJCF: mjcf_text,
     ExportFormat.NPZ: npz_bytes,
+    ExportFormat.TAXEL_GEOMETRY: _taxel_geometry_text,
 }
 """The function that makes the content of a file of each format."""
 
@@ -510,6 +580,10 @@ def calibration_file(
         sentences += _left_out(calibration.estimates_by(each), each)
     if format_ is ExportFormat.ICUB and (options.is_asked or options.part or robot_skin_part(calibration.scene)):
         sentences += _icub_traps(calibration, method, options.part)
+    if format_ is ExportFormat.TAXEL_GEOMETRY:
+        from skincal.files.taxel_geometry import geometry_findings
+
+        sentences += geometry_findings(calibration, method)
     content = written.encode() if isinstance(written, str) else written
     if options.into is not None:
         names, what = _names_of_taxels(replace(calibration, options=options), format_, method)
@@ -522,7 +596,7 @@ def _names_of_taxels(calibration: Calibration, format_: ExportFormat, method: Me
     taxels = placed_taxels(calibration.estimates_by(method))
     if format_ is ExportFormat.TACTILE_URDF:
         return [skin_name(calibration)], f"a tactile sensor of {plural(len(taxels.channels), 'taxel')} is"
-    names = [name for name, _, _ in named_poses(calibration, taxels)]
+    names = [name for name, _, _ in named_poses(calibration, taxels, method)]
     return names, "1 taxel is" if len(names) == 1 else f"{len(names)} taxels are"
 
 

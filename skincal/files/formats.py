@@ -23,6 +23,7 @@ class _Format:
     description: str
     options: tuple[str, ...] = ()
     holds_all_methods: bool = False
+    needs_three_axes: bool = False
 
 
 class ExportFormat(Enum):
@@ -87,6 +88,14 @@ class ExportFormat(Enum):
         ".npz",
         "For own programs: channel, position, normal, quaternion and covariance, metres.",
     )
+    TAXEL_GEOMETRY = _Format(
+        "taxel-geometry",
+        "Taxel geometry",
+        ".yaml",
+        "For nb-touch: position and rotation of each taxel of three axes.",
+        options=("prefix",),
+        needs_three_axes=True,
+    )
 
     title: str
     suffix: str
@@ -97,6 +106,8 @@ class ExportFormat(Enum):
     """Options of `ExportOptions` that the format knows."""
     holds_all_methods: bool
     """Whether the file has the estimates of every method."""
+    needs_three_axes: bool
+    """Whether it is for taxels of three axes alone."""
 
     def __new__(cls, entry: _Format) -> ExportFormat:
         """Make an entry whose value is its name alone."""
@@ -104,6 +115,7 @@ class ExportFormat(Enum):
         made._value_ = entry.name
         made.title, made.suffix, made.description = entry.title, entry.suffix, entry.description
         made.options, made.holds_all_methods = entry.options, entry.holds_all_methods
+        made.needs_three_axes = entry.needs_three_axes
         return made
 
 

@@ -6,8 +6,10 @@ the link's xy plane. That is R = Rz(yaw) Ry(pitch) with
     pitch = atan2(|(nx, ny)|, nz),   yaw = atan2(ny, nx),
 
 so the roll is 0 in URDF's and SDF's order of fixed angles. The directions of x and y have no meaning: a taxel is round.
-Where the normal is not known the frame stands as the link's. Lengths are metres, angles radians; taxels without a position
-are left out. Every name begins with the link's name, or with the prefix of `ExportOptions`: two skins of one robot share none.
+Where the normal is not known the frame stands as the link's. A taxel of three axes whose turn is known has the axes of its
+readings instead, all three; the comments list the state of each turn. Lengths are metres, angles radians; taxels without a
+position are left out. Every name begins with the link's name, or with the prefix of `ExportOptions`: two skins of one robot
+share none.
 
 Sources: wiki.ros.org/urdf/XML/joint, sdformat.org/spec (1.9: frame, pose), mujoco.readthedocs.io XMLreference (site, touch,
 frame, attach, fusestatic of URDF). `consumers.py` says what each program does with the files; `tests/consumers` tries it.
@@ -17,10 +19,12 @@ from __future__ import annotations
 
 import io
 import re
-from typing import cast
+from collections.abc import Iterator
+from typing import Any, cast
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.formats import Inertia
@@ -37,6 +41,8 @@ TINY_URDF_INERTIA = 1e-12
 """kg m^2: 1e-6 kg within 1 mm. MuJoCo refuses 1e-15."""
 TINY_SDF_INERTIA = 1e-9
 """kg m^2, of the link in SDF, which would be 1 kg m^2 without a word."""
+GIMBAL_MAX_COSINE = 1e-9
+"""Cosine of the pitch below which roll and yaw are one turn."""
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -47,7 +53,7 @@ def urdf_text(calibration: Calibration, method: Method) -> str | bytes:
     """
     taxels, link = placed_taxels(calibration.estimates_by(method)), xml_name(calibration.scene.link)
     elements: list[ET.Element] = []
-    for name, position, angles in named_poses(calibration, taxels):
+    for name, position, angles in named_poses(calibration, taxels, method):
         elements.append(_urdf_link(name, calibration.options.inertia))
         # Importers of NVIDIA's simulators merge a link on a fixed joint with its parent, unless the joint says so.
         joint = ET.Element("joint", name=f"{name}_joint", type="fixed", dont_collapse="true")
@@ -82,7 +88,7 @@ def sdf_text(calibration: Calibration, method: Method) -> str | bytes:
     """
     taxels, link = placed_taxels(calibration.estimates_by(method)), xml_name(calibration.scene.link)
     frames: list[ET.Element] = []
-    for name, position, angles in named_poses(calibration, taxels):
+    for name, position, angles in named_poses(calibration, taxels, method):
         frame = ET.Element("frame", name=name, attached_to=link)
         ET.SubElement(frame, "pose", relative_to=link).text = number_words(np.concatenate([position, angles]))
         frames.append(frame)
@@ -123,8 +129,8 @@ def mjcf_text(calibration: Calibration, method: Method) -> str:
         add_comment(root, line)
     body = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=link)
     frame, sensors = ET.SubElement(body, "frame", name=skin), ET.SubElement(root, "sensor")
-    quaternions = quaternions_of(taxels.normals)
-    for (name, position, _), quaternion in zip(named_poses(calibration, taxels), quaternions, strict=True):
+    quaternions = frame_quaternions(calibration, taxels, method)
+    for (name, position, _), quaternion in zip(named_poses(calibration, taxels, method), quaternions, strict=True):
         shape = {"type": "sphere", "size": f"{radius:.9g}", "pos": number_words(position), "quat": number_words(quaternion)}
         ET.SubElement(frame, "site", {"name": name, **shape})
         ET.SubElement(sensors, "touch", name=name, site=name)
@@ -136,7 +142,8 @@ def npz_bytes(calibration: Calibration, method: Method) -> bytes:
 
     `channel` (n,) int; `position` (n, 3) float, metres; `normal` (n, 3) float, unit, outward, NaN where not known;
     `quaternion_wxyz` (n, 4) float, of the taxel's frame; `covariance` (n, 3, 3) float, m^2; `state` (n,) text, touched or
-    inferred; `frame`, `method`, `units` and `version` (text).
+    inferred; `frame`, `method`, `units` and `version` (text). Of taxels of three axes also `turn_state` (n,) text, see
+    `FrameState`, and `turn_covariance` (n, 3, 3) float, rad^2, link frame, NaN unless the turn is known.
     """
     estimates = [estimate for estimate in calibration.estimates_by(method) if estimate.position is not None]
     taxels, unknown = placed_taxels(estimates), np.full((3, 3), np.nan)
@@ -148,15 +155,29 @@ def npz_bytes(calibration: Calibration, method: Method) -> bytes:
         channel=taxels.channels,
         position=taxels.positions,
         normal=np.where(taxels.normals.any(axis=1, keepdims=True), taxels.normals, np.nan),
-        quaternion_wxyz=quaternions_of(taxels.normals),
+        quaternion_wxyz=frame_quaternions(calibration, taxels, method),
         covariance=np.array(covariances, dtype=float).reshape(-1, 3, 3),
         state=np.array([state.value for state in taxels.states], dtype=str),
         frame=np.array(calibration.scene.link),
         method=np.array(method.value),
         units=np.array("m"),
         version=np.array(calibration.version),
+        **_turn_arrays(calibration, taxels, method),
     )
     return out.getvalue()
+
+
+def _turn_arrays(calibration: Calibration, taxels: PlacedTaxels, method: Method) -> dict[str, NDArray[Any]]:
+    """Give the arrays of an archive that taxels of three axes have in addition."""
+    if calibration.axes is None:
+        return {}
+    frames = [calibration.axes.frames(method)[channel] for channel in taxels.channels.tolist()]
+    unknown = np.full((3, 3), np.nan)
+    covariances = [unknown if frame.covariance is None else frame.covariance for frame in frames]
+    return {
+        "turn_state": np.array([frame.state.value for frame in frames], dtype=str),
+        "turn_covariance": np.array(covariances, dtype=float).reshape(-1, 3, 3),
+    }
 
 
 def taxel_radius(calibration: Calibration) -> float:
@@ -182,6 +203,60 @@ def quaternions_of(normals: FloatArray) -> FloatArray:
     return np.stack([cy * cp, -sy * sp, cy * sp, sy * cp], axis=1)
 
 
+def quaternions_of_angles(angles: FloatArray) -> FloatArray:
+    """Return (n, 4) unit quaternions w x y z, w >= 0, of roll, pitch and yaw (n, 3), radians."""
+    half = angles / 2
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
+    # qz(yaw) qy(pitch) qx(roll)
+    found = np.stack(
+        [
+            cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr, cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr,
+        ],
+        axis=1,
+    )  # fmt: skip
+    return np.where(found[:, :1] < 0, -found, found)
+
+
+def frame_angles(calibration: Calibration, taxels: PlacedTaxels, method: Method) -> FloatArray:
+    """Return (n, 3) roll, pitch and yaw, radians, of each taxel's frame: of its turn if that is known, else of `angles_of`."""
+    angles = angles_of(taxels.normals)
+    for row, rotation in _known_turns(calibration, taxels, method):
+        angles[row] = angles_of_rotation(rotation)
+    return angles
+
+
+def frame_quaternions(calibration: Calibration, taxels: PlacedTaxels, method: Method) -> FloatArray:
+    """Return (n, 4) unit quaternions w x y z of the same frames."""
+    quaternions = quaternions_of(taxels.normals)
+    for row, rotation in _known_turns(calibration, taxels, method):
+        quaternions[row] = quaternion_of_rotation(rotation)
+    return quaternions
+
+
+def _known_turns(calibration: Calibration, taxels: PlacedTaxels, method: Method) -> Iterator[tuple[int, FloatArray]]:
+    """Give row and rotation of each taxel whose turn is known."""
+    for row, channel in enumerate(taxels.channels.tolist()):
+        frame = calibration.frame(channel, method)
+        if frame is not None and frame.rotation is not None:
+            yield row, frame.rotation
+
+
+def angles_of_rotation(rotation: FloatArray) -> FloatArray:
+    """Return roll, pitch and yaw (3,), radians, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    across = np.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = np.arctan2(-rotation[2, 0], across)
+    if across < GIMBAL_MAX_COSINE:
+        # x is along the link's z: roll and yaw turn about one axis.
+        return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
+    roll, yaw = np.arctan2(rotation[2, 1], rotation[2, 2]), np.arctan2(rotation[1, 0], rotation[0, 0])
+    return np.array([roll, pitch, yaw])
+
+
+def quaternion_of_rotation(rotation: FloatArray) -> FloatArray:
+    """Return the unit quaternion (4,) w x y z of a rotation (3, 3), with w >= 0."""
+    return quaternions_of_angles(angles_of_rotation(rotation)[None])[0]
+
+
 def name_prefix(calibration: Calibration) -> str:
     """Return the beginning of every name: the operator's prefix, or the link's name and an underscore."""
     chosen = calibration.options.prefix
@@ -193,11 +268,11 @@ def skin_name(calibration: Calibration) -> str:
     return f"{name_prefix(calibration)}skin"
 
 
-def named_poses(calibration: Calibration, taxels: PlacedTaxels) -> list[tuple[str, FloatArray, FloatArray]]:
+def named_poses(calibration: Calibration, taxels: PlacedTaxels, method: Method) -> list[tuple[str, FloatArray, FloatArray]]:
     """Return name, position and angles of each taxel."""
     prefix = name_prefix(calibration)
     names = [f"{prefix}taxel_{channel}" for channel in taxels.channels.tolist()]
-    return list(zip(names, taxels.positions, angles_of(taxels.normals), strict=True))
+    return list(zip(names, taxels.positions, frame_angles(calibration, taxels, method), strict=True))
 
 
 def begin_document(tag: str, attributes: dict[str, str], calibration: Calibration, method: Method) -> ET.Element:
@@ -209,14 +284,28 @@ def begin_document(tag: str, attributes: dict[str, str], calibration: Calibratio
 
 def document_comments(calibration: Calibration, method: Method) -> list[ET.Element]:
     """Return comments on the content of a file."""
-    lines = (
+    return [_comment(line) for line in comment_lines(calibration, method)]
+
+
+def comment_lines(calibration: Calibration, method: Method) -> list[str]:
+    """List the comments on the content of a file."""
+    return [
         f"skincal {calibration.version}, {method.value} method, metres and radians in {calibration.scene.link}",
-        "z axis of a taxel: its outward normal; the link's own where that is not known",
+        *_axis_lines(calibration, method),
         *calibration.correction_comments(),
         *calibration.verdict_comments(method),
         *state_lines(calibration.estimates_by(method)),
-    )
-    return [_comment(line) for line in lines]
+    ]
+
+
+def _axis_lines(calibration: Calibration, method: Method) -> list[str]:
+    """Describe the axes of a taxel."""
+    if calibration.axes is None or calibration.scene.skin.axes is None:
+        return ["z axis of a taxel: its outward normal; the link's own where that is not known"]
+    from skincal.words.axis_words import axes_lines  # other skins do without
+
+    found = calibration.axes
+    return axes_lines(calibration.scene.skin.axes, found.findings(method), found.frames(method).values())
 
 
 def add_comment(root: ET.Element, line: str) -> None:

@@ -4,9 +4,9 @@
         <parent link/><origin/><tactile channel><taxel idx xyz rpy><geometry/></taxel>...</tactile>
     </sensor>
 
-The z axis of a taxel is its normal; `idx` is its place in the data of the channel (`tactile_msgs/TactileState`). The sensor's
-origin is that of the link, since its composition with a taxel's pose differs between versions of the reader. That
-reader needs no `type`; iDynTree reports an error for a sensor without.
+The z axis of a taxel is its normal, or all axes are those of its readings (`frames.py`); `idx` is its place in the data of the
+channel (`tactile_msgs/TactileState`). The sensor's origin is that of the link, since its composition with a taxel's pose
+differs between versions of the reader. That reader needs no `type`; iDynTree reports an error for a sensor without.
 
 Source: github.com/ubi-agni/tactile_toolbox, `urdf_tactile/README.md` and `urdf_tactile/src/parser.cpp`.
 """
@@ -61,7 +61,7 @@ def _sensor(calibration: Calibration, method: Method) -> ET.Element:
     ET.SubElement(sensor, "origin", xyz="0 0 0", rpy="0 0 0")
     tactile = ET.SubElement(sensor, "tactile", channel=name)
     size = {"radius": f"{taxel_radius(calibration):.9g}", "length": f"{DRAWN_TAXEL_HEIGHT_M:g}"}
-    for channel, (_, position, angles) in zip(taxels.channels.tolist(), named_poses(calibration, taxels), strict=True):
+    for channel, (_, position, angles) in zip(taxels.channels.tolist(), named_poses(calibration, taxels, method), strict=True):
         taxel = ET.SubElement(tactile, "taxel", idx=str(channel), xyz=number_words(position), rpy=number_words(angles))
         ET.SubElement(ET.SubElement(taxel, "geometry"), "cylinder", size)
     return sensor

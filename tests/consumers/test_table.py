@@ -9,7 +9,7 @@ TESTED_BY = {
     "MuJoCo": "test_mujoco.py", "Drake": "by_name/test_programs.py", "pinocchio": "test_pinocchio.py",
     "iDynTree": "by_name/test_programs.py", "PyBullet": "by_name/test_programs.py", "Gazebo": "by_name/test_programs.py",
     "RViz": "by_name/test_programs.py", "Open3D": "by_name/test_programs.py", "MeshLab": "by_name/test_programs.py",
-    "Blender": "by_name/test_programs.py",
+    "Blender": "by_name/test_programs.py", "nb-touch": "by_name/test_programs.py",
 }  # fmt: skip
 
 

@@ -23,9 +23,10 @@ PACKAGES = {
     "open3d": ("open3d==0.20.0", "numpy==2.4.6"),
     "pymeshlab": ("pymeshlab==2025.7.post1", "numpy==2.4.6"),
     "blender": ("bpy==5.0.1",),
+    "nb_touch": ("nb-touch==0.1.0", "numpy==2.4.6"),
 }
 """Tested versions, by reader."""
-PYTHONS = {"drake": ("3.12", "3.13"), "blender": ("3.11",)}
+PYTHONS = {"drake": ("3.12", "3.13"), "blender": ("3.11",), "nb_touch": ("3.12", "3.13", "3.14")}
 """Versions of Python for which a program has wheels; the others have one for every version."""
 
 

@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from skincal.files.consumers import EXPORT_CONSUMERS
+from skincal.files.export import write_calibration
 from skincal.files.formats import ExportOptions, Inertia
 from skincal.files.reference import read_place_sets
+from skincal.taxels.result import Method
 from tests.consumers.by_name.installed import read_with
+from tests.consumers.flat_pad import flat_calibration
 from tests.consumers.robots import (
     LINK,
     Kinematics,
@@ -202,3 +205,18 @@ def test_blender_keeps_every_number(skin: Skin, tmp_path):
     assert_points_are_right(found["position"], found["normal"], found["quality"], skin)
     assert found["channel"] == skin.channels
     assert {"method", "sd_mm"} <= set(found)
+
+
+def test_nb_touch_reads_positions_and_rotations_and_finds_a_push(tmp_path):
+    calibration, rotations = flat_calibration(tmp_path)
+    each = CHOICE["nb-touch"]
+    path = tmp_path / f"tip{each.format_.suffix}"
+    write_calibration(calibration, each.format_.value, path, Method.FREE)
+    reading = [0.3, -0.2, -1.5]
+    found, _ = read_with("nb_touch", tmp_path, file=path, pushed=[0, 5], reading=reading)
+    places = np.array([estimate.position for estimate in calibration.estimates_by(Method.FREE)])
+    np.testing.assert_allclose(found["positions"], places, atol=1e-9)
+    np.testing.assert_allclose(found["orientations"], rotations, atol=1e-8)
+    for taxel, push in zip((0, 5), found["pushes"], strict=True):
+        np.testing.assert_allclose(push["cop"], places[taxel], atol=1e-6)
+        np.testing.assert_allclose(push["force"], rotations[taxel] @ reading, atol=1e-4)

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from skincal.axes.module_axes import AxisFindings
+from skincal.axes.session_turns import SessionTurns
+from skincal.axes.skin_turns import SkinTurns
+from skincal.axes.taxel_frames import FrameState, TaxelFrame
+from skincal.axes.turn_fit import AxisNoise
 from skincal.contacts.outcome import Contact
 from skincal.files.calibration import Calibration
 from skincal.geometry import FloatArray
 from skincal.model.scene import Scene, load_scene
+from skincal.model.skin_axes import ResponseRule, SkinAxes, ValueOrder
 from skincal.taxels.result import Cause, Estimate, Method, Rival, State, StateReason
 
 CHANNELS = 48
@@ -177,3 +183,42 @@ def make_contacts(part: Part, count: int, seed: int = 1) -> tuple[Contact, ...]:
             )
         )
     return tuple(contacts)
+
+
+NO_FINDINGS = AxisFindings((), 0.0, ())
+NO_TURNS = SessionTurns(SkinTurns({}, AxisNoise(0.1, 0.0), {}), {}, {})
+
+
+@dataclass(frozen=True)
+class KnownAxes:
+    """Turns that are known, in place of `AxisResults`."""
+
+    known: dict[int, TaxelFrame]
+    found: AxisFindings = NO_FINDINGS
+    turns: SessionTurns = NO_TURNS
+
+    def frames(self, _method: Method) -> dict[int, TaxelFrame]:
+        return self.known
+
+    def findings(self, _method: Method) -> AxisFindings:
+        return self.found
+
+
+READ_AXES = SkinAxes(ValueOrder.BY_TAXEL, (1, -1, -1), (1, 0, 2), ResponseRule.PUSH, "N")
+
+
+def with_turns(calibration: Calibration, unknown: dict[int, FrameState], seed: int = 1) -> tuple[Calibration, FloatArray]:
+    """Give the taxels of a calibration random turns, but those of `unknown`; return also rotations (width, 3, 3), else NaN."""
+    rng, scene = np.random.default_rng(seed), calibration.scene
+    rotations = np.full((scene.skin.channels, 3, 3), np.nan)
+    frames: dict[int, TaxelFrame] = {}
+    for channel in (int(channel) for channel in calibration.channels):
+        turned = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        rotation = turned * np.sign(np.linalg.det(turned))
+        state = unknown.get(channel, FrameState.KNOWN)
+        frames[channel] = TaxelFrame(channel, state)
+        if state is FrameState.KNOWN:
+            rotations[channel] = rotation
+            frames[channel] = TaxelFrame(channel, state, rotation, np.diag([1e-4, 4e-4, 9e-4]), 5)
+    skin = replace(scene.skin, axes=READ_AXES)
+    return replace(calibration, scene=replace(scene, skin=skin), axes=KnownAxes(frames)), rotations
