@@ -16,6 +16,7 @@ from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import FileIO
+from itertools import groupby
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -52,6 +53,11 @@ ORDER_MAX_BYTES = 1 << 16
 SHOWN_ORDER_MAX_BYTES = 200
 MAX_REQUESTED_POKES = 100_000
 """Largest allowed number of pokes: more than twenty for each taxel of a whole body. More is a slip, and would fill the disk."""
+READINGS_TOGETHER_S, READINGS_TOGETHER_WITH_ROBOT_S = 0.05, 0.02
+"""s of readings that are processed together while no poke waits to become final, which takes a longer quiet time. A robot is
+answered as often as the guide looks."""
+SAMPLE_WAIT_MAX_S = 0.02
+"""s that readings wait for a skin frame, without which they are no sample."""
 READING_WAIT_TIMEOUT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
 REPORT_UNOPENED_LINK_AFTER_NS = 1_500_000_000
@@ -110,7 +116,7 @@ def record(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Record devices into a session, until Ctrl-C, and estimate the taxels after each poke.
+    """Record devices into a session, until Ctrl-C, and estimate the taxels.
 
     With --targets the recording ends when no more pokes are needed.
 
@@ -149,7 +155,7 @@ def record(
                 reader.stop()
             items.finish()
             while not items.empty():
-                _handle_item(pipeline, items.get())
+                _handle_items(pipeline, items.get_many(READING_WAIT_TIMEOUT_S))
             pipeline.close()
         if stop.is_set():
             say("stopped", err=True)
@@ -200,17 +206,45 @@ def _read_orders(file: int, items: ChunkQueue) -> None:
         items.put(OrderLine(time.monotonic_ns(), line))
 
 
-def _handle_item(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
-    """Hand an item to the pipeline; report an order that cannot be done and skip it."""
-    if not isinstance(item, OrderLine):
-        pipeline.feed(item)
-        return
+def _next_items(pipeline: Pipeline, items: ChunkQueue, *, for_robot: bool) -> list[Chunk | LinkEvent | OrderLine]:
+    """Wait for items, before an outcome that is reported for those that complete a sample; `queue.Empty` if none come.
+
+    A robot needs every outcome, an operator the final ones.
+    """
+    if pipeline.awaits_outcome(final=not for_robot):
+        if not pipeline.is_frame_waiting:
+            items.wait_for_others(pipeline.links_without_skin, SAMPLE_WAIT_MAX_S)
+    elif not items.is_full:
+        time.sleep(READINGS_TOGETHER_WITH_ROBOT_S if for_robot else READINGS_TOGETHER_S)
+    return items.get_many(READING_WAIT_TIMEOUT_S)
+
+
+def _handle_items(
+    pipeline: Pipeline, items: Sequence[Chunk | LinkEvent | OrderLine], states: dict[str, LinkState] | None = None
+) -> None:
+    """Hand items to the pipeline, readings together; report orders that cannot be done, and events of links with `states`."""
+    for kind, run in groupby(items, type):
+        if kind is Chunk:
+            pipeline.feed_many([item for item in run if isinstance(item, Chunk)])
+            continue
+        for item in run:
+            if isinstance(item, OrderLine):
+                _follow_order(pipeline, item)
+            elif isinstance(item, LinkEvent):
+                if states is not None:
+                    say(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
+                    states[item.link] = item.state
+                pipeline.feed(item)
+
+
+def _follow_order(pipeline: Pipeline, order: OrderLine) -> None:
+    """Hand an order to the pipeline; report one that cannot be done and skip it."""
     from skincal.model.actions import action_from_json
 
     try:
-        pipeline.act(action_from_json(parse_json(item.text)), item.host_ns)
+        pipeline.act(action_from_json(parse_json(order.text)), order.host_ns)
     except (InputError, ValueError, AttributeError) as error:
-        say(f"order {item.text[:SHOWN_ORDER_MAX_BYTES].decode(errors='replace').strip()}: not done. {error}", err=True)
+        say(f"order {order.text[:SHOWN_ORDER_MAX_BYTES].decode(errors='replace').strip()}: not done. {error}", err=True)
 
 
 def check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
@@ -248,18 +282,15 @@ def _loop(
         for sentence in sentences:
             say(sentence, err=True)
         try:
-            item: Chunk | LinkEvent | OrderLine = items.get(timeout=READING_WAIT_TIMEOUT_S)
+            arrived = _next_items(pipeline, items, for_robot=robot is not None)
         except queue.Empty:
             pipeline.tick(time.monotonic_ns())
             over = [states.get(name) for name, reader in readers.items() if not reader.running]
             if LinkState.FAILED in over or len(over) == len(readers):
                 return
             continue
-        if isinstance(item, LinkEvent):
-            say(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
-            states[item.link] = item.state
-        _handle_item(pipeline, item)
-        pipeline.tick(item.host_ns)
+        _handle_items(pipeline, arrived, states)
+        pipeline.tick(arrived[-1].host_ns)
         reported = _report_new_pokes(pipeline, reported)
         if (pokes is not None and reported >= pokes) or (robot is not None and robot.enough):
             return
@@ -307,20 +338,19 @@ class LinkReports:
 
 
 def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
-    """Print each poke's outcome once it is final; return how many were printed."""
-    from skincal.contacts.outcome import Contact
-    from skincal.words.poke_words import missed_words, rejection_words
+    """Print each poke's outcome once it is final; return the number of the last one printed."""
+    session = pipeline.session
+    while (outcome := session.corrected_outcome(reported + 1)) is not None and outcome.final:
+        from skincal.contacts.outcome import Contact
+        from skincal.words.poke_words import missed_words, rejection_words
 
-    snapshot = pipeline.snapshot()
-    records = snapshot.pokes
-    while reported < len(records) and records[reported].outcome.final:
-        outcome = records[reported].outcome
         if isinstance(outcome, Contact):
             say(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
         else:
             say(f"poke {outcome.poke}: rejected, {rejection_words(outcome)}", err=True)
-        if outcome.poke in snapshot.decisions.missed_landmarks:
-            say(f"poke {outcome.poke}: {missed_words(snapshot.decisions.missed_landmarks[outcome.poke])}", err=True)
+        missed = session.decisions.missed_landmarks
+        if outcome.poke in missed:
+            say(f"poke {outcome.poke}: {missed_words(missed[outcome.poke])}", err=True)
         reported += 1
     return reported
 

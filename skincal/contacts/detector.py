@@ -243,6 +243,10 @@ class ContactDetector:
             still=0.0 if press is None else min(1.0, press.still),
         )
 
+    def awaits_outcome(self, *, final: bool) -> bool:
+        """Whether a poke is in progress or waits for the tare or angles after it; only the latter if the outcome is `final`."""
+        return bool(self._pending or self._with_late_angles) or not (final or self._press is None)
+
     @property
     def phase(self) -> PressPhase:
         """State of the detector: waiting, or the progress of a poke."""

@@ -243,6 +243,10 @@ class TouchDetector(ContactDetector):
         self._is_recovering = False
         return super().reset(host_s, is_loss=is_loss)
 
+    def awaits_outcome(self, *, final: bool) -> bool:  # noqa: ARG002 - as of a rig with a sensor
+        """Whether the next sample may bring an outcome: a touch that no taxel answers is known at its end only."""
+        return True
+
     @property
     def phase(self) -> PressPhase:
         """State of the detector: waiting, or the progress of a poke."""

@@ -535,8 +535,7 @@ class FrameDecoder(ABC):
 
     def _read_header(self, text: str) -> None:
         """Read a board's header, `key=value,...`: compare its width with the scene's, keep the unit of its skin."""
-        pairs = (field.partition("=") for field in text.split(","))
-        header = {key.strip(): value.strip() for key, equals, value in pairs if equals}
+        header = _header_fields(text)
         n, channels, kind = header.get("n", ""), self._widths.get(Stream.SKIN), header.get("kind")
         # A header that agrees does not clear another problem.
         if channels is not None and n.isdigit() and int(n) != channels and kind != "ft":
@@ -544,6 +543,17 @@ class FrameDecoder(ABC):
             self._problem = (
                 f"{board} says that it sends n={n} taxels where {channels} are expected; {_WIDTH_ADVICE[Stream.SKIN]}"
             )
-        unit = header.get("unit", "raw")[:UNIT_NAME_MAX_CHARS]
-        if kind == "taxel" and unit != "raw":
+        if unit := unit_of_header(text):
             self.units[Stream.SKIN], self.skin_unit = f"values in {unit}", unit
+
+
+def _header_fields(text: str) -> dict[str, str]:
+    pairs = (field.partition("=") for field in text.split(","))
+    return {key.strip(): value.strip() for key, equals, value in pairs if equals}
+
+
+def unit_of_header(text: str) -> str:
+    """Read the unit of the skin from a board's header; empty for raw values and other boards."""
+    header = _header_fields(text)
+    unit = header.get("unit", "raw")[:UNIT_NAME_MAX_CHARS]
+    return unit if header.get("kind") == "taxel" and unit != "raw" else ""

@@ -14,8 +14,12 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import accumulate
 from typing import ClassVar
+
+import numpy as np
 
 from skincal.devices.decoding import (
     DEFAULT_UNITS,
@@ -29,10 +33,14 @@ from skincal.devices.decoding import (
 from skincal.devices.family import DeviceAddress, Family, Form, Handshake, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.netft_page import ALL_BITS, ANY_ERROR_BIT, SensorPage, StatusTable, given_page, keep_transform, read_page
-from skincal.model.readings import Loss, Stream
+from skincal.model.readings import Batch, Loss, Stream
 
 REQUEST_STRUCT = struct.Struct("!HHI")
 RECORD_STRUCT = struct.Struct("!III6i")
+PACKET_DTYPE = np.dtype(
+    [("kind", "u1"), ("size", "<u4"), ("number", ">u4"), ("sample", ">u4"), ("status", ">u4"), ("counts", ">i4", (6,))]
+)
+"""A datagram of one record, as a packet."""
 MAGIC, STOP, STREAM_ON = 0x1234, 0, 2
 PAGE, RECORDS = 1, 2
 """Kinds of packets."""
@@ -77,7 +85,36 @@ class RdtDecoder(FrameDecoder):
         """Records in a row that repeat a sample."""
 
     def _make_splitter(self) -> FrameSplitter:
-        return packet_splitter(WEB_PAGE_MAX_BYTES)
+        self._packets = packet_splitter(WEB_PAGE_MAX_BYTES)
+        return self._packets
+
+    def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
+        """Decode chunks of whole datagrams of one good record each, with no number missing. Else take nothing."""
+        page, last, size = self._page, self._last, PACKET_DTYPE.itemsize
+        is_usual = page is not None and page.own_from_reported is None and not self._status and Stream.WRENCH in self._widths
+        is_whole = not self._packets.has_partial_frame and all(chunk and not len(chunk) % size for chunk in chunks)
+        if page is None or last is None or not is_usual or not is_whole:
+            return None
+        records = np.frombuffer(b"".join(chunks), PACKET_DTYPE)
+        numbers, samples = records["number"].astype(np.int64), records["sample"].astype(np.int64)
+        if (
+            (records["kind"] != RECORDS).any()
+            or (records["size"] != RECORD_STRUCT.size).any()
+            or records["status"].any()
+            or (np.diff(numbers, prepend=last) % RECORD_NUMBER_MODULUS != 1).any()
+            or self._sample is None
+            or (np.diff(samples, prepend=self._sample) == 0).any()
+        ):
+            return None
+        values = records["counts"] / np.repeat([page.per_newton, page.per_newton_metre], 3)
+        if page.limits and (np.abs(values) > page.limits).any():
+            return None
+        totals = self._total + 1 + np.arange(len(records))
+        self._last, self._total = int(numbers[-1]), int(totals[-1])
+        self._sample, self._samples_count, self._repeats = int(samples[-1]), True, 0
+        self.valid_records += len(records)
+        found = self._batch(Stream.WRENCH, totals, np.full(len(records), math.nan), values)
+        return found, list(accumulate(len(chunk) // size for chunk in chunks))
 
     def _decode(self, frame: bytes) -> Loss | None:
         kind, payload = frame[0], frame[1:]

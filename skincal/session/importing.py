@@ -20,9 +20,9 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.part.part import anchor_findings, load_scene_surface
-from skincal.session.pipeline import ITEMS_AT_ONCE, Pipeline
+from skincal.session.pipeline import Pipeline
 from skincal.session.skin_findings import session_skin_sentences
-from skincal.streams.links import LinkSpec
+from skincal.streams.links import ITEMS_AT_ONCE, LinkSpec
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import sheet_findings
 from skincal.words.link_words import silent_links

@@ -45,8 +45,6 @@ if TYPE_CHECKING:
     from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
 
-ITEMS_AT_ONCE = 64
-"""Items of a recording that are fed together: a second or some, and 0.01 s of work."""
 WRENCH_RECORD_PERIOD_NS = 500_000_000
 """ns between decoded wrenches in the journal."""
 DELAY_USED_MAX_SD_S, DELAY_REFIT_RATIO = 0.030, 1.25
@@ -119,6 +117,8 @@ class Pipeline:
 
     def _connect(self, links: Sequence[LinkSpec]) -> None:
         self.links = tuple(links)
+        self.links_without_skin = frozenset(link.name for link in links if link.carries and Stream.SKIN not in link.carries)
+        """Names of the links whose readings complete a sample only if a frame waits for them."""
         self._intake = Intake(ExpectedReadings.of_scene(self.scene), links, self._find_frame)
         self._delay_watch = _delay_watch_of(self.scene)
         self._delay_fitted = 0
@@ -350,6 +350,15 @@ class Pipeline:
     def phase(self) -> PressPhase:
         """State of the poke in progress."""
         return self._detector.phase
+
+    @property
+    def is_frame_waiting(self) -> bool:
+        """Whether a skin frame waits for its wrench."""
+        return self._intake.is_frame_waiting
+
+    def awaits_outcome(self, *, final: bool) -> bool:
+        """Whether the next sample may bring an outcome, or a `final` one."""
+        return self._detector.awaits_outcome(final=final)
 
     def can_measure(self, now_ns: int) -> bool:
         """Whether a poke would be measured now: samples come from working links, in a known arm pose."""

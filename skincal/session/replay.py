@@ -27,8 +27,8 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent
 from skincal.model.scene import ships, with_layout
 from skincal.part.part import load_scene_surface
-from skincal.session.pipeline import ITEMS_AT_ONCE, Pipeline
-from skincal.streams.links import LinkSpec
+from skincal.session.pipeline import Pipeline
+from skincal.streams.links import ITEMS_AT_ONCE, LinkSpec
 
 _ACTION_MISFIT = "An action of the operator no longer fits and is left out"
 

@@ -257,6 +257,11 @@ class Session:
         """Give a poke's outcome as the rig reported it; `None` if there is no such poke."""
         return self._reported.get(poke)
 
+    def corrected_outcome(self, poke: int) -> Outcome | None:
+        """Give a poke's outcome as the corrections in use have it; `None` if there is no such poke."""
+        record = self._records.get(poke)
+        return None if record is None else record.outcome
+
     def set_detected_dead(self, found: Mapping[int, str]) -> None:
         """Set the channels that the detector found to be dead, in place of those before."""
         if found is self.found_dead or dict(found) == dict(self.found_dead):

@@ -26,7 +26,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.devices.decoding import NO_SEQ
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import Batch, Stream
 
 CLOCK_FIT_WINDOW_S = 60.0
@@ -104,8 +104,8 @@ class ConvexHullClock:
             self._end_bucket(x, y)
         return arrival_s - (y - self._offset - self._slope * x)
 
-    def map_many(self, device_s: FloatArray, arrival_s: FloatArray) -> FloatArray:
-        """Return `map` of each of n successive readings, (n,) seconds, bit for bit."""
+    def map_many(self, device_s: FloatArray, arrival_s: FloatArray, *, until_jump: bool = False) -> FloatArray:
+        """Return `map` of each of n successive readings, (n,) seconds, bit for bit; with `until_jump` up to the first jump."""
         made = np.empty(len(device_s))
         at = 0
         while at < len(device_s):
@@ -114,6 +114,8 @@ class ConvexHullClock:
             if end < len(device_s):
                 made[end] = self.map(float(device_s[end]), float(arrival_s[end]))
             at = end + 1
+            if until_jump and self.jumps:
+                return made[:at]
         return made
 
     def _map_until_change(self, device_s: FloatArray, arrival_s: FloatArray, made: FloatArray) -> int:
@@ -259,6 +261,25 @@ class IndexClock:
             self._restart_line(arrival_s)
         return made_s
 
+    def map_many(self, arrival_s: FloatArray, numbers: IntArray) -> FloatArray:
+        """Return `map` of each of n successive readings that arrived at (n,) seconds with (n,) numbers, bit for bit."""
+        made, at = np.empty(len(numbers)), 0
+        is_ascending = numbers[0] >= max(self._number, 0) and bool((numbers[1:] >= numbers[:-1]).all())
+        while at < len(numbers):
+            if self._period is None or not self._has_numbers or not is_ascending:
+                made[at] = self.map(float(arrival_s[at]), int(numbers[at]))
+                at += 1
+                continue
+            mapped = self._hull.map_many(
+                np.multiply(numbers[at:], self._period, dtype=np.float64), arrival_s[at:], until_jump=True
+            )
+            made[at : at + len(mapped)] = mapped
+            at += len(mapped)
+            self._number = int(numbers[at - 1])
+            if self._hull.jumps:
+                self._restart_line(float(arrival_s[at - 1]))
+        return made
+
     def note_loss(self) -> None:
         """Start the fit again after a lost reading. For a device that numbers its readings this does nothing."""
         if self._has_numbers:
@@ -325,8 +346,12 @@ class Timestamper:
         `arrival_s` is when the last reading arrived, or (n,) the arrival of the last one that came with each.
         """
         index, count = self._index[batch.stream], len(batch.seq)
-        if count >= DATED_TOGETHER_MIN and not np.isnan(batch.device_s).any():
+        have_no_clock = np.isnan(batch.device_s)
+        if count >= DATED_TOGETHER_MIN and not have_no_clock.any():
             made = self._device.map_many(batch.device_s, np.broadcast_to(arrival_s, count))
+            return self._ascending_from_last(batch.stream, made)
+        if count >= DATED_TOGETHER_MIN and have_no_clock.all():
+            made = index.map_many(np.broadcast_to(arrival_s, count), batch.seq)
             return self._ascending_from_last(batch.stream, made)
         arrivals = arrival_s.tolist() if isinstance(arrival_s, np.ndarray) else [arrival_s] * count
         dates = [

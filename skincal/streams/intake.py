@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate, pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -116,6 +116,11 @@ class Intake:
         self._now_s = max(self._now_s, item.host_ns * 1e-9)
         return self._pairing.pop_paired(self._now_s)
 
+    @property
+    def is_frame_waiting(self) -> bool:
+        """Whether a skin frame waits for its wrench."""
+        return self._pairing.is_waiting
+
     def knows(self, link: str) -> bool:
         """Whether a link has this name."""
         return link in self._links
@@ -141,15 +146,17 @@ class Intake:
 
     def _feed_parts(self, link: LinkIntake, chunks: Sequence[Chunk]) -> Iterator[bool]:
         """Add the readings of a link's chunks to the pairing, a chunk at a time; yield whether the link is frozen after it."""
-        run = link.feed_many(chunks)
-        self._note_frames_of(link)
-        if run is None:
-            for chunk in chunks:
-                for arrived in link.feed(chunk):
-                    self._add_to_pairing(arrived)
-                self._note_frames_of(link)
-                yield link.monitor.is_frozen
-            return
+        for found in link.feed_many(chunks):
+            self._note_frames_of(link)
+            if isinstance(found, LinkRun):
+                yield from self._add_run(found)
+                continue
+            for arrived in found:
+                self._add_to_pairing(arrived)
+            yield link.monitor.is_frozen
+
+    def _add_run(self, run: LinkRun) -> Iterator[bool]:
+        """Add the readings of a run to the pairing, a chunk at a time; yield whether its link is frozen after it."""
         whole, ends = run.whole, [0, *run.ends]
         # Wrenches of two links would be stored in another order.
         if (
@@ -167,8 +174,8 @@ class Intake:
             yield is_frozen
 
     def _note_frames_of(self, link: LinkIntake) -> None:
-        if link.frames.count != link.frames_noted:
-            link.frames_noted, self.has_new_frames = link.frames.count, True
+        if link.frames_named != link.frames_noted:
+            link.frames_noted, self.has_new_frames = link.frames_named, True
 
     def _add_to_pairing(self, arrived: TimestampedBatch) -> None:
         batch, stamps, values = arrived.batch, arrived.stamps.tolist(), arrived.batch.values
@@ -231,6 +238,17 @@ class LinkRun(NamedTuple):
     """Whether the link is frozen after each chunk."""
 
 
+class DecodedChunk(NamedTuple):
+    """Readings of one chunk, not dated yet."""
+
+    batches: list[tuple[int, Batch]]
+    """Each with its arrival, ns."""
+    loses_count: bool
+    """After this chunk a count of readings no longer gives the time."""
+    has_news: bool
+    """The device named a frame or a unit, or measures something else, too."""
+
+
 class LinkIntake:
     """One link: its decoder, its clocks and its figures."""
 
@@ -238,8 +256,10 @@ class LinkIntake:
         self.spec, self._expected = spec, expected
         self.frames = WrenchFrames(find_frame)
         """Frames of the wrenches."""
-        self.frames_noted = 0
-        """Number of them that `Intake.has_new_frames` counts."""
+        self.frames_named, self.frames_noted = 0, 0
+        """Number of frames that the processed chunks named, and that `Intake.has_new_frames` counts."""
+        self.skin_unit = ""
+        """Unit that the device names for the skin's values; empty for raw values."""
         self._numberless = 0
         self._stamper = Timestamper()
         self._format = format_of(spec.address, spec.format)
@@ -266,18 +286,53 @@ class LinkIntake:
         decoder.use_scene(self._expected, self.frames)
         return decoder
 
-    def feed_many(self, chunks: Sequence[Chunk]) -> LinkRun | None:
-        """Process the next chunks together if link and format allow it, with the effect of `feed` for each; else do nothing."""
-        is_steady = self._last_ns and not self._outage_began_ns and len(self.spec.carries) == 1
-        found = self._decoder.feed_many([chunk.data for chunk in chunks]) if is_steady else None
-        if found is None:
-            return None
-        whole, ends = found
-        times_ns, counts = [chunk.host_ns for chunk in chunks], np.diff(ends, prepend=0)
+    def feed_many(self, chunks: Sequence[Chunk]) -> Iterator[LinkRun | list[TimestampedBatch]]:
+        """Process the next chunks with the effect of `feed` for each.
+
+        Yields runs of chunks whose readings are finite and complete, and between them the readings of a single chunk. The
+        decoder may be a chunk ahead of what was yielded.
+        """
+        rest = deque(chunks)
+        while rest and not self._is_steady:
+            yield self.feed(rest.popleft())
+        at_once = self._decoder.feed_many([chunk.data for chunk in rest]) if len(rest) > 1 else None
+        if at_once is not None:
+            self._note_names()
+            yield self._dated_run(*at_once, rest)
+            return
+        while rest:
+            usual, unusual = self._decode_usual(rest)
+            if usual:
+                yield self._dated_run(*_joined(usual), [rest.popleft() for _ in usual])
+            if unusual is not None:
+                yield self._finish_chunk(rest.popleft(), unusual)
+
+    @property
+    def _is_steady(self) -> bool:
+        """Whether the link works, and carries one stream."""
+        return bool(self._last_ns) and not self._outage_began_ns and len(self.spec.carries) == 1
+
+    def _decode_usual(self, chunks: Iterable[Chunk]) -> tuple[list[Batch], DecodedChunk | None]:
+        """Decode the leading chunks that a run may have: their batches, and the next chunk's readings, if there is one."""
+        usual: list[Batch] = []
+        for chunk in chunks:
+            decoded = self._decode(chunk)
+            (arrival_ns, batch), is_one = decoded.batches[0] if decoded.batches else (0, None), len(decoded.batches) == 1
+            is_usual = is_one and not decoded.loses_count and not decoded.has_news and arrival_ns == chunk.host_ns
+            if batch is None or not is_usual or not np.isfinite(batch.values).all():
+                return usual, decoded
+            if usual and usual[0].values.shape[1] != batch.values.shape[1]:
+                return usual, decoded
+            usual.append(batch)
+        return usual, None
+
+    def _dated_run(self, whole: Batch, ends: list[int], chunks: Collection[Chunk]) -> LinkRun:
+        """Date and count readings, (n,) of one stream; `ends` are the rows after each chunk."""
+        times_ns, counts = [chunk.host_ns for chunk in chunks], [end - begin for begin, end in pairwise([0, *ends])]
         arrivals = [host_ns * 1e-9 for host_ns in times_ns]
         stamps = self._stamper.stamp(whole, np.repeat(arrivals, counts))
         self._last_ns = times_ns[-1]
-        for host_ns, count in zip(times_ns, counts.tolist(), strict=True):
+        for host_ns, count in zip(times_ns, counts, strict=True):
             self._count_readings(host_ns, count)
         frozen = self.monitor.on_run(whole, ends, times_ns)
         return LinkRun(TimestampedBatch(whole, stamps, arrivals[-1]), ends, arrivals, frozen)
@@ -291,15 +346,28 @@ class LinkIntake:
             self.state, self._text = LinkState.OPEN, ""
         if self._outage_began_ns:
             self._outages, self._outage_began_ns = self._outages_until(chunk.host_ns), 0
-        self._last_ns = chunk.host_ns
-        # Counted before the batches are dated: after a loss a count of readings no longer gives the time.
-        before = self._uncountable_losses()
+        return self._finish_chunk(chunk, self._decode(chunk))
+
+    def _decode(self, chunk: Chunk) -> DecodedChunk:
+        losses, names = self._uncountable_losses(), (self.frames.count, self._decoder.current.skin_unit)
         batches = self._decoder.feed(chunk.data, chunk.host_ns)
-        if self._uncountable_losses() > before:
+        current = self._decoder.current
+        has_news = names != (self.frames.count, current.skin_unit) or bool(current.side_readings)
+        return DecodedChunk(batches, self._uncountable_losses() > losses, has_news)
+
+    def _finish_chunk(self, chunk: Chunk, decoded: DecodedChunk) -> list[TimestampedBatch]:
+        """Count and date the readings of a chunk."""
+        self._last_ns = chunk.host_ns
+        self._note_names()
+        # Before the batches are dated.
+        if decoded.loses_count:
             self._stamper.note_loss()
-        self._count_batches(batches)
-        self.monitor.on_data(chunk.data, chunk.host_ns, [batch for _, batch in batches])
-        return self._dated(batches)
+        self._count_batches(decoded.batches)
+        self.monitor.on_data(chunk.data, chunk.host_ns, [batch for _, batch in decoded.batches])
+        return self._dated(decoded.batches)
+
+    def _note_names(self) -> None:
+        self.frames_named, self.skin_unit = self.frames.count, self._decoder.current.skin_unit
 
     def _take_event(self, event: LinkEvent) -> list[TimestampedBatch]:
         batches: list[tuple[int, Batch]] = []
@@ -315,6 +383,7 @@ class LinkIntake:
             self._stamper.reset_clocks()
         if event.state in (LinkState.LOST, LinkState.FAILED) and self._last_ns and not self._outage_began_ns:
             self._outage_began_ns = self._last_ns
+        self._note_names()
         self._losses_before[Loss.DROPPED] += event.dropped
         self.state, self._text = event.state, event.text
         return self._dated(batches)
@@ -371,11 +440,6 @@ class LinkIntake:
             outages=self._outages_until(now_ns),
         )
 
-    @property
-    def skin_unit(self) -> str:
-        """Unit that the device names for the skin's values; empty for raw values."""
-        return self._decoder.current.skin_unit
-
     def side_readings(self) -> Mapping[str, SideReading]:
         """Return the other quantities that the device measured."""
         return merge_side_readings(self._side_readings_before, self._decoder.current.side_readings)
@@ -390,3 +454,11 @@ class LinkIntake:
         if not counted:
             return 0.0
         return sum(count for _, count in counted) / ((now_step_ns - counted[0][0]) * 1e-9)
+
+
+def _joined(batches: Sequence[Batch]) -> tuple[Batch, list[int]]:
+    """Join batches of one stream and width; return also the rows after each."""
+    if len(batches) == 1:
+        return batches[0], [len(batches[0].seq)]
+    columns = zip(*((each.seq, each.device_s, each.values, each.saturated, each.invalid) for each in batches), strict=True)
+    return Batch(batches[0].stream, *map(np.concatenate, columns)), list(accumulate(len(each.seq) for each in batches))

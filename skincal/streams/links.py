@@ -42,6 +42,8 @@ QUEUED_MAX_BYTES = 1 << 20
 """Bytes of a link that may wait in the queue: a second of the fastest devices, a tenth of a second of work."""
 CHUNK_MEMORY_OVERHEAD_BYTES = 200
 """Memory of a chunk beyond its bytes, so that many small chunks count, too."""
+ITEMS_AT_ONCE = 64
+"""Items that are processed together: a second or some of a recording, and 0.01 s of work."""
 DROP_BYTES_AFTER_OVERFLOW_FOR_NS = 500_000_000
 """ns. A link that is too fast is dropped for this long, so that it causes at most two messages a second."""
 READ_TIMEOUT_S = 0.1
@@ -216,6 +218,9 @@ class ChunkQueue:
         self._lock = threading.Lock()
         self._waiting: Counter[str] = Counter()
         """Memory of the waiting chunks of each link, bytes."""
+        self._unhurried = frozenset[str]()
+        """Links whose chunks end no wait."""
+        self._others_came = threading.Event()
         self._dropping: dict[str, tuple[int, int]] = {}
         """By link: until when its bytes are dropped, ns, and how many were."""
 
@@ -232,6 +237,8 @@ class ChunkQueue:
             if isinstance(item, Chunk | LinkEvent):
                 self._report_dropped(item.link, item.host_ns)  # before the item: bytes were dropped while the link was open
             self._queue.put(item)
+            if not isinstance(item, Chunk) or item.link not in self._unhurried:
+                self._others_came.set()
             return True
 
     def _fits(self, chunk: Chunk) -> bool:
@@ -255,6 +262,24 @@ class ChunkQueue:
             with self._lock:
                 self._waiting[item.link] -= len(item.data) + CHUNK_MEMORY_OVERHEAD_BYTES
         return item
+
+    def wait_for_others(self, links: frozenset[str], timeout: float) -> None:
+        """Wait until something other than chunks of some links was put since the last call, at most `timeout`, seconds."""
+        self._unhurried = links
+        self._others_came.wait(timeout)
+        self._others_came.clear()
+
+    @property
+    def is_full(self) -> bool:
+        """Whether so much waits that it is processed at once."""
+        return self._queue.qsize() >= ITEMS_AT_ONCE
+
+    def get_many(self, timeout: float) -> list[Any]:
+        """Return one to `ITEMS_AT_ONCE` items. Raises `queue.Empty` if none comes within `timeout`, seconds."""
+        found = [self.get(timeout)]
+        while len(found) < ITEMS_AT_ONCE and not self._queue.empty():
+            found.append(self.get())
+        return found
 
     def empty(self) -> bool:
         """Check whether nothing waits. If a link fell silent while its bytes were dropped, this is reported now."""

@@ -17,13 +17,14 @@ import skincal
 from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
 from skincal.model.readings import Stream
-from skincal.session.pipeline import ITEMS_AT_ONCE, Pipeline
+from skincal.session.pipeline import Pipeline
 from skincal.simulation.device import DeviceTimeline
 from skincal.simulation.example_parts import ExamplePart
 from skincal.simulation.operator import AutoOperator, Habits
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
 from skincal.streams.decoders.auto_detect import LinkDecoder
+from skincal.streams.links import ITEMS_AT_ONCE
 from skincal.studies.runtime import solved_session
 from skincal.taxels.result import PER_TAXEL
 from tests.skincal.import_support import read_recording

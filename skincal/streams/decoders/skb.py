@@ -29,6 +29,7 @@ from skincal.devices.decoding import (
     FrameDecoder,
     MarkSplitter,
     SequenceCounter,
+    unit_of_header,
 )
 from skincal.geometry import IntArray
 from skincal.model.readings import Batch, Loss, Stream
@@ -94,6 +95,7 @@ class SkbDecoder(FrameDecoder):
             or not np.isfinite(values).all()
             or not np.diff(ends, prepend=0).all()
             or not sequence.follows(raw_seq.astype(np.int64))
+            or any(self._names_new_unit(header) for header in headers)
             or any(self._header(header) is not None for header in headers)
         ):
             return None
@@ -134,6 +136,9 @@ class SkbDecoder(FrameDecoder):
             payload, status = payload[:-STATUS_BYTES], int.from_bytes(payload[-STATUS_BYTES:], "little")
         self.valid_records += 1
         return self._add(stream, seq, device_s, np.frombuffer(payload, dtype), status)
+
+    def _names_new_unit(self, body: bytes) -> bool:
+        return unit_of_header(body[HEAD_STRUCT.size :].decode(errors="replace")) not in ("", self.skin_unit)
 
     def _header(self, body: bytes) -> Loss | None:
         try:

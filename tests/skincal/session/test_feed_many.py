@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from skincal.devices.decoding import pack
+from skincal.devices.netft import PAGE, RECORDS
+from skincal.devices.netft_page import given_page
 from skincal.geometry import Arm, DhLink
 from skincal.journal import writer
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream, Tick
@@ -20,11 +24,24 @@ from skincal.model.scene import ArmSpec
 from skincal.session import pipeline as pipeline_module
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import replay
-from skincal.simulation.board_formats import SkbEncoder
+from skincal.simulation.board_formats import SkbEncoder, make_encoder
+from skincal.simulation.emulated_devices import X25, BotaEncoder, RdtEncoder, RobotiqEncoder, YarpEncoder, _crc
+from skincal.streams.decoders.skb import SkbDecoder
 from skincal.streams.links import LinkSpec
 from tests.skincal.poke_script import ANSWERS, PERIOD_S, SPOTS, outcome_key, same_estimates, some_pokes, write_scene
 
-LINKS = tuple(LinkSpec(stream.value, "simulated:x", (stream,), "skb") for stream in (Stream.WRENCH, Stream.SKIN, Stream.JOINTS))
+STREAMS = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
+
+
+def links_of(*formats):
+    """Links of the three streams with these formats."""
+    every = zip(STREAMS, formats, strict=True)
+    return tuple(LinkSpec(stream.value, "simulated:x", (stream,), name) for stream, name in every)
+
+
+WIDTHS = {Stream.WRENCH: 6, Stream.SKIN: 24, Stream.JOINTS: 1}
+LINKS = links_of("skb", "skb", "skb")
+MAKER_LINKS = links_of("rdt", "yarp-port", "yarp-port")
 WRENCHES_PER_CHUNK, CHUNKS_PER_FRAME = 3, 2
 START_NS = 5_000_000_000
 MS = 1_000_000
@@ -91,6 +108,81 @@ def in_gaps(scene):
     return pressed(script.gap(11.0).quiet(), 1, hold_s=0.5).quiet()
 
 
+class PacketsOfRecords(RdtEncoder):
+    """A Net F/T's records as its link gives them: packets, after its page."""
+
+    def header(self, *_about):  # pyright: ignore[reportIncompatibleMethodOverride]
+        return pack(PAGE, given_page(1e6, 1e6, "Net F/T"))
+
+    def record(self, stream, t_us, values):
+        return pack(RECORDS, super().record(stream, t_us, values))
+
+
+class PortMessages(YarpEncoder):
+    """Messages of a YARP port, after its number."""
+
+    def header(self, *_about):  # pyright: ignore[reportIncompatibleMethodOverride]
+        return bytes.fromhex("5941062900005250")
+
+
+class WarmingSensor(BotaEncoder):
+    """A sensor whose temperature rises with every record; its journal has it twice a second."""
+
+    def record(self, stream, t_us, values):
+        frame = super().record(stream, t_us, values)
+        data = frame[1:-6] + struct.pack("<f", 20.0 + 1e-6 * (t_us % 10_000_000))
+        return frame[:1] + data + struct.pack("<H", _crc(X25, data) ^ 0xFFFF)
+
+
+def in_formats(items, *encoders):
+    """The recording of boards in SKB/1 by devices of other formats; each begins with its header."""
+    of_link = dict(zip([link.name for link in LINKS], encoders, strict=True))
+    readers = {link.name: SkbDecoder(None, link.carries) for link in LINKS}
+    begun, found = set(), []
+    for item in items:
+        if isinstance(item, Chunk):
+            encoder, stream = of_link[item.link], Stream(item.link)
+            records = []
+            for batch in readers[item.link].feed(item.data):
+                values = np.degrees(batch.values) if stream is Stream.JOINTS else batch.values
+                records += encoder.encode(stream, np.round(batch.device_s * 1e6).astype(np.int64), values)
+            header = b"" if item.link in begun else encoder.header(0, "", WIDTHS[stream])
+            begun.add(item.link)
+            item = dataclasses.replace(item, data=header + b"".join(records))
+        found.append(item)
+    return found
+
+
+def by_makers(items):
+    return in_formats(items, PacketsOfRecords(), PortMessages(), PortMessages())
+
+
+def by_boards(items, name):
+    return in_formats(items, *(make_encoder(name, 1e6, 0) for _ in STREAMS))
+
+
+def with_header_in_the_middle(items, header):
+    """Add a board's header to a chunk of the skin in the quiet before the first poke."""
+    at = [number for number, item in enumerate(items) if isinstance(item, Chunk) and item.link == "skin"][3]
+    return [dataclasses.replace(item, data=header + item.data) if number == at else item for number, item in enumerate(items)]
+
+
+def status_in_the_middle(items):
+    """The Net F/T says in some records that it is saturated, and one record repeats a sample."""
+    found, number = [], 0
+    for item in items:
+        if isinstance(item, Chunk) and item.link == "wrench":
+            number += 1
+            data = bytearray(item.data)
+            if number in (30, 31):
+                data[-28:-24] = bytes.fromhex("80020000")
+            if number == 60:
+                data[-32:-28] = data[-41 - 32 : -41 - 28]
+            item = dataclasses.replace(item, data=bytes(data))
+        found.append(item)
+    return found
+
+
 def without(items, link, share, seed=7):
     """Leave out some chunks of a link by chance."""
     rng = np.random.default_rng(seed)
@@ -120,10 +212,10 @@ def cut_anywhere(items):
 
 
 def damaged(items):
-    """Turn a bit in every fortieth chunk."""
+    """Turn a bit in every forty-first item: by turns in a chunk of each link."""
     return [
         dataclasses.replace(item, data=item.data[:9] + bytes([item.data[9] ^ 4]) + item.data[10:])
-        if isinstance(item, Chunk) and at % 40 == 11
+        if isinstance(item, Chunk) and at % 41 == 11
         else item
         for at, item in enumerate(items)
     ]
@@ -161,6 +253,41 @@ RECORDINGS: dict[str, Callable] = {
     "lost link": lambda scene: lost_and_back(as_items(plain(scene))),
 }
 
+OTHER_DEVICES: dict[str, tuple[tuple[LinkSpec, ...], Callable]] = {
+    "makers": (MAKER_LINKS, lambda scene: by_makers(as_items(turned(scene)))),
+    "makers, lost wrenches": (MAKER_LINKS, lambda scene: without(by_makers(as_items(plain(scene))), "wrench", 0.05)),
+    "makers, cut records": (MAKER_LINKS, lambda scene: cut_anywhere(by_makers(as_items(plain(scene))))),
+    "makers, frozen": (MAKER_LINKS, lambda scene: by_makers(as_items(plain(scene), frozen=range(60, 140)))),
+    "makers, status": (MAKER_LINKS, lambda scene: status_in_the_middle(by_makers(as_items(plain(scene))))),
+    "text": (links_of("text", "text", "text"), lambda scene: by_boards(as_items(plain(scene)), "text")),
+    "records as text, damaged": (
+        links_of("skt", "skt", "skt"),
+        lambda scene: damaged(by_boards(as_items(plain(scene)), "skt")),
+    ),
+    "a unit, as text": (
+        links_of("skt", "skt", "skt"),
+        lambda scene: with_header_in_the_middle(
+            by_boards(as_items(plain(scene)), "skt"), make_encoder("skt", 1e6, 0).header(0, "kind=taxel,n=24,unit=N", 24)
+        ),
+    ),
+    "a unit": (
+        LINKS,
+        lambda scene: with_header_in_the_middle(
+            as_items(plain(scene)), make_encoder("skb", 1e6, 0).header(0, "kind=taxel,n=24,unit=N", 24)
+        ),
+    ),
+    "no clock and no numbers, damaged": (
+        links_of("robotiq", "skb", "skb"),
+        lambda scene: damaged(in_formats(as_items(plain(scene)), RobotiqEncoder(), SkbEncoder("f32"), SkbEncoder("f32"))),
+    ),
+    "temperature": (
+        links_of("bota", "skb", "skb"),
+        lambda scene: in_formats(as_items(plain(scene)), WarmingSensor(), SkbEncoder("f32"), SkbEncoder("f32")),
+    ),
+    "formats to be found": (links_of("auto", "auto", "auto"), lambda scene: by_boards(as_items(plain(scene)), "skt")),
+}
+RECORDINGS_AND_LINKS = {name: (LINKS, make) for name, make in RECORDINGS.items()} | OTHER_DEVICES
+
 
 @pytest.fixture
 def _fixed_clock(monkeypatch):
@@ -185,10 +312,10 @@ class Observed(Pipeline):
         super()._commit(item, outcomes)
 
 
-def fed(scene, items, folder: Path | None, blocks=None):
-    """Feed items one by one, or in blocks of so many; return the closed pipeline."""
-    journal = None if folder is None else writer.create_session(folder, scene, LINKS)
-    pipeline = Observed(scene, LINKS, None, journal)
+def fed(scene, items, folder: Path | None, blocks=None, links=LINKS):
+    """Feed items one by one, or in blocks of so many; return the pipeline."""
+    journal = None if folder is None else writer.create_session(folder, scene, links)
+    pipeline = Observed(scene, links, None, journal)
     if blocks is None:
         for item in items:
             if isinstance(item, Tick):
@@ -220,18 +347,19 @@ def assert_same(many, alone):
     assert same_estimates(many.snapshot(), alone.snapshot())
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
+@pytest.mark.parametrize("name", RECORDINGS_AND_LINKS)
 @pytest.mark.usefixtures("_fixed_clock")
 def test_hard_recordings_fed_in_blocks_leave_the_same_session_and_bytes(name, tmp_path):
     scene = write_scene(tmp_path / "scene")
     with_arm = an_arm(scene)
-    items = RECORDINGS[name](with_arm)
-    alone = fed(with_arm, items, tmp_path / "a" / "s")
+    links, make = RECORDINGS_AND_LINKS[name]
+    items = make(with_arm)
+    alone = fed(with_arm, items, tmp_path / "a" / "s", links=links)
     assert alone.seen
-    sizes = (2, 61, 100_000)
+    sizes = (2, 61, 100_000) if name in RECORDINGS else (61,)
     with contextlib.closing(alone):
         for size in sizes:
-            with contextlib.closing(fed(with_arm, items, tmp_path / str(size) / "s", itertools.repeat(size))) as many:
+            with contextlib.closing(fed(with_arm, items, tmp_path / str(size) / "s", itertools.repeat(size), links)) as many:
                 assert_same(many, alone)
     for size, kind in itertools.product(sizes, ("mcap", "jsonl")):
         path = f"s/segment-0001.{kind}"
@@ -242,11 +370,12 @@ def test_hard_recordings_fed_in_blocks_leave_the_same_session_and_bytes(name, tm
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_random_cuts_change_nothing(tmp_path_factory, data):
     scene = an_arm(write_scene(tmp_path_factory.mktemp("scene")))
-    items = RECORDINGS[data.draw(st.sampled_from(list(RECORDINGS)))](scene)
+    links, make = RECORDINGS_AND_LINKS[data.draw(st.sampled_from(list(RECORDINGS_AND_LINKS)))]
+    items = make(scene)
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
     longest = data.draw(st.sampled_from([3, 20, 200]))
-    alone = fed(scene, items, None)
-    assert_same(fed(scene, items, None, (int(count) for count in rng.integers(1, longest, len(items)))), alone)
+    alone = fed(scene, items, None, links=links)
+    assert_same(fed(scene, items, None, (int(count) for count in rng.integers(1, longest, len(items))), links), alone)
 
 
 def test_blocks_are_decoded_together_and_not_chunk_by_chunk(tmp_path, monkeypatch):

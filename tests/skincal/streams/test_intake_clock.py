@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
+from skincal.devices.decoding import NO_SEQ
 from skincal.model.readings import Batch, Stream
 from skincal.streams.clocks import (
     CLOCK_BEHIND_MAX_S,
@@ -265,3 +266,23 @@ def test_a_clock_maps_many_readings_as_one_after_the_other(seed):
     made = [together.map_many(device[a:b], arrival[a:b]) for a, b in pairwise(cuts)]
     assert np.concatenate(made).tolist() == known
     assert together.jumps == alone.jumps
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_counts_map_many_readings_as_one_after_the_other(seed):
+    """With losses, restarts of the numbers, pauses, another pace, and without numbers."""
+    rng = np.random.default_rng(seed)
+    count = 6000
+    numbers, made = 7 + np.arange(count), 100 + np.arange(count) * 0.001
+    at = 2500 if seed % 5 == 2 else int(rng.integers(2500, count))  # a pause is believed after three seconds
+    numbers[at:] += [0, 40, 0, -at, 0][seed % 5]
+    made[at:] += [0.0, 0.04, 5.0, 0.0, 0.001 * np.arange(count - at)][seed % 5]
+    numbers = np.full(count, NO_SEQ) if seed == 9 else numbers
+    arrival = np.repeat((made + 0.002 + rng.exponential(0.004, count))[9::10], 10)
+    alone, together = IndexClock(), IndexClock()
+    known = [alone.map(*reading) for reading in zip(arrival.tolist(), numbers.tolist(), strict=True)]
+    cuts = [0, *sorted(rng.integers(0, count, 9).tolist()), count]
+    mapped = [together.map_many(arrival[a:b], numbers[a:b]) for a, b in pairwise(cuts) if a < b]
+    assert np.concatenate(mapped).tolist() == known
+    assert repr(vars(together._hull)) == repr(vars(alone._hull))
+    assert {**vars(together), "_hull": None} == {**vars(alone), "_hull": None}
