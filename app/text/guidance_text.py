@@ -88,12 +88,29 @@ def why_words(
 
 
 def _reason(guidance: Guidance, target: Target, part_size: float) -> str:
+    turn = _turn_reason(target)
+    words = _position_reason(guidance, target, part_size, has_turn=bool(turn))
+    return ", ".join(filter(None, (words, turn)))
+
+
+def _turn_reason(target: Target) -> str:
+    """Predict the gain of the poke for the turn of a taxel of three axes; empty for others."""
+    if math.isnan(target.turn_now):
+        return ""
+    from skincal.words.turn_words import turn_gain_words  # other skins do without
+
+    return turn_gain_words(target.turn_now, target.turn_after)
+
+
+def _position_reason(guidance: Guidance, target: Target, part_size: float, *, has_turn: bool) -> str:
     if target.channel is None:
         return "No layout: this shows which taxel answers here"
     row = int(np.searchsorted(guidance.channels, target.channel))
     missing = guidance.needs[row]
     if guidance.phase is GuidePhase.TEST:
         return f"Test poke, {guidance.tests_missing} left: does it agree with the estimate?"
+    if has_turn and missing == (Need.TURN,):
+        return "Press leaning"
     if Need.ACCURACY not in missing:
         if not missing:
             return "A check: does this poke agree with the estimate?"

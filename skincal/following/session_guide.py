@@ -255,7 +255,12 @@ class SessionGuide:
         search = self._part.cover
         if is_question and search is not None:
             search = search.unpoked()
-        return Guide(self.plan, self._scene.noise, method, search=search, surroundings=self.surroundings)
+        guide = Guide(self.plan, self._scene.noise, method, search=search, surroundings=self.surroundings)
+        if self._scene.skin.axes is not None:
+            from skincal.guide.turn_needs import TurnNeeds  # other skins do without
+
+            guide.turns = TurnNeeds(self.plan.channels, guide.settings)
+        return guide
 
 
 def _shows_part(snapshot: Snapshot, poked: set[str]) -> bool:

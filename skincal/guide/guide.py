@@ -52,6 +52,7 @@ from skincal.taxels.result import Estimate, Method, State
 
 if TYPE_CHECKING:
     from skincal.guide.surface_search import SurfaceSearch
+    from skincal.guide.turn_needs import TurnNeeds
 
 NEIGHBOUR_GAIN_WEIGHT_IN_SWEEP = 0.6
 """Share of a poke's gain at the neighbours that counts in the sweep. The free method needs 86 pokes to 5 mm (median of 20
@@ -128,8 +129,10 @@ class Guide:
         self.robot: RobotPace | None = None
         """Pace of the robot that pokes; `None` for a hand."""
         self._needs: list[tuple[Need, ...]] = [()] * count
-        # (n,) taxels with a need, those that need nothing but a touch, and those that need agreement.
-        self._is_open, self._needs_touch_alone, self._needs_agreement = np.zeros((3, count), dtype=bool)
+        # (n,) taxels with a need, those that need nothing but a touch, nothing but their turn, and those that need agreement.
+        self._is_open, self._needs_touch_alone, self._needs_turn_alone, self._needs_agreement = np.zeros((4, count), dtype=bool)
+        self.turns: TurnNeeds | None = None
+        """Turns of taxels of three axes; `None` for other skins."""
         self._surroundings = surroundings if method is Method.MODULES else None
         # (n,) taxels that are touched, as they were at the last look, and those that are touched or surrounded by touched ones.
         self._touched: BoolArray = np.zeros(count, dtype=bool)
@@ -155,7 +158,8 @@ class Guide:
         dirty = self._update_statistics(outcomes, self._followed[best], rig, target_of)
         for first in range(0, len(dirty), TAXELS_UPDATED_AT_ONCE):
             self._update_contacts(moment, dirty[first : first + TAXELS_UPDATED_AT_ONCE])
-        self._update_needs(changed[self.method], dirty)
+        turned = () if self.turns is None else self.turns.update(moment.turns)
+        self._update_needs(np.union1d(changed[self.method], turned).astype(np.int64), dirty)
         return self._guidance()
 
     def _update_contacts(self, moment: Moment, dirty: IntArray) -> None:
@@ -248,7 +252,7 @@ class Guide:
             self._find_neighbours()
             self._gains.mark_stale()
 
-    def _update_needs(self, changed: Sequence[int], dirty: IntArray) -> None:
+    def _update_needs(self, changed: IntArray, dirty: IntArray) -> None:
         """Find the needs of each taxel whose contacts or estimate changed.
 
         Parameters
@@ -256,7 +260,7 @@ class Guide:
         changed, dirty : indices of the taxels with another estimate, and with other contacts
         """
         know, own = self._statistics, self._own_estimates
-        rows = np.union1d(np.array(changed, dtype=np.int64), dirty)
+        rows = np.union1d(changed, dirty)
         if self._surroundings is not None:
             touched = np.flatnonzero(own.touched != self._touched)
             if len(touched):
@@ -278,12 +282,19 @@ class Guide:
                 needs = find_needs(estimate, ContactFacts(*each), self.method, self.settings, self._noise.skin)
                 # The same for all unseen taxels: on a large part they are thousands at first.
                 unseen = needs if estimate.state is State.UNSEEN else unseen
+            self._needs_touch_alone[row], self._needs_agreement[row] = needs == (Need.TOUCH,), Need.AGREEMENT in needs
+            needs = self._with_turn(row, estimate, needs)
             if bool(self._needs[row]) != bool(needs):
                 turned.append(row)
             self._needs[row], self._is_open[row] = needs, bool(needs)
-            self._needs_touch_alone[row], self._needs_agreement[row] = needs == (Need.TOUCH,), Need.AGREEMENT in needs
+            self._needs_turn_alone[row] = needs == (Need.TURN,)
         self._solved[rows] = np.minimum(own.errors[rows], self._unknown_error)
         self._mark_stale_near(turned)
+
+    def _with_turn(self, row: int, estimate: Estimate, needs: tuple[Need, ...]) -> tuple[Need, ...]:
+        """Add the need of a turn."""
+        is_taxel = estimate.state is not State.DEAD and not (estimate.state is State.UNSEEN and self._unplanned[row])
+        return (*needs, Need.TURN) if self.turns is not None and is_taxel and self.turns.is_open[row] else needs
 
     def _own(self) -> IntArray:
         """Own pokes (n,) of each taxel; by the modules method those of its module."""
@@ -325,6 +336,8 @@ class Guide:
                 count = count_module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings, touches)
         else:
             count = count_pokes_left(self.method, open_, know, rms, self.settings)
+        if self.turns is not None:
+            count = max(count, self.turns.count_pokes_left(open_, self.plan.modules))
         interval = poke_interval(self._pokes.latest_starts())
         shown = np.flatnonzero(~self._unplanned | (know.contacts > 0))
         return Guidance(
@@ -356,6 +369,7 @@ class Guide:
             exhausted = np.where(self._needs_touch_alone, self._pokes.asked >= settings.touch_patience, exhausted)
         tries = np.maximum(know.own, self._pokes.asked)
         exhausted = np.where(self._needs_agreement, tries >= settings.touch_patience, exhausted)
+        exhausted = np.where(self._needs_turn_alone, tries >= settings.turn_patience, exhausted)
         # Of thousands of taxels only these can be given up: the others are not looked at.
         candidates = exhausted | ((know.contacts == 0) & (unanswered >= settings.unanswered))
         if self._usable_tilt < settings.diversity:
@@ -398,7 +412,8 @@ class Guide:
         hand = self._pokes.hand(self._places)
         way = np.zeros(len(rows)) if hand is None else np.sqrt(np.sum((choice.places[rows] - hand) ** 2, axis=1))
         seconds = travel_seconds(way, self.robot, self.settings)
-        if self._in_plane:
+        if self._in_plane or self._needs_turn_alone[rows].all():
+            # Taxels that need nothing but their turn gain no position.
             row = self._next_in_turn(rows, seconds)
             push = self._next_push(row)
         else:
@@ -409,6 +424,7 @@ class Guide:
             gains = self._gains.gains(choice, rows[near], self._others, skipped) / seconds[near, None]
             best = int(gains.argmax())
             row, push = int(rows[near[best // gains.shape[1]]]), best % gains.shape[1]
+            push = self._next_push(row) if self._needs_turn_alone[row] else push
         self._kept = row, push
         return self._make_target(choice, row, push)
 
@@ -448,6 +464,8 @@ class Guide:
             # The pushes of the largest tilt come last, one for each azimuth.
             turn, tilted = AZIMUTH_STEP_IN_EIGHTH_TURNS * int(self._own()[row]), order[-PUSH_AZIMUTHS_TRIED:]
             order = [*(tilted[(turn + step) % PUSH_AZIMUTHS_TRIED] for step in range(PUSH_AZIMUTHS_TRIED)), *order]
+        elif self.turns is not None and self.turns.is_open[row]:
+            order = [*self.turns.leaning_pushes(row, self._usable_tilt), *order]
         skipped = self._skipped_pushes(row)
         return next((push for push in order if not skipped[push]), order[0])
 
@@ -506,6 +524,8 @@ class Guide:
         else:
             before, after = choice.predict_error(row, push)
         cosine = -float(direction @ choice.normals[row])
+        nan = float("nan")
+        turn_now, turn_after = (nan, nan) if self.turns is None else self.turns.gain(row, choice.normals[row], direction)
         return Target(
             channel=int(self.plan.channels[row]),
             place=self._aim(row, direction, self._needs[row]),
@@ -514,6 +534,8 @@ class Guide:
             tilt=float(np.arccos(np.clip(cosine, -1.0, 1.0))),
             rms_now=before,
             rms_after=after,
+            turn_now=turn_now,
+            turn_after=turn_after,
         )
 
     def axis_diversity(self, channel: int, moment: Moment) -> AxisDiversity | None:

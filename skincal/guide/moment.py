@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.contacts.poke_columns import PokeColumns
 from skincal.contacts.poke_counts import PokeCounts
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method
+
+if TYPE_CHECKING:
+    from skincal.axes.session_turns import SessionTurns
 
 
 class Moment(Protocol):
@@ -33,6 +36,11 @@ class Moment(Protocol):
     @property
     def part_size(self) -> float:
         """m, of `known_error`."""
+        ...
+
+    @property
+    def turns(self) -> SessionTurns | None:
+        """Turns of taxels of three axes; `None` for other skins."""
         ...
 
     @property

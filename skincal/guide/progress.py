@@ -55,6 +55,10 @@ class GuideSettings:
     """Pokes at a taxel that never answers, after which it is given up: it may be broken, or not where the layout says."""
     touch_patience: int = 6
     """Pokes meant for an untouched taxel, and answered by others, after which it is given up: twice `unanswered`."""
+    turn_wanted: float = float(np.radians(3.0))
+    """rad, standard deviation of a finished turn of a taxel of three axes: its 1.5 to 3 degrees are the goals of the study."""
+    turn_patience: int = 12
+    """Pokes on a taxel that needs nothing but its turn, until it is given up: twice the five that it usually takes."""
     patience: int = 15
     """Own pokes after which an unfinished taxel is given up: twice the mean."""
     unknown: float = 0.020
@@ -81,6 +85,8 @@ class Need(Enum):
     DECISION = "decision"
     TOUCH = "touch"
     AGREEMENT = "agreement"
+    TURN = "turn"
+    """Of its three axes."""
 
 
 class Why(Enum):
@@ -92,6 +98,7 @@ class Why(Enum):
     TILT = "tilt"
     AMBIGUOUS = "ambiguous"
     NOT_CONVERGED = "not converged"
+    TURN_UNKNOWN = "turn unknown"
     CONTRADICTED = "contradicted"
     NOT_POKED_ENOUGH = "not poked enough"
 
@@ -182,6 +189,8 @@ def give_up_reason(
         return Why.NEVER_FIRED if facts.unanswered >= settings.unanswered or patience_exhausted else None
     if patience_exhausted and Need.AGREEMENT in missing:
         return Why.CONTRADICTED
+    if patience_exhausted and missing == (Need.TURN,):
+        return Why.TURN_UNKNOWN
     if patience_exhausted:
         return Why.AMBIGUOUS if Need.DECISION in missing else Why.NOT_CONVERGED
     # Axes that all lean by one angle, evenly to all sides, have just that diversity; no others have more.

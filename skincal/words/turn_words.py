@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from skincal.axes.turn_fit import IN_PLANE_KNOWN_MAX_SD
 from skincal.geometry import FloatArray
 from skincal.words.units import DASH, count, degrees, direction
 
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
     from skincal.axes.turn_differences import TurnDifferences
 
 TURN_ROWS = ("x points to", "y points to", "z points to", "z from normal", "Turn's error", "Turn")
+MIN_ANGLE_WITHOUT_DECIMAL = float(np.radians(9.95))
+"""rad. Smaller predictions have a decimal."""
 NO_TURN_YET = "unknown: no poke has pressed it"
 IN_PLANE_UNKNOWN = "turn in the plane is unknown: press leaning"
 
@@ -47,6 +51,19 @@ def turn_error_words(turn: ShownTurn | None) -> str:
         return "unknown"
     about = degrees(turn.in_plane_sd, 1) if turn.is_in_plane_known else "unknown"
     return f"z {degrees(turn.normal_sd, 1)}, in the plane {about}"
+
+
+def turn_gain_words(now: float, after: float) -> str:
+    """Write the errors of a turn in the plane before and after a poke, rad, infinite while unknown; empty if it needs none."""
+    if math.isnan(now):
+        return ""
+    if not after <= IN_PLANE_KNOWN_MAX_SD:
+        return IN_PLANE_UNKNOWN
+    return f"turn from {'unknown' if math.isinf(now) else _gain_degrees(now)} to {_gain_degrees(after)}"
+
+
+def _gain_degrees(angle: float) -> str:
+    return degrees(angle, 0 if angle >= MIN_ANGLE_WITHOUT_DECIMAL else 1)
 
 
 def turn_difference_words(found: TurnDifferences, channel_name: Callable[[int], str]) -> str:

@@ -26,6 +26,7 @@ NEED_WORDS: Mapping[Need, str] = {
     Need.DECISION: "a poke that decides between two positions",
     Need.TOUCH: "a poke on it, or on taxels on all its sides",
     Need.AGREEMENT: "a poke that agrees with its place",
+    Need.TURN: "leaning pokes that show its turn",
 }
 WHY_WORDS: Mapping[Why, str] = {
     Why.DEAD: "disabled",
@@ -34,6 +35,7 @@ WHY_WORDS: Mapping[Why, str] = {
     Why.TILT: "the tool did not lean far enough to determine its depth",
     Why.AMBIGUOUS: "two positions fit its pokes",
     Why.NOT_CONVERGED: "many pokes were not enough",
+    Why.TURN_UNKNOWN: "many pokes did not show its turn",
     Why.CONTRADICTED: "its pokes contradict the place that its module gives it",
     Why.NOT_POKED_ENOUGH: "not pressed enough yet",
 }

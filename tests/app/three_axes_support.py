@@ -1,37 +1,11 @@
-"""A small part whose taxels measure three axes, and turns of its taxels, for tests of the window."""
+"""A small part whose taxels measure three axes, for tests of the window."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
-from skincal.axes.module_axes import module_turn
-from skincal.axes.session_turns import SessionTurns
-from skincal.axes.skin_turns import SkinTurns, Turn, fit_group
-from skincal.axes.turn_fit import AxisNoise
-from skincal.geometry import rotation_by
 from skincal.model.skin_axes import ResponseRule, SkinAxes, ValueOrder
 from tests.app.window_support import SCENE
-from tests.skincal.axes.axis_support import make_pokes
 
 AXES = SkinAxes(ValueOrder.BY_TAXEL, (1, 1, -1), (0, 1, 2), ResponseRule.PUSH, "N")
 THREE_AXES_SCENE = replace(SCENE, skin=replace(SCENE.skin, axes=AXES))
-NOISE = AxisNoise(0.05, 0.02)
-QUARTER = rotation_by(np.array([0.0, 0.0, np.pi / 2]))
-
-
-def turn_of(channel: int, axes: np.ndarray, lean_deg: float = 15.0, pokes: int = 10) -> Turn:
-    """The turn of a taxel with these axes by pokes that lean up to `lean_deg`."""
-    return fit_group((channel,), make_pokes(np.random.default_rng([9, channel]), axes, pokes, lean_deg), NOISE)
-
-
-def turns_of(taxels: Mapping[int, Turn], modules: Mapping[int, tuple[int, ...]] | None = None) -> SessionTurns:
-    """The turns of a session; `modules` share the turn of their first taxel."""
-    shared = {}
-    for number, channels in (modules or {}).items():
-        first = taxels[channels[0]]
-        shared[number] = replace(module_turn(number, first, taxels), taxels=len(channels), log_odds_shared=9.0)
-    module_of = {channel: number for number, channels in (modules or {}).items() for channel in channels}
-    return SessionTurns(SkinTurns(taxels, NOISE, {}), shared, module_of)

@@ -16,8 +16,9 @@ from skincal.files.reference import Origin, TaxelPositions
 from skincal.geometry import rotation_by
 from skincal.words.turn_words import IN_PLANE_UNKNOWN, NO_TURN_YET, TURN_ROWS, turn_cells, turn_difference_words
 from tests.app.scene3d_support import estimate, laid
-from tests.app.three_axes_support import QUARTER, THREE_AXES_SCENE, turn_of, turns_of
+from tests.app.three_axes_support import THREE_AXES_SCENE
 from tests.app.window_support import PLAN, context, frame, part, session, shown
+from tests.skincal.axes.turn_support import QUARTER, turn_of, turns_of
 
 UP = np.array([0.0, 0.0, 1.0])
 PLACES = laid(PLAN).places

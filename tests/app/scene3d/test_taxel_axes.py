@@ -14,9 +14,10 @@ from app.scene3d.scene_state import LIGHT, Comparison, StaticScene, rgb
 from app.scene3d.taxel_axes import SELECTED_OVER_OTHERS
 from skincal.part.part import Part
 from tests.app.scene3d_support import box, estimate, laid, snapshot, tick_of
-from tests.app.three_axes_support import QUARTER, THREE_AXES_SCENE, turn_of, turns_of
+from tests.app.three_axes_support import THREE_AXES_SCENE
 from tests.app.view3d_on_screen import make_plotter
 from tests.app.window_support import PLAN, SCENE
+from tests.skincal.axes.turn_support import QUARTER, turn_of, turns_of
 
 PLACES = laid(PLAN).places
 
