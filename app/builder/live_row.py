@@ -9,6 +9,7 @@ from app.dialogs.new_session import LINK_PREVIEW_UPDATE_PERIOD_MS, StreamRow
 from app.session.previews import Previews, list_ports
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
+from skincal.model.pose_form import SentPose
 from skincal.model.readings import Stream
 from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.links import parse_address
@@ -30,6 +31,8 @@ class LiveRow(QWidget):
         self._expected = ExpectedReadings(1)
         self.skin_unit = ""
         """Unit that the device names for the skin's values; empty for raw values."""
+        self.sent_pose: SentPose | None = None
+        """Numbers of the newest pose of the tool; `None` before the first."""
         self._is_open = False
         self._previews = previews = Previews()
         self.destroyed.connect(lambda: previews.stop_readers())
@@ -81,5 +84,6 @@ class LiveRow(QWidget):
         if preview is not None:
             self.row.show_preview(preview)
             self.skin_unit = preview.health.skin_unit
+            self.sent_pose = preview.health.sent_pose
             if preview.frames:
                 self.read.emit(list(preview.frames))

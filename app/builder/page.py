@@ -46,6 +46,7 @@ from skincal.part.draft_preview import PartPreview, PartPreviewer, completed_dra
 from skincal.part.draft_summary import State, can_start, summarize, why_not_simulated
 from skincal.part.part_changes import with_part_file
 from skincal.part.part_draft import DraftHistory, PartDraft, open_draft, save_draft
+from skincal.part.tool_draft import Rig
 
 FIELDS_COLUMN_WIDTH_PX = 500  # Width of the side with the fields at 100 %
 UNDO_BUTTON_WIDTH_PX = 36
@@ -68,7 +69,8 @@ class BuilderPage(QWidget):
         self.preview: PartPreview | None = None
         self.view = DraftView3D()
         self.joints, self.skin, self.place, self.check = JointsStep(), SkinStep(), PlaceStep(), CheckStep(scenes)
-        self.steps: tuple[Step, ...] = (PartStep(), SensorStep(), self.joints, self.skin, self.place, self.check)
+        self.sensor = SensorStep()
+        self.steps: tuple[Step, ...] = (PartStep(), self.sensor, self.joints, self.skin, self.place, self.check)
         self._saved = self.history.now
         self._previewer, self._threads = PartPreviewer(), ThreadService("draft", self)
         self._is_busy = self._must_repeat = False
@@ -365,8 +367,12 @@ class BuilderPage(QWidget):
         """Save, and ask for the devices."""
         self._when_settled = None if self.is_settled else self.save_and_start
         if self.is_settled and self.preview is not None and can_start(self.preview):
-            addresses = Addresses(skin=self.skin.live.row.named, joints=self.joints.live.row.named)
+            addresses = Addresses(skin=self.skin.live.row.named, joints=self.joints.live.row.named, tool=self._tool_address())
             self.save_then(lambda path: self.start_wanted.emit(path, addresses))
+
+    def _tool_address(self) -> str:
+        """Address that the fixed-point test read, for a rig that has a tool."""
+        return "" if self.history.now.rig is Rig.BELOW else self.sensor.tool.address
 
     def save_and_try(self) -> None:
         """Save, and start a session with a simulated hand."""

@@ -31,6 +31,7 @@ POSE_CHOICES = {"": "the pokes show it", "given": "as in the scene file"}
 FORM_HELP = "Choose what your robot or tracker sends, if its lines are numbers alone. The manual lists the makers: docs/tool.md"
 FLANGE_HELP = "Position of the sensor's origin in the frame whose pose is streamed; 0 0 0 if that is the sensor's own frame"
 TIP_HELP = "Centre of the tip's ball, or the end of a pointed tip, in the frame whose pose is streamed"
+TEST_HELP = "Touch one point from four sides: shows the tip, and whether the poses are read rightly"
 SD_HELP = "Error of one place of the tip: 0.5 mm for a cobot, 0.3 mm for a good tracker"
 
 
@@ -49,6 +50,10 @@ class ToolFields(QWidget):
         self.how = choice("how the tip is known", TIP_CHOICES)
         self.tip = VectorField("position of the tip")
         self.tip.setToolTip(TIP_HELP)
+        self.test = button("Fixed-point test\N{HORIZONTAL ELLIPSIS}", run=self._open_test)
+        self.test.setToolTip(TEST_HELP)
+        self.address = ""
+        """Address of the tool's stream, once the test named it."""
         self.radius = number_field("radius of the tip", " mm", TIP_RADIUS_MAX_MM)
         self.radius.setMinimum(0.0)
         self.error = number_field("error of one place of the tip", " mm", TIP_SD_RANGE_MM[1])
@@ -68,7 +73,7 @@ class ToolFields(QWidget):
         self.pose = choice("the part's pose in the base", POSE_CHOICES)
         self.rows: QFormLayout = make_form(
             ("Pos&es", self.form), ("&Unit", self.unit), ("An&gles", self.angles), ("Tip", self.how), ("Tip at", self.tip),
-            ("Radius", self.radius), ("Error", self.error), ("Sensor at", self.flange),
+            ("", row_of(self.test)), ("Radius", self.radius), ("Error", self.error), ("Sensor at", self.flange),
             ("Turn", self.turn_row), self.axes_note, ("Part", self.pose), within=self, margins=0,
         )  # fmt: skip
         self._connect()
@@ -118,6 +123,17 @@ class ToolFields(QWidget):
     def _set(self, merge: str = "", **values: Any) -> None:
         self._tool = replace(self._tool, **values)
         self.changed.emit(self._tool, f"tool {merge}" if merge else "")
+
+    def _open_test(self) -> None:
+        from app.builder.fixed_point_dialog import FixedPointDialog  # rarely needed
+
+        dialog = FixedPointDialog(self._tool, self.address, self.window())
+        dialog.found.connect(lambda tool: self.changed.emit(tool, ""))
+        dialog.finished.connect(lambda _: self._keep_address(dialog.live.row.named))
+        dialog.open()
+
+    def _keep_address(self, address: str) -> None:
+        self.address = address or self.address
 
     def _choose_angles(self) -> None:
         chosen = str(self.angles.currentData())

@@ -62,7 +62,7 @@ ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"
 HINT_OF_STREAM = {
     Stream.JOINTS: "only if the arm sends its joints",
     Stream.TIP: "only if a robot or a tracker sends its position",
-    Stream.TOOL: "poses of the tool that carries the sensor",
+    Stream.TOOL: "poses of the tool: rtde://HOST, ros2:/TOPIC or socket://HOST:PORT",
 }
 NO_DEVICE = (
     "Without an address, Start records a simulated hand into the folder below. Try it with a simulated hand does the same, and "
@@ -499,6 +499,8 @@ class NewSessionDialog(Dialog):
     def addresses(self) -> Addresses:
         """Give the addresses; `InputError` if a needed device is missing or an address has an unknown form."""
         given = Addresses(**{stream.value: row.address for stream, row in self.rows.items()})
+        if given and self._scene is not None and self._scene.tool is not None:
+            check_streams(given, self._scene)
         check_addresses(given)
         if given and self._scene is not None:
             check_streams(given, self._scene)

@@ -104,6 +104,8 @@ def check_addresses(addresses: Addresses) -> None:
     """Raise `InputError` if only one of the two devices that a poke needs is named, or an address has an unknown form."""
     # A rig with a tool may have no sensor: the scene tells (`check_streams`).
     if addresses and not ((addresses.wrench or addresses.tool) and addresses.skin):
+        if addresses.tool:
+            raise InputError("No address for the skin. A poke needs the skin and the tool's poses: enter both, or none.")
         missing = "force/torque sensor" if not addresses.wrench else "skin"
         raise InputError(f"No address for the {missing}. A poke needs force/torque sensor and skin: enter both, or none.")
     if addresses:

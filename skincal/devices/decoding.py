@@ -20,7 +20,7 @@ from skincal.model.readings import Batch, Loss, SideReading, Stream
 from skincal.model.wrench_frames import WrenchFrames
 
 if TYPE_CHECKING:
-    from skincal.model.pose_form import PoseForm
+    from skincal.model.pose_form import PoseForm, SentPose
 
 SEQ_MODULUS = 1 << 16
 """The counters of SKT/1 and SKB/1 have 16 bits."""
@@ -383,6 +383,8 @@ class FrameDecoder(ABC):
         """Form of the numbers of a tool's pose, and metres per unit of its lengths; `None` while unknown."""
         self._has_far_pose = False
         """A pose of the tool lay away from the origin, as it does unless the unit of the lengths is wrong."""
+        self.sent_pose: SentPose | None = None
+        """Numbers of the newest pose of the tool; `None` before the first."""
         if self.defined_pose is not None:
             self.set_pose_form(self.defined_pose, 1.0)
         self.units = dict(DEFAULT_UNITS)
@@ -495,12 +497,15 @@ class FrameDecoder(ABC):
 
     def _read_tool_poses(self, values: FloatArray) -> FloatArray:
         """Convert poses (n, width) as sent to the upper rows of 4 x 4 poses, (n, 12), metres; NaN for one that is none."""
+        from skincal.model.pose_form import SentPose
         from skincal.model.tool_pose import MIN_LENGTH_M, PoseFault, convert_poses
 
         if self._pose_form is None:
             self._problem = NO_POSE_FORM
             self.counts[Loss.NO_POSE] += len(values)
             return np.full((len(values), TOOL_VALUES), np.nan)
+        if len(values):
+            self.sent_pose = SentPose(tuple(values[-1].tolist()), *self._pose_form)
         poses, faults = convert_poses(values, *self._pose_form)
         for row in range(len(poses)):
             # Metres that are read as millimetres make every pose one near the origin.

@@ -60,6 +60,17 @@ class PoseForm:
     """Whether angles are in degrees; only where the form has angles."""
 
 
+@dataclass(frozen=True, slots=True)
+class SentPose:
+    """A pose as a device sent it."""
+
+    numbers: tuple[float, ...]
+    form: PoseForm
+    """Reading of the numbers."""
+    metres_per_unit: float
+    """Of the lengths."""
+
+
 def forms_of_width(width: int) -> tuple[PoseForm, ...]:
     """List the forms of a pose with `width` values; empty if no form has as many."""
     found = [form for form in RotationForm if form.width == width]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from skincal.geometry import FloatArray, IntArray
+    from skincal.model.pose_form import SentPose
 
 
 class Stream(Enum):
@@ -307,6 +308,8 @@ class LinkHealth:
     numberless: int = 0
     """Readings without usable numbers: wrenches and angles with NaN, skin frames of NaN alone."""
 
+    sent_pose: SentPose | None = None
+    """Numbers of the newest pose of the tool; `None` before the first."""
     mixed: int = 0
     """Wrenches that alternate between two series: two runs or two senders."""
     outages: Outages = Outages()

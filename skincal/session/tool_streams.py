@@ -16,7 +16,9 @@ def check_tool_streams(scene: Scene, addresses: Mapping[Stream, str | None]) -> 
     """
     named = {stream for stream, address in addresses.items() if address}
     if scene.has_sensor and Stream.WRENCH in addresses and Stream.WRENCH not in named:
-        raise InputError(f"In {scene.name} pokes need the force/torque sensor; expected its link: add --wrench.")
+        raise InputError(
+            f"In {scene.name} pokes need the force/torque sensor; expected its link (field Force/torque sensor, or --wrench)."
+        )
     if scene.tool is None:
         if Stream.TOOL in named:
             raise InputError(
@@ -28,7 +30,9 @@ def check_tool_streams(scene: Scene, addresses: Mapping[Stream, str | None]) -> 
     if Stream.TOOL not in named:
         raise InputError(f"In {scene.name} {rig}; expected the link of the tool's poses (field Tool, or --tool).")
     if Stream.WRENCH in named and not scene.tool.has_sensor:
-        raise InputError(f"A link of the wrench is named, and in {scene.name} {rig}; leave it out (--wrench).")
+        raise InputError(
+            f"A link of the wrench is named, and in {scene.name} {rig}; leave it out (field Force/torque sensor, or --wrench)."
+        )
     for stream, word in ((Stream.JOINTS, "joint angles"), (Stream.TIP, "the tip")):
         if stream in named:
             raise InputError(

@@ -431,6 +431,7 @@ class LinkIntake:
             frames=self.frames.names,
             units="; ".join(words for stream, words in decoder.units.items() if stream in spec.carries),
             skin_unit=self.skin_unit,
+            sent_pose=self._decoder.current.sent_pose,
             verdict=self.monitor.diagnose(now_ns),
             address=spec.address,
             freezes=self.monitor.freezes,

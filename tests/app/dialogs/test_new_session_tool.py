@@ -43,6 +43,21 @@ def test_a_scene_with_a_tool_asks_for_its_poses_in_place_of_joints_and_tip(qtbot
     dialog.reject()
 
 
+def test_a_rig_without_a_sensor_asks_for_tool_and_skin_and_names_what_is_missing(qtbot, tmp_path):
+    (tmp_path / "scene.toml").write_text(SCENE.replace('sensor = "tool"', 'sensor = "none"\ntip_mm = [0, 0, 99]'))
+    dialog = dialog_of(qtbot, tmp_path / "scene.toml", tmp_path)
+    assert shown_rows(dialog) == {Stream.SKIN, Stream.TOOL}
+    dialog.rows[Stream.SKIN].set_address("file:skin", agreed=False)
+    with pytest.raises(InputError, match="no force/torque sensor; expected the link of the tool's poses"):
+        dialog.addresses()
+    dialog.rows[Stream.TOOL].set_address("file:poses", agreed=False)
+    assert dialog.addresses() == Addresses(skin="file:skin", tool="file:poses")
+    dialog.rows[Stream.SKIN].set_address("", agreed=False)
+    with pytest.raises(InputError, match="No address for the skin"):
+        dialog.addresses()
+    dialog.reject()
+
+
 def test_other_scenes_have_no_field_for_a_tool(qtbot, tmp_path):
     dialog = dialog_of(qtbot, resource("scenes/flat-patch/scene.toml"), tmp_path)
     assert shown_rows(dialog) == {Stream.WRENCH, Stream.SKIN, Stream.JOINTS, Stream.TIP}
