@@ -105,6 +105,11 @@ class TipFrame:
     """Spread of the force axes over that of the tips: 0.001 for millimetres."""
 
     @property
+    def places_pokes(self) -> bool:
+        """Whether the tip alone says where a poke is: its force axis passes the tip, and the wrench gives its direction."""
+        return False
+
+    @property
     def shift_sd(self) -> float:
         """m, rms over the directions of the frame's position at the pokes."""
         return float(np.sqrt(np.trace(self.covariance[3:, 3:]) / 3.0))

@@ -18,6 +18,10 @@ tip has W_k = E' (D + ...)^-1 E. Three errors are common to the answers of a tax
 (`uncertainty.h`), and s^2 / radius, the mean depth of an offset contact on a bent skin. This estimate replaces that of the
 free method, also where the axes alone leave the depth unknown.
 
+A tip that the scene of a tool gives places its pokes alone (`places_pokes`). The wrench then says nothing about the place, and
+its noise is not that of the axis: these pokes are written as forces at the contact, in a frame with its origin there, of the
+size that makes the scene's noise of the moment the error of a place, sigma.
+
 A tip that disagrees with its axis (chi-square above `CHI2_2DOF_QUANTILE_9999`) is not used.
 """
 
@@ -29,7 +33,7 @@ from dataclasses import replace
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, length_of
 from skincal.model.scene import NoiseSettings
 from skincal.rig.tip_frame import TipFrame, TipPokes
 from skincal.solver.tables import NEIGHBOURS_SHARE_ONE_OFFSET_FROM
@@ -52,6 +56,8 @@ class TipFusion:
 
     def moved_axes(self, contacts: Sequence[Contact]) -> list[Contact]:
         """Move the force axes of contacts towards their tips; contacts without a usable tip are not changed."""
+        if self._frame.places_pokes:
+            contacts = [self._at_tip(contact) for contact in contacts]
         found = {contact.poke: contact for contact in contacts}
         for poke in found:
             self._tips.pop(poke, None)
@@ -73,6 +79,16 @@ class TipFusion:
             found[contact.poke] = replace(contact, moment=contact.moment + np.cross(shift, contact.force))
             self._tips[contact.poke] = places[row], gradients[row]
         return list(found.values())
+
+    def _at_tip(self, contact: Contact) -> Contact:
+        """Write a poke as a force through its tip, in a frame at the tip."""
+        if contact.tip is None:
+            return contact
+        pose = contact.link_from_sensor.copy()
+        pose[:3, 3] = contact.tip
+        size = self._noise.moment / self._frame.tip_sd
+        force = contact.force * (size / length_of(contact.force))
+        return replace(contact, force=force, moment=np.zeros(3), link_from_sensor=pose)
 
     def with_depth(self, estimates: Sequence[Estimate], evidence: Evidence) -> list[Estimate]:
         """Estimate the taxels of the free method again with their tips; `evidence` has moved axes."""

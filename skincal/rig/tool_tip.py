@@ -112,6 +112,11 @@ class ToolTip(TipFrame):
         return np.array(pokes.tip), np.concatenate([np.zeros_like(turns), turns], axis=2)
 
     @property
+    def places_pokes(self) -> bool:
+        """Whether the tip alone says where a poke is: a scene's tip is right to a millimetre, the axes of a sensor are not."""
+        return self.state is TipState.USED and self.known is not None
+
+    @property
     def is_given_alone(self) -> bool:
         """Whether nothing but the scene says where the tip is."""
         return self.axes is None and self.known is not None

@@ -479,6 +479,8 @@ class Session:
         return outcome if used is None else used.correction.corrected(outcome)
 
     def _correct_all(self) -> None:
+        if self.tool is not None:
+            self.tool.place(self._reported.values())
         for poke, record in self._records.items():
             outcome = self._corrected(poke)
             # A value under an existing key may change while the items are iterated.

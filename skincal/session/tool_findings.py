@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome
-from skincal.geometry import FloatArray, IntArray, orthonormal_pair
+from skincal.geometry import FloatArray, IntArray, crossed, orthonormal_pair
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import Landmark, Scene
 from skincal.pokes import Pokes
@@ -44,6 +44,9 @@ PART_POSE_MISMATCH_CHI2 = 27.9
 """A given pose of the part disagrees with the touches above it: one in 10,000 (chi-square, six degrees of freedom)."""
 PART_POSE_MISMATCH_MIN_M = 0.003
 """m, rms over the part. A smaller error of a given pose is never named."""
+LEAN_MIN_COSINE = 0.5
+"""Cosine between a push and the normal of the mesh, against it, from which the normal gives the contact of the ball: beyond 60
+degrees the push does not touch this face."""
 ROBOT_SCALE_SD = 0.002
 """sd of the scale of a robot's lengths: issue 41 counts 0.2 % among a cobot's usual errors."""
 
@@ -237,13 +240,66 @@ class ToolFindings:
 
     def placed(self, outcome: Outcome) -> Outcome:
         """Carry an outcome into the part's frame once that is known, and give it the place of the tip."""
-        if outcome.link_from_sensor is None or outcome.force is None:
-            return outcome
-        reported, part, tip, found = self._placed.get(outcome.poke, (None, None, None, outcome))
-        if reported is not outcome or part is not self.part or tip is not self.tip:
-            found = self._with_tip(self._through_tip(self._carried(outcome)))
+        self.place([outcome])
+        return self._placed[outcome.poke][-1]
+
+    def place(self, outcomes: Iterable[Outcome]) -> None:
+        """Place outcomes that are not yet, together, for `placed`."""
+        new: list[Outcome] = []
+        for outcome in outcomes:
+            reported, part, tip, _ = self._placed.get(outcome.poke, (None, None, None, outcome))
+            if reported is outcome and part is self.part and tip is self.tip:
+                continue
+            self._placed[outcome.poke] = outcome, self.part, self.tip, outcome
+            if outcome.link_from_sensor is not None and outcome.force is not None and outcome.moment is not None:
+                new.append(outcome)
+        if not new:
+            return
+        pokes = Pokes.collect(new)
+        pokes = replace(pokes, link_from_sensor=self.placed_pose(pokes.link_from_sensor))
+        contacts = self._contact_points(pokes)
+        moments = pokes.moment
+        if contacts is not None and self._is_placed_by_tip:
+            lever = (pokes.link_from_sensor[:, :3, :3].transpose(0, 2, 1) @ (contacts - pokes.sensor)[:, :, None])[:, :, 0]
+            moments = crossed(lever, pokes.force)
+        for row, outcome in enumerate(new):
+            found = replace(outcome, link_from_sensor=pokes.link_from_sensor[row], moment=moments[row])
+            if isinstance(found, Contact):
+                found = replace(found, tip=None if contacts is None else contacts[row])
             self._placed[outcome.poke] = outcome, self.part, self.tip, found
-        return found
+
+    def placed_pose(self, link_from_sensor: FloatArray) -> FloatArray:
+        """Carry poses of the sensor, (..., 4, 4) float, metres, into the part's frame; themselves while its pose is unknown."""
+        if self.part is None or not self.part.is_known:
+            return link_from_sensor
+        placed = self.part.link_from_base @ link_from_sensor
+        if not self._tool.has_sensor:
+            # Its origin is the tip.
+            placed[..., :3, 3] += placed[..., :3, :3] @ self.part.tip_shift
+        return placed
+
+    def _contact_points(self, pokes: Pokes) -> FloatArray | None:
+        """Compute where the tip touches the part, (n, 3), metres, link frame, for pokes that are carried; `None` without a tip.
+
+        A ball touches below its middle, against the normal of the mesh. While that is unknown it is along the push.
+        """
+        if self.tip.state is not TipState.USED:
+            return None
+        shift = self.tip.shift
+        if self._tool.has_sensor and self.part is not None and self.part.is_known:
+            shift = shift + self.part.tip_shift
+        centres = pokes.link_from_sensor[:, :3, :3] @ shift + pokes.sensor
+        return centres + self._tool.tip_radius * self._ways_to_contact(centres, pokes.direction)
+
+    def _ways_to_contact(self, centres: FloatArray, pushes: FloatArray) -> FloatArray:
+        is_in_part = self._tool.has_part_pose if self.part is None else self.part.is_known
+        if self._surface is None or not is_in_part or not self._tool.tip_radius:
+            return pushes
+        from skincal.mesh.search import nearest_pushed_points  # a part without a mesh does without
+
+        normals = self._surface.normals[nearest_pushed_points(self._surface, centres, pushes)[1]]
+        faces = np.sum(normals * pushes, axis=1, keepdims=True) < -LEAN_MIN_COSINE
+        return np.where(faces, -normals, pushes)
 
     @property
     def _is_placed_by_tip(self) -> bool:
@@ -253,39 +309,6 @@ class ToolFindings:
         alike in all pokes.
         """
         return not self._tool.has_sensor or (self.tip.state is TipState.USED and self.tip.known is not None)
-
-    def _through_tip(self, outcome: Outcome) -> Outcome:
-        """Move the force axis of an outcome through the tip, if that places it."""
-        if not self._tool.has_sensor or not self._is_placed_by_tip or outcome.force is None:
-            return outcome
-        tip = self.tip.shift if self.part is None or not self.part.is_known else self.tip.shift + self.part.tip_shift
-        return replace(outcome, moment=np.cross(tip, outcome.force))
-
-    def _carried(self, outcome: Outcome) -> Outcome:
-        if self.part is None or not self.part.is_known or outcome.link_from_sensor is None:
-            return outcome
-        return replace(outcome, link_from_sensor=self.placed_pose(outcome.link_from_sensor))
-
-    def placed_pose(self, link_from_sensor: FloatArray) -> FloatArray:
-        """Carry a pose of the sensor, (4, 4) float, metres, into the part's frame; itself while the part's pose is unknown."""
-        if self.part is None or not self.part.is_known:
-            return link_from_sensor
-        placed = self.part.link_from_base @ link_from_sensor
-        if not self._tool.has_sensor:
-            # Its origin is the tip.
-            placed[:3, 3] += placed[:3, :3] @ self.part.tip_shift
-        return placed
-
-    def _with_tip(self, outcome: Outcome) -> Outcome:
-        if not isinstance(outcome, Contact):
-            return outcome
-        pokes = Pokes.collect([outcome])
-        tips = self._tips(pokes)
-        if tips is None:
-            return replace(outcome, tip=None)
-        if self._tool.has_sensor and self.part is not None and self.part.is_known:
-            tips = tips + pokes.link_from_sensor[:, :3, :3] @ self.part.tip_shift
-        return replace(outcome, tip=tips[0])
 
     @property
     def used_tip(self) -> ToolTip:
