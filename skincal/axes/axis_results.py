@@ -52,6 +52,17 @@ class AxisResults:
             self._frames[method] = found
         return self._frames[method]
 
+    def poses(self, method: Method) -> dict[int, FloatArray]:
+        """Give the pose (4, 4), metres, in the link, of each taxel whose position and turn are known."""
+        frames, found = self.frames(method), dict[int, FloatArray]()
+        for estimate in self._estimates[method]:
+            rotation = frames[estimate.channel].rotation
+            if estimate.position is not None and rotation is not None:
+                pose = np.eye(4)
+                pose[:3, :3], pose[:3, 3] = rotation, estimate.position
+                found[estimate.channel] = pose
+        return found
+
 
 def module_plans(layout: Layout, estimates: Sequence[Estimate]) -> list[ModulePlan]:
     """Make the plan of each module, placed by the estimates of its taxels."""

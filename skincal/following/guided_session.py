@@ -21,6 +21,7 @@ from skincal.guide.robot_order import RobotPace
 from skincal.mesh.surface import Surface, point_on_skin
 from skincal.model.actions import AskLandmark, BeginClosing
 from skincal.model.errors import InputError
+from skincal.model.scene import Scene
 from skincal.part.part import Part, lay_part
 from skincal.robot.ros_targets import RosTargets
 from skincal.robot.target_lines import NoTarget, TipPose
@@ -31,6 +32,7 @@ from skincal.taxels.result import Method
 from skincal.words.units import ChannelNames
 
 if TYPE_CHECKING:
+    from skincal.axes.session_turns import SessionTurns
     from skincal.session.pipeline import Pipeline
     from skincal.session.snapshot import Snapshot
 
@@ -93,6 +95,7 @@ class GuidedSession:
         """`None` before the first tick and while guidance is off."""
         self._robot = RobotDialogue(part.scene)
         self._asked: tuple[Snapshot, Method, bool] | None = None
+        self._shown_turns: SessionTurns | None = None
         """Snapshot, method and switch of the newest guidance."""
         self.tip: TipPose | None = None
         """Tip of the robot as it reports it; `None` without one."""
@@ -195,7 +198,17 @@ class GuidedSession:
         server.send(lines)
         if isinstance(server, RosTargets):
             server.show_taxels(pipeline.scene.link, snapshot.estimates.get(self.method, ()))
+            self._show_frames(pipeline.scene, snapshot, server)
         return NoTarget.ENOUGH in lines
+
+    def _show_frames(self, scene: Scene, snapshot: Snapshot, server: RosTargets) -> None:
+        """Publish the frames of taxels of three axes, after the turns changed."""
+        if snapshot.turns is None or snapshot.turns is self._shown_turns or self.method not in snapshot.estimates:
+            return
+        self._shown_turns = snapshot.turns
+        found = snapshot.axis_results(scene.skin.layout)
+        if found is not None:
+            server.show_frames(scene.link, found.poses(self.method))
 
 
 def record_request(guidance: Guidance | None, pipeline: Pipeline, now_ns: int) -> None:

@@ -4,6 +4,7 @@
 `/skincal/verdict` (String, latched) is JSON: the target's number, channel, force, hold and arm pose; verdicts; wait and stop.
 `/skincal/reached` (String) is the robot's answer, a line as over TCP: `reached 7`, `skip 7 REASON`, `fault 7 TEXT`.
 `/skincal/taxels` (MarkerArray, latched) has a sphere at each known taxel.
+`/tf_static` (TFMessage, latched) has the frame `LINK_taxel_CHANNEL` of each taxel of three axes whose turn is known.
 
 A robot pokes while the last message on `/skincal/verdict` has a target.
 """
@@ -14,9 +15,12 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from skincal.files.frames import quaternion_of_rotation
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plain_text
 from skincal.robot.target_lines import (
@@ -45,6 +49,7 @@ ROS_TARGETS = "ros2:"
 """Begin of `--targets` for this way."""
 POSE, STRING = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String"
 POINT, MARKERS = "geometry_msgs/msg/Point", "visualization_msgs/msg/MarkerArray"
+TRANSFORM, TRANSFORMS = "geometry_msgs/msg/TransformStamped", "tf2_msgs/msg/TFMessage"
 MARKER_TYPE_SPHERE_LIST = 7
 """`Marker.MARKER_TYPE_SPHERE_LIST`."""
 MARKER_ACTION_DELETE_ALL = 3
@@ -128,6 +133,9 @@ class RosTargets:
         """By the beginning of a sentence: when it was last reported, host's monotonic clock, seconds."""
         self._answer_times_ns: deque[int] = deque(maxlen=ROBOT_LINES_PER_S_MAX)
         self._shown: Sequence[Estimate] = ()
+        self._frames: TopicWriter | None = None
+        """Of `/tf_static`; `None` before the first turn is known."""
+        self._shown_frames: Mapping[int, FloatArray] = {}
 
     def send(self, lines: Sequence[AskedLine]) -> None:
         """Publish lines. `read_answers` reports if DDS refuses."""
@@ -204,6 +212,39 @@ class RosTargets:
         self._shown = estimates
         places = [each.position for each in estimates if each.position is not None]
         self._write(self._taxels, self._types.make(MARKERS, markers=[self._marker(frame, places)]))
+
+    def show_frames(self, link: str, frames: Mapping[int, FloatArray]) -> None:
+        """Publish the frames of taxels, poses (4, 4) in the link by channel, metres, if they changed.
+
+        tf2 keeps the last pose of a frame: one that is left out later stays with its listeners.
+        """
+        if not frames or (
+            frames.keys() == self._shown_frames.keys()
+            and all(np.array_equal(pose, self._shown_frames[channel]) for channel, pose in frames.items())
+        ):
+            return
+        self._shown_frames = dict(frames)
+        try:
+            self._frames = self._frames or self._participant.writer("/tf_static", TRANSFORMS, latched=True)
+        except DdsError as error:
+            self._report(str(error))
+            return
+        transforms = [self._transform(link, channel, pose) for channel, pose in frames.items()]
+        self._write(self._frames, self._types.make(TRANSFORMS, transforms=transforms))
+
+    def _transform(self, link: str, channel: int, pose: FloatArray) -> Any:
+        vector = "geometry_msgs/msg/Vector3"
+        w, x, y, z = quaternion_of_rotation(pose[:3, :3]).tolist()
+        return self._types.make(
+            TRANSFORM,
+            header=self._header(link),
+            child_frame_id=f"{link}_taxel_{channel}",
+            transform=self._types.make(
+                "geometry_msgs/msg/Transform",
+                translation=self._vector(vector, "xyz", pose[:3, 3].tolist()),
+                rotation=self._vector("geometry_msgs/msg/Quaternion", "xyzw", (x, y, z, w)),
+            ),
+        )
 
     def close(self) -> None:
         """Withdraw the target, tell the robot to stop, and leave the graph."""

@@ -90,7 +90,7 @@ class Session:
         self.wrench_frames: tuple[WrenchFrame, ...] = ()
         """Frames that the messages of the wrench named, in their order."""
         self._value_order: OrderOfValues | None = None
-        self._axis_results: tuple[Snapshot, AxisResults] | None = None
+        self._axis_results: tuple[Snapshot, AxisResults | None] | None = None
         self.tip_frame: TipFrame | None = None
         """Frame of the tip positions; `None` before the first contact with one."""
         self.tool: ToolFindings | None = None
@@ -430,15 +430,10 @@ class Session:
             self._solving.poke_changed(contact.poke, contact.channels.tolist())
 
     def axis_results(self) -> AxisResults | None:
-        """Gather the findings on the axes; `None` for a skin of one axis, or while the part is not placed."""
+        """Gather the findings on the axes of the newest snapshot, once; see `Snapshot.axis_results`."""
         snapshot = self.snapshot()
-        if snapshot.turns is None:
-            return None
-        from skincal.axes.axis_results import AxisResults  # other scenes do without
-
         if self._axis_results is None or self._axis_results[0] is not snapshot:
-            layout = self.scene.skin.layout
-            self._axis_results = snapshot, AxisResults(snapshot.turns, layout, snapshot.estimates, snapshot.value_order)
+            self._axis_results = snapshot, snapshot.axis_results(self.scene.skin.layout)
         return self._axis_results[1]
 
     def calibration(self) -> Calibration:

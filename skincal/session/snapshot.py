@@ -31,7 +31,9 @@ from skincal.taxels.contact_table import ContactTable, Evidence, TableState
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 if TYPE_CHECKING:
+    from skincal.axes.axis_results import AxisResults
     from skincal.axes.session_turns import SessionTurns
+    from skincal.model.skin import Layout
     from skincal.modules.distances import TriedDistance
     from skincal.rig.mesh_distance import MeshDistance
     from skincal.rig.part_pose import PartPose
@@ -127,6 +129,14 @@ class Snapshot:
     """Place in the session's list of changes; `None` if it has none."""
     turns: SessionTurns | None = None
     """Turns of taxels that measure three axes, in the frame of the positions; `None` for other skins."""
+
+    def axis_results(self, layout: Layout | None) -> AxisResults | None:
+        """Gather the findings on the axes; `None` for a skin of one axis, or while the part is not placed."""
+        if self.turns is None:
+            return None
+        from skincal.axes.axis_results import AxisResults  # other skins do without
+
+        return AxisResults(self.turns, layout, self.estimates, self.value_order)
 
     @property
     def is_placed(self) -> bool:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
@@ -120,6 +121,25 @@ def test_positions_of_taxels_are_latched_markers():
     assert (marker.header.frame_id, marker.type, marker.action, marker.scale.x) == ("forearm", 7, 0, 0.004)
     assert [(each.x, each.y, each.z) for each in marker.points] == [tuple(PLACE), tuple(-PLACE)]
     assert none.action == 3
+
+
+def test_frames_of_taxels_are_latched_static_transforms():
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = Rotation.from_rotvec([0.3, -1.2, 0.5]).as_matrix(), PLACE
+    with closing(RosTargets(DOMAIN)) as targets, closing(Participant(DOMAIN)) as viewer:
+        reader = viewer.reader("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+        targets.show_frames("tip", {})
+        targets.show_frames("tip", {3: turned})
+        targets.show_frames("tip", {3: turned.copy()})
+        (first,) = until([], reader.take_messages, 1)
+        targets.show_frames("tip", {3: turned, 4: np.eye(4)})
+        (second,) = until([], reader.take_messages, 1)
+        (one,), both = (viewer.types.decode(each.data, "tf2_msgs/msg/TFMessage").transforms for each in (first, second))
+    assert (one.header.frame_id, one.child_frame_id) == ("tip", "tip_taxel_3")
+    place, turn = one.transform.translation, one.transform.rotation
+    assert (place.x, place.y, place.z) == tuple(PLACE)
+    np.testing.assert_allclose(Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix(), turned[:3, :3], atol=1e-12)
+    assert [each.child_frame_id for each in both] == ["tip_taxel_3", "tip_taxel_4"]
 
 
 @pytest.mark.parametrize("push", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -0.6, -0.8)])
