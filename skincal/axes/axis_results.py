@@ -72,11 +72,11 @@ def module_plans(layout: Layout, estimates: Sequence[Estimate]) -> list[ModulePl
         if each.position is not None and each.normal is not None
     }
     return [
-        ModulePlan(module.id, tuple(module.channels.tolist()), _plan_rotation(module, by_channel)) for module in layout.modules
+        ModulePlan(module.id, tuple(module.channels.tolist()), plan_rotation(module, by_channel)) for module in layout.modules
     ]
 
 
-def _plan_rotation(module: Module, by_channel: dict[int, tuple[FloatArray, FloatArray]]) -> FloatArray | None:
+def plan_rotation(module: Module, by_channel: dict[int, tuple[FloatArray, FloatArray]]) -> FloatArray | None:
     """Fit the rotation (3, 3) from the plan of a module to its estimated taxels; `None` if they do not determine it."""
     pads = module.kind.pads[~np.isnan(module.kind.pads[:, 0])] * np.array([-1.0 if module.mirror else 1.0, 1.0])
     known = [

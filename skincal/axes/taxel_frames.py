@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.axes.module_axes import AxisFindings, AxisMistakeKind, ModuleTurn, has_shared_turn
-from skincal.axes.skin_turns import SkinTurns, Turn, TurnState
+from skincal.axes.module_axes import AxisFindings, AxisMistakeKind, has_shared_turn
+from skincal.axes.skin_turns import SkinTurns, TurnState
 from skincal.geometry import FloatArray
 
 if TYPE_CHECKING:
@@ -100,15 +100,6 @@ def frames_of_taxels(
         if turn.state is TurnState.IN_PLANE_UNKNOWN:
             return TaxelFrame(channel, FrameState.IN_PLANE_UNKNOWN, pokes=pokes)
         state = FrameState.BY_MODULE if shares else FrameState.KNOWN
-        return TaxelFrame(channel, state, turn.fit.rotation, _covariance(turn, module if shares else None), pokes)
+        return TaxelFrame(channel, state, turn.fit.rotation, turn.fit.turn_covariance, pokes)
 
     return {channel: frame(channel) for channel in channels}
-
-
-def _covariance(turn: Turn, module: ModuleTurn | None) -> FloatArray:
-    """Covariance (3, 3) in the link frame; a taxel of a module also leans from it by the scatter of their normals."""
-    covariance = turn.fit.turn_covariance
-    if module is None or not np.isfinite(module.spread):
-        return covariance
-    z = turn.fit.rotation[:, 2]
-    return covariance + 0.5 * module.spread**2 * (np.eye(3) - np.outer(z, z))

@@ -143,8 +143,8 @@ def simulate(
     from skincal.simulation.device import DeviceSettings, DeviceTimeline
     from skincal.simulation.operator import Habits
     from skincal.simulation.rig_errors import RigErrors
+    from skincal.simulation.rig_of_scene import make_rig
     from skincal.simulation.serve import Server
-    from skincal.simulation.simulated_rig import Rig
     from skincal.simulation.virtual_session import simulate_session
 
     loaded = find_scene(scene)
@@ -180,7 +180,7 @@ def simulate(
         return
     # Streams of their own: another operator meets the same rig and the same devices.
     rig_rng, operator_rng, device_rng = _streams(seed, run)
-    rig = Rig(loaded, surface, wrong, rig_rng)
+    rig = make_rig(loaded, surface, wrong, rig_rng)
     hand = _make_operator(operator, rig, habits, operator_rng, (pokes, names))
     spoken = _speakers(speak_as, loaded)
     settings = DeviceSettings(emulated=spoken, flicker=SERVED_MOMENT_NOISE_NM, start_quiet_s=REST_BEFORE_FIRST_SERVED_POKE_S)

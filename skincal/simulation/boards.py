@@ -16,6 +16,8 @@ BOARD_CLOCK_WRAP_US = 2**32
 """us, range of a board's clock."""
 BOARD_HEADER_PERIOD_S = 2.0
 """s between two headers of a board."""
+VECTOR_BITS = 32
+"""Of a value of a skin of three axes: a float."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +35,19 @@ def board_headers(scene: Scene, hz: Mapping[Stream, float], top: float, *, rises
     Parameters
     ----------
     hz : rate of each stream
-    top : largest raw value of the skin
+    top : largest raw value of the skin; a skin of three axes sends floats
     rises : whether raw values rise under pressure
     """
     skin, arm = scene.skin, scene.arm
-    bits, polarity = int(np.ceil(np.log2(top + 1))), "up" if rises else "down"
-    of_skin = f"board={scene.name},n={skin.channels},rate={hz[Stream.SKIN]:g},unit=raw,bits={bits}"
+    polarity, unit, bits = "up" if rises else "down", "raw", VECTOR_BITS
+    if skin.axes is None:
+        bits = int(np.ceil(np.log2(top + 1)))
+    else:
+        unit = skin.axes.unit
+    of_skin = f"board={scene.name},n={skin.frame_width},rate={hz[Stream.SKIN]:g},unit={unit},bits={bits}"
     headers = {
         Stream.WRENCH: BoardHeader(f"board=ft,rate={hz[Stream.WRENCH]:g},unit=N,kind=ft,fw=1", 6),
-        Stream.SKIN: BoardHeader(f"{of_skin},kind=taxel,polarity={polarity},fw=1", skin.channels),
+        Stream.SKIN: BoardHeader(f"{of_skin},kind=taxel,polarity={polarity},fw=1", skin.frame_width),
     }
     if arm is not None:
         fields = f"board=arm,rate={hz[Stream.JOINTS]:g},unit=deg,kind=joints,fw=1"
@@ -52,7 +58,7 @@ def board_headers(scene: Scene, hz: Mapping[Stream, float], top: float, *, rises
 
 
 def board_encoder(format_: str, stream: Stream, top: float, width: int) -> Encoder:
-    """Make the encoder of a board; see `make_encoder`."""
+    """Make the encoder of a board; see `make_encoder`. `top` is infinite for a skin of three axes."""
     # Poses have a record in SKT/1 only.
     return make_encoder("skt" if stream is Stream.TOOL else format_, top, width if stream is Stream.SKIN else 0)
 

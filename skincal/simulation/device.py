@@ -35,6 +35,9 @@ NS_PER_S = 1_000_000_000
 QUIET_TIME_AFTER_LAST_ACTION_S = 0.5
 """s from the last action to the end: the quiet for the tare (0.2 s) and the slowest link's latency."""
 
+LARGEST_VECTOR_VALUE = 25.0
+"""Largest value of a taxel of three axes, N: presses of 15 N give it less than 10."""
+
 
 @dataclass(frozen=True, slots=True)
 class DeviceSettings:
@@ -171,9 +174,9 @@ class Stretch:
         return total
 
     def answers(self, times: FloatArray) -> FloatArray:
-        """Return the responses (n, taxels) at `times` (n,), s; the foam responds with a delay."""
+        """Return the responses (n, taxels) at `times` (n,), s, or (n, taxels, 3); the foam responds with a delay."""
         felt = times - self.rig.foam.lag
-        answers = np.zeros((len(times), len(self.rig.channels)))
+        answers = np.zeros((len(times), len(self.rig.channels), *self.rig.values_shape))
         for action in self.actions:
             if not isinstance(action, HandPress):
                 continue
@@ -380,7 +383,8 @@ class DeviceTimeline:
 
 
 def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> list[SimulatedDevice]:
-    errors, top = rig.errors, rig.range[1]
+    errors = rig.errors
+    top = rig.range[1] if rig.scene.skin.axes is None else LARGEST_VECTOR_VALUE
     rates = {
         Stream.WRENCH: settings.wrench_hz, Stream.SKIN: settings.skin_hz, Stream.JOINTS: settings.joints_hz,
         Stream.TOOL: settings.tool_hz,
@@ -401,7 +405,7 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
                 encoder.skin_axes = 1 if rig.scene.skin.axes is None else 3
             encoder.joint_names = () if rig.scene.robot is None else rig.scene.robot.columns
         else:
-            encoder = board_encoder(settings.format, stream, top, header.width)
+            encoder = board_encoder(settings.format, stream, top if rig.scene.skin.axes is None else np.inf, header.width)
             link = LossyLink(latency, errors, own)
         boards.append(SimulatedDevice(stream.value, stream, hz, clock, encoder, link, header))
     return boards

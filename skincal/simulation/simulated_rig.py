@@ -125,22 +125,25 @@ class SimulatedArmPose:
     """(6,) float, N and N m, sensor frame: wrench of the part's weight."""
 
 
-def refuse_three_axes(scene: Scene) -> None:
-    """Raise InputError for a skin of three axes."""
-    if scene.skin.axes is not None:
-        raise InputError(f"{scene.path}: a skin of three axes is not simulated; leave out axes = 3 to simulate one axis.")
-
-
 class Rig:
     """A simulated rig and its sensor readings. `rng` draws all errors that are constant in a session.
 
-    Raises InputError if the scene has no taxel positions.
+    Raises InputError if the scene has no taxel positions, or its taxels measure three axes (see `make_rig`).
     """
+
+    values_shape: tuple[int, ...] = ()
+    """Shape of a taxel's answer."""
+
+    @classmethod
+    def require_skin(cls, scene: Scene) -> object:
+        """Raise InputError for a skin that the rig does not have."""
+        if scene.skin.axes is not None:
+            raise InputError(f"{scene.path}: this simulation has taxels of one axis; leave out axes = 3.")
 
     def __init__(self, scene: Scene, surface: Surface | None, errors: RigErrors, rng: np.random.Generator) -> None:
         # Separate random streams: a rig with another sensor has the same skin.
         mount, skin, arm, sensor = rng.spawn(4)
-        refuse_three_axes(scene)
+        self.require_skin(scene)
         self.scene, self.surface, self.errors, self.foam = scene, surface, errors, Foam()
         self.channels, self.places, self.normals = _mounted(scene, surface, errors, mount)
         if surface is not None:
@@ -232,7 +235,7 @@ class Rig:
         rows : (n, k) int, indices into `channels` of nearby taxels
         answers : (n, k) float >= 0, raw units above the baseline
         """
-        rows = self._taxels_near(pokes.points.reshape(-1, at_once or max(len(pokes), 1), 3))
+        rows = self.taxels_near(pokes.points.reshape(-1, at_once or max(len(pokes), 1), 3))
         rows = rows.reshape(len(pokes), rows.shape[-1])
         share = felt_share(self.foam, self.places[rows] - pokes.points[:, None], *tip_axes(pokes))
         normal_load = -loads * np.sum(pokes.directions * pokes.normals, axis=1)
@@ -240,7 +243,7 @@ class Rig:
         room = high - self.baselines if self.polarity > 0 else self.baselines - low
         return rows, self.gains[rows] * room[rows] * answer(self.foam, normal_load[:, None], share)
 
-    def _taxels_near(self, points: FloatArray) -> IntArray:
+    def taxels_near(self, points: FloatArray) -> IntArray:
         """Return the rows (groups, n, k) of the taxels near each point (groups, n, 3)."""
         near = min(TAXELS_CHECKED_AROUND_TIP, len(self.places))
         groups, count, _ = points.shape

@@ -19,7 +19,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.simulation.device import DeviceSettings, DeviceTimeline
 from skincal.simulation.operator import AutoOperator, Habits
 from skincal.simulation.rig_errors import RigErrors
-from skincal.simulation.simulated_rig import Rig
+from skincal.simulation.rig_of_scene import make_rig
 from skincal.streams.links import LinkSpec
 
 BLOCKS_AT_ONCE = 100
@@ -63,7 +63,7 @@ def simulate_session(
     # Separate random streams: another operator gets the same rig and devices.
     rng = np.random.default_rng(seed)
     rig_rng, operator_rng, device_rng = rng.spawn(3)
-    rig = Rig(scene, surface, errors, rig_rng)
+    rig = make_rig(scene, surface, errors, rig_rng)
     usual = Habits() if rig.tool is None else Habits().with_tool()
     operator = AutoOperator(rig, habits or usual, operator_rng, pokes, poses, channels)
     line = DeviceTimeline(rig, operator, device_rng, settings)
