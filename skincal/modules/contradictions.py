@@ -52,7 +52,10 @@ def find_contradicted(
         tolerances[module] = max(tolerances[module], DENIAL_MISS_OVER_MEDIAN * median)
     near = misses <= tolerances[modules]
     good = _trust_by_module(touches, trust, modules, evidence.pokes[placed]) >= MIN_TRUST_OF_A_TOUCH
-    denies, agrees = own & ~near & ~good, near & good
+    denies = own & ~near & ~good
+    if not denies.any():
+        return {}
+    agrees = near & good
     found = np.setdiff1d(pads[denies], pads[agrees])
     return dict(_reasons(touches, found, pads[denies], misses[denies]))
 

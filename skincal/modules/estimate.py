@@ -144,19 +144,20 @@ def _estimates(
     troubles = [_trouble(touches, fitted, module) for module in range(len(touches.modules))]
     doubted, none = _doubted(touches, fitted), dict[int, float]()
     denied = find_contradicted(touches, fitted.of, fitted.pads.points, fitted.trust, spacing)
+    is_loose: list[bool] = np.any(fitted.blind, axis=(1, 2)).tolist()
     pads: list[tuple[int, int]] = list(zip(touches.channels.tolist(), fitted.of.tolist(), strict=True))
     for pad, (channel, module) in enumerate(pads):
         contacts = counts.get(channel, 0)
         if channel in dead:
             continue
-        dark = fitted.blind[module] @ gradients[pad].T
-        unknown = bool((np.sum(dark * dark, axis=1) > MIN_UNDETERMINED_MOTION_SHARE**2).any())
+        dark = fitted.blind[module] @ gradients[pad].T if is_loose[module] else None
+        unknown = dark is not None and bool((np.sum(dark * dark, axis=1) > MIN_UNDETERMINED_MOTION_SHARE**2).any())
         known = sds[pad] <= POSITION_MAX_SD_M and not unknown
         reason = troubles[module] or (None if known else _why_blind(touches, module, float(sds[pad]), unknown))
         if reason is not None:
             yield Estimate(
                 channel, Method.MODULES, State.BLIND, contacts, normal=fitted.pads.normals[pad],
-                worst_direction=np.linalg.svd(dark)[2][0] if unknown else axes[pad, :, 2],
+                worst_direction=axes[pad, :, 2] if dark is None or not unknown else np.linalg.svd(dark)[2][0],
                 sd=None if unknown else float(sds[pad]), reason=reason, doubted=doubted[module].get(channel, none),
             )  # fmt: skip
         else:

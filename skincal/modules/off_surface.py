@@ -13,8 +13,6 @@ large.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from skincal.geometry import FloatArray, dots
@@ -50,15 +48,15 @@ def off_surface_variances(
     """
     outward = dots(equations.pairs, equations.normals[:, None])[:, None]
     rise = dots(rows.whiten, outward)
-    of = np.repeat(np.arange(len(equations.starts)), np.diff(np.append(equations.starts, len(equations.pokes))))
+    of = equations.group_of_poke
     pull = np.add.reduceat(dots(equations.row_weights, outward), equations.starts)
-    along = (equations.inverse() @ pull[:, :, None])[:, :, 0]
+    along = (equations.inverse @ pull[:, :, None])[:, :, 0]
     alone = trust[:, None] * (rise - dots(rows.slopes, along[of][:, None]))
     known, most = (np.add.reduceat(dots(each, rise), equations.starts) for each in (alone, trust[:, None] * rise))
     tells = known > MIN_HEIGHT_INFORMATION_SHARE * most
     known = np.where(tells, known, 1.0)
     heights = np.add.reduceat(dots(alone, rows.misses), equations.starts) / known
-    lifted = replace(equations, row_weights=(alone[:, None] @ rows.whiten), information=known[:, None, None])
+    lifted = equations.of_other_unknowns(alone[:, None] @ rows.whiten, known[:, None, None])
     heights = np.minimum(heights, np.maximum(heights - SUBTRACTED_SKIN_THICKNESS_SDS * skin, 0.0))
     white = factors / known
     variances = white + lifted.covariances(0.0)[:, 0, 0]

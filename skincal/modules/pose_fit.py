@@ -40,10 +40,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray, orthonormal_pair, select_rows
+from skincal.geometry import FloatArray, IntArray, crossed, orthonormal_pair, select_rows
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import (
     MODULE_TURN_TO_LENGTH_RADIUS_M,
@@ -54,9 +57,9 @@ from skincal.modules.pose import (
     Pads,
     join_poses,
 )
-from skincal.solver.machine import Machine, Value, shared
+from skincal.solver.machine import Machine, Value, fill_in, shared
 from skincal.taxels.contact_table import Evidence
-from skincal.taxels.noise import noise_values
+from skincal.taxels.noise import noise_in_solver
 from skincal.taxels.result import Estimate
 
 CONTACT_TO_PAD_CENTRE_SD_FACTOR = 1.6
@@ -206,23 +209,29 @@ def _touches_in_solver(
         "columns": evidence.columns.take(at, axis=1),
         "poses": evidence.poses[at],
         "offsets": touches.offsets,
-        "noise": noise_values(noise),
-        "rules": {
-            "turn_to_length_radius": MODULE_TURN_TO_LENGTH_RADIUS_M,
-            "min_pokes_per_arm_pose": MIN_POKES_PER_ARM_POSE,
-            "robust_search_steps": ROBUST_SEARCH_STEPS,
-            "max_step": POSE_SEARCH_MAX_STEP_M,
-            "rounding_max_step": ROUNDING_MAX_STEP_M,
-            "converged_step": POSE_SEARCH_CONVERGED_STEP_M,
-            "min_curvature": MIN_CURVATURE_OVER_GAUSS_NEWTON,
-            "min_reversal_share": HALVED_STEP_MIN_REVERSAL_SHARE,
-            "max_steps": POSE_SEARCH_MAX_STEPS,
-            "min_singular_value_ratio": MIN_SINGULAR_VALUE_RATIO,
-        },
+        "noise": noise_in_solver(noise),
+        "rules": _rules_in_solver(),
         "pads": pads,
         "changes": changes,
         "outward": outward,
     }
+
+
+@cache
+def _rules_in_solver() -> NDArray[Any]:
+    rules = {
+        "turn_to_length_radius": MODULE_TURN_TO_LENGTH_RADIUS_M,
+        "min_pokes_per_arm_pose": MIN_POKES_PER_ARM_POSE,
+        "robust_search_steps": ROBUST_SEARCH_STEPS,
+        "max_step": POSE_SEARCH_MAX_STEP_M,
+        "rounding_max_step": ROUNDING_MAX_STEP_M,
+        "converged_step": POSE_SEARCH_CONVERGED_STEP_M,
+        "min_curvature": MIN_CURVATURE_OVER_GAUSS_NEWTON,
+        "min_reversal_share": HALVED_STEP_MIN_REVERSAL_SHARE,
+        "max_steps": POSE_SEARCH_MAX_STEPS,
+        "min_singular_value_ratio": MIN_SINGULAR_VALUE_RATIO,
+    }
+    return fill_in("Rules", rules)
 
 
 MIN_TAXEL_ESTIMATE_ERROR_M = 0.002
@@ -268,7 +277,7 @@ def _fit_estimates(
     x = orthonormal_pair(normal[None])[0, 0] if plan is None else plan.x[0] - (plan.x[0] @ normal) * normal
     length = float(np.sqrt(x @ x))
     x = x / length if length > 0.1 else orthonormal_pair(normal[None])[0, 0]
-    y = np.asarray(np.cross(normal, x), dtype=np.float64)
+    y = crossed(normal, x)
     # Points of a plane as complex numbers: to turn is to multiply.
     flat, own = places @ (x + 1j * y), pads @ np.array([1.0, 1j])
     counts, turn, shift = weights, 1.0 + 0.0j, 0.0j

@@ -7,6 +7,7 @@ pokes and the prior of the sheet.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -48,6 +49,7 @@ pokes shows this shift. In the study it is 0.6 mm for targets on the taxels, and
 class _PositiveEquations(NormalEquations):
     """Equations whose information has no undetermined direction, because of a prior."""
 
+    @cached_property
     def inverse(self) -> FloatArray:
         return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
 

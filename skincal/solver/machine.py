@@ -28,7 +28,8 @@ SOLVER_PROGRAM = Path(__file__).with_name("solver.wasm")
 Value: TypeAlias = "NDArray[Any] | tuple[int, ...] | Mapping[str, Any] | list[NDArray[Any]] | float | None"
 """What a field gets.
 
-A pointer: an array, which is copied in with its numbers converted; a shape, for which room is made; a table by its fields; an
+A pointer: an array, which is copied in with its numbers converted; a shape, for which room is made; a table by its fields, or
+filled in (`fill_in`); an
 address, of arrays that were stored before; `None`, the null pointer. Other fields: a number, an array of numbers, or a table by
 its fields. An array of pointers: a list of arrays.
 """
@@ -36,6 +37,12 @@ _PAGE_BYTES = 1 << 16
 """The memory grows by whole pages."""
 _MEMORY_ALIGNMENT_BYTES = 16
 _ADDRESS_TYPE, _BYTE_TYPE = np.dtype(np.uint32), np.dtype(np.uint8)
+
+
+def fill_in(table: str, values: Mapping[str, float]) -> NDArray[Any]:
+    """Fill in a table of numbers alone, which several questions hold."""
+    of = SHARED_TABLES[table]
+    return np.array(tuple(values[name] for name in of.fields), dtype=of.dtype)
 
 
 @cache
@@ -97,8 +104,9 @@ class Machine:
         with self._lock:
             writer = _Writer(self, self._permanent_until)
             question = writer.record(SHARED_TABLES[TABLE_OF_FUNCTION[name]], values)
-            self.write(self._arguments_at, np.array(writer.free), _ADDRESS_TYPE)
-            self.write(self._arguments_at + _ADDRESS_TYPE.itemsize, question, question.dtype)
+            at = self._arguments_at
+            self._bytes[at : at + _ADDRESS_TYPE.itemsize].view(_ADDRESS_TYPE)[0] = writer.free
+            self.write(at + _ADDRESS_TYPE.itemsize, question, question.dtype)
             # A look-up by name takes longer than a short solve.
             function = self._functions.get(name)
             if function is None:

@@ -101,6 +101,8 @@ class Evidence:
 
     def evidence(self, channels: Collection[int]) -> Evidence:
         """Select the evidence of the `channels` that this evidence has, as `ContactTable.evidence` does."""
+        if list(channels) == self.channels.tolist():
+            return self
         kept = np.isin(self.channels, np.fromiter(channels, np.int64, len(channels)))
         return self if kept.all() else self.select(kept[self.taxels], self.channels[kept], self.counts[kept])
 

@@ -6,16 +6,27 @@ solves. `tests/skincal/solver/test_shared_tables.py` compares the two.
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
+from skincal.solver.machine import fill_in
 from skincal.solver.tables import SHARED_TABLES
 
 
 def noise_values(noise: NoiseSettings) -> dict[str, float]:
     """Return the values of `Noise` of `skincal/solver/tables.py`."""
     return {name: getattr(noise, name) for name in SHARED_TABLES["Noise"].fields}
+
+
+@lru_cache(maxsize=16)
+def noise_in_solver(noise: NoiseSettings) -> NDArray[Any]:
+    """Fill in `Noise` of `skincal/solver/tables.py`."""
+    return fill_in("Noise", noise_values(noise))
 
 
 def offset_square(weights: FloatArray, noise: NoiseSettings) -> FloatArray:

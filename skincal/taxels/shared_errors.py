@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -70,7 +71,7 @@ def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, u
     return np.where(seen > 1.0, seen * free / np.maximum(free - 2.0, 1.0), 1.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Normal equations of g groups (taxels or modules) with d unknowns each, from m pokes; ordered by group, then by poke."""
 
@@ -95,7 +96,7 @@ class NormalEquations:
 
     def covariances(self, skin: float) -> FloatArray:
         """Compute (g, d, d) the covariances that slow errors and the skin's thickness, sd `skin`, m, add to the unknowns."""
-        of, moved = self._groups(), self.row_weights @ self.pairs
+        of, moved = self.group_of_poke, self.row_weights @ self.pairs
         block = (self.pokes - self.pokes[self.starts][of]) // POKES_PER_DRIFT_BLOCK
         new = np.ones(len(of), dtype=bool)
         new[1:] = (of[1:] != of[:-1]) | (self.poses[1:] != self.poses[:-1]) | (block[1:] != block[:-1])
@@ -103,16 +104,15 @@ class NormalEquations:
         together = np.add.reduceat(moved, first)
         slow = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(first, self.starts))
         along = np.add.reduceat((moved @ self.normals[:, :, None])[:, :, 0], self.starts)
-        added = self._slow_variances(of)[:, None, None] * slow + skin**2 * along[:, :, None] * along[:, None]
-        inverse = self.inverse()
-        return inverse @ added @ inverse
+        added = self.slow_variances[:, None, None] * slow + skin**2 * along[:, :, None] * along[:, None]
+        return self.inverse @ added @ self.inverse
 
     def shift_by_errors(self, alike: FloatArray, of_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute (g, d, n) shifts of the unknowns by errors that all pokes share, and (g, d, d) covariances by those of poses.
 
         `alike` (m, 2, n) and `of_pose` (m, 2, k) are the result of `SharedRows`.
         """
-        of, inverse = self._groups(), self.inverse()
+        of, inverse = self.group_of_poke, self.inverse
         _, first, pose = np.unique(of * (self.poses.max() + 1) + self.poses, return_index=True, return_inverse=True)
         # By group, then by the first poke in the pose: the numbers of poses depend on other pokes in the table.
         ordered = np.argsort(first[pose], kind="stable")
@@ -122,25 +122,36 @@ class NormalEquations:
         own = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(begins, self.starts))
         return -inverse @ np.add.reduceat(self.row_weights @ alike, self.starts), inverse @ own @ inverse
 
+    def of_other_unknowns(self, row_weights: FloatArray, information: FloatArray) -> NormalEquations:
+        """Give the equations of the same pokes for other unknowns."""
+        others = replace(self, row_weights=row_weights, information=information)
+        vars(others).update(group_of_poke=self.group_of_poke, slow_variances=self.slow_variances)
+        return others
+
+    @cached_property
     def inverse(self) -> FloatArray:
-        """Invert the information, (g, d, d); zero along directions that the pokes do not determine."""
+        """Inverse of the information, (g, d, d); zero along directions that the pokes do not determine."""
         values, axes = np.linalg.eigh(self.information)
         told = values > RANK_MIN_INFORMATION_RATIO * np.abs(values).max(axis=1, keepdims=True)
         # As numpy's pinv, which takes twice as long for the few taxels of a poke.
         return (axes * (told / np.where(told, values, 1.0))[:, None]) @ axes.transpose(0, 2, 1)
 
-    def _groups(self) -> IntArray:
+    @cached_property
+    def group_of_poke(self) -> IntArray:
         """Index (m,) of each poke's group of shared noise."""
-        return np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.pokes))))
+        begins = np.zeros(len(self.pokes), dtype=np.int64)
+        begins[self.starts[1:]] = 1
+        return begins.cumsum()
 
-    def _slow_variances(self, of: IntArray) -> FloatArray:
-        """Compute (g,) the variance of slow errors, each direction, m^2.
+    @cached_property
+    def slow_variances(self) -> FloatArray:
+        """Variance (g,) of slow errors, each direction, m^2.
 
         It is the mean product of the misses of successive pokes, (E'r)_i . (E'r)_j over trace P_i P_j with P = E'E, less its
         standard error. The part that a correction absorbs is not in the misses, but in the estimates: landmarks were poked at
         another time.
         """
-        first, second = self.pairs[:, 0], self.pairs[:, 1]
+        of, first, second = self.group_of_poke, self.pairs[:, 0], self.pairs[:, 1]
         way, push = first * self.misses[:, :1] + second * self.misses[:, 1:], crossed(first, second)
         sums = np.zeros((3, len(self.starts)))
         for step in (1, 2):

@@ -29,7 +29,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.solver.machine import shared
 from skincal.taxels.contact_table import Evidence
-from skincal.taxels.noise import noise_values
+from skincal.taxels.noise import noise_in_solver
 from skincal.taxels.result import (
     FORCE_AXIS_MAX_MISS_M,
     POSITION_MAX_SD_M,
@@ -98,7 +98,7 @@ def solve(
         columns=evidence.columns,
         weights=evidence.weights,
         poses=evidence.poses,
-        noise=noise_values(noise),
+        noise=noise_in_solver(noise),
         rivals={"max_odds": RIVAL_ESTIMATE_MAX_ODDS, "min_distance": RIVAL_ESTIMATE_MIN_DISTANCE_M},
         trust=evidence.trust,
         trusting=not doubting,
