@@ -29,12 +29,15 @@ from skincal.model.readings import Stream
 from skincal.model.skin import MODULE_KINDS, SkinKind
 from skincal.part.draft_preview import PartPreview
 from skincal.part.layout_placing import middle_of
-from skincal.part.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
+from skincal.part.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, pushes_of, rounded
 from skincal.part.touch_watch import TouchWatch, default_threshold
 from skincal.streams.expected_readings import ExpectedReadings
 from skincal.words.layout_words import layout_size, unsaid_kind_finding
+from skincal.words.units import TIMES
 
 POLARITY_CHOICES = {"up": "values rise", "down": "values fall"}
+AXES_CHOICES = {"1": "one value", "3 N": "three values: x, y, z in N", "3": "three values: x, y, z, raw"}
+"""Words by number and unit of the values of a taxel."""
 LAYOUT_CHOICES = {
     "none": "none: the guide searches for the taxels",
     "file": "a file: .toml, .ini of iCub, table of positions",
@@ -68,6 +71,8 @@ class SkinStep(Step):
         self.channels.valueChanged.connect(lambda n: self.change(replace(self.draft, channels=n or None), "channels"))
         self.polarity = choice("values under pressure", POLARITY_CHOICES)
         self.polarity.activated.connect(lambda _: self.change(replace(self.draft, polarity=self.polarity.currentData())))
+        self.axes = choice("values of a taxel", AXES_CHOICES)
+        self.axes.activated.connect(lambda _: self._choose_axes())
         self.layout_kind = choice("layout", LAYOUT_CHOICES)
         self.layout_kind.activated.connect(lambda _: self._choose_kind())
         self._kind = "none"
@@ -80,8 +85,8 @@ class SkinStep(Step):
         for page in pages:
             self.pages.addWidget(page)
         self.found = QLabel(wordWrap=True)
-        choices = ("V&alues a frame", self.channels), ("Under pressure", self.polarity), ("Layo&ut", self.layout_kind)
-        self.form = make_form(*choices, self.pages, ("The skin &is", self.material), self.found)
+        choices = ("V&alues a frame", self.channels), ("A taxel has", self.axes), ("Under pressure", self.polarity)
+        self.form = make_form(*choices, ("Layo&ut", self.layout_kind), self.pages, ("The skin &is", self.material), self.found)
         self.live = LiveRow(Stream.SKIN)
         self.live.read.connect(self._take_frames)
         self.again = button("&Forget the touch", run=self._forget_touch)
@@ -138,7 +143,9 @@ class SkinStep(Step):
     def update_fields(self, preview: PartPreview) -> None:
         draft = preview.draft
         set_silently(self.channels, draft.channels or 0)
+        self.channels.setSuffix("" if draft.axes == 1 else f" {TIMES} {draft.axes}")
         show_choice(self.polarity, draft.polarity)
+        show_choice(self.axes, f"{draft.axes} {draft.skin_unit}".strip())
         if not draft.layout_text:
             self._kind = "file" if self._kind == "file" else "none"
         elif self._kind == "none":
@@ -157,7 +164,12 @@ class SkinStep(Step):
         self.live.setEnabled(width > 0)
         if self._watch is None:
             self.touched.setText(TOUCH_HINT if width else NO_WIDTH_HINT)
-        self.live.expect(ExpectedReadings(max(1, width)))
+        self.live.expect(ExpectedReadings(max(1, width) * draft.axes))
+
+    def _choose_axes(self) -> None:
+        axes, _, unit = str(self.axes.currentData()).partition(" ")
+        self._forget_touch()
+        self.change(replace(self.draft, axes=int(axes), skin_unit=unit))
 
     def _choose_kind(self) -> None:
         self._kind, self._material = str(self.layout_kind.currentData()), None
@@ -219,8 +231,9 @@ class SkinStep(Step):
     def _take_frames(self, frames: list[np.ndarray]) -> None:
         if not frames:
             return
+        frames = pushes_of(self.draft, frames)
         if self._watch is None:
-            self._watch = TouchWatch(len(frames[0]), self.live.skin_unit)
+            self._watch = TouchWatch(len(frames[0]), self.draft.skin_unit or self.live.skin_unit)
         for frame in frames:
             self._watch.feed(frame)
         if not self._watch.is_ready:

@@ -12,6 +12,9 @@ from skincal.model.errors import InputError, plural
 from skincal.model.length_units import LengthUnit
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from skincal.files.paxini_points import PaxiniModule
     from skincal.geometry import FloatArray
     from skincal.model.robot import RobotSpec
     from skincal.model.scene import Scene
@@ -28,7 +31,8 @@ def add_to(app: typer.Typer) -> None:
     """Add the commands of this module."""
     of_robot = "skincal scene new --urdf robot.urdf --link forearm --sensor arm_ft --layout modules.toml --out part/scene.toml"
     of_mesh = "skincal scene new --mesh part.stl --unit mm --grid 6x8@9mm --out part/scene.toml"
-    _scenes.command("new", epilog=f"Examples: {of_robot}; {of_mesh}")(new_scene)
+    of_tip = "skincal scene new --mesh tip.stl --paxini PXSR-STDDP03D --out tip/scene.toml"
+    _scenes.command("new", epilog=f"Examples: {of_robot}; {of_mesh}; {of_tip}")(new_scene)
     _scenes.command("show", epilog="Example: skincal scene show part/scene.toml --joints 94,0")(show_scene)
     app.add_typer(_scenes, name="scene")
 
@@ -65,6 +69,19 @@ def new_scene(
         Path | None, typer.Option(help="Layout: a file of skincal (*.toml), an iCub .ini, or a table of positions.")
     ] = None,
     grid: Annotated[str, typer.Option(help="Taxels in a grid: ROWSxCOLUMNS@PITCHmm, such as 6x8@9mm.")] = "",
+    paxini: Annotated[
+        str,
+        typer.Option(
+            help="PaXini modules in the order of the stream, separated by commas: part code, model or number of taxels. Their "
+            "points are read from your own package paxini-sdk."
+        ),
+    ] = "",
+    paxini_sdk: Annotated[
+        Path | None, typer.Option(help="Folder or wheel of paxini-sdk; default: the installed package.")
+    ] = None,
+    axes: Annotated[
+        Literal["1", "3"] | None, typer.Option(help="Values of a taxel: 3 for a force vector. Default: 1; PaXini 3.")
+    ] = None,
     kind: Annotated[
         Literal["board", "sheet"] | None,
         typer.Option(
@@ -87,11 +104,18 @@ def new_scene(
     from skincal.part.robot_copy import ROBOT_FOLDER, size_words
     from skincal.part.scene_draft import write_scene
 
-    if layout is not None and grid:
-        raise InputError("--layout and --grid exclude each other; keep one.")
+    if sum((layout is not None, bool(grid), bool(paxini))) > 1:
+        raise InputError("--layout, --grid and --paxini exclude each other; keep one.")
+    if paxini_sdk is not None and not paxini:
+        raise InputError("--paxini-sdk says where the points of --paxini are; name the modules by --paxini, or leave it out.")
     columns = [name.strip() for name in joints.split(",") if name.strip()]
     _refuse_twice(columns, "--joints")
+    modules = _paxini_modules(paxini, paxini_sdk) if paxini else []
     layout_text = parse_grid(grid).layout_text() if grid else "" if layout is None else read_layout_file(layout)
+    if modules:
+        from skincal.files.paxini_points import layout_text as paxini_layout
+
+        layout_text = paxini_layout(modules)
     if kind is not None:
         if not layout_text:
             raise InputError(
@@ -111,6 +135,8 @@ def new_scene(
         unit=unit or "",
         channels=channels,
         polarity=polarity,
+        axes=int(axes or ("3" if modules else "1")),
+        skin_unit="N" if modules and axes != "1" else "",
         layout_text=layout_text,
     )
     write_scene(draft, out, _numbers(anchor_mm, 3, "--anchor-mm") if anchor_mm else None)
@@ -118,7 +144,27 @@ def new_scene(
     copied = [path for path in (out.parent / ROBOT_FOLDER).rglob("*") if path.is_file()]
     words = size_words(len(copied), sum(path.stat().st_size for path in copied))
     copies = f"; copied the robot, {words}" if copied else ""
-    output.print_result(result, [f"wrote {out}{copies}", *_lines(result)], as_json)
+    points = _write_points(modules, out)
+    output.print_result(result, [f"wrote {out}{copies}", *points, *_lines(result)], as_json)
+
+
+def _paxini_modules(names: str, package: Path | None) -> list[PaxiniModule]:
+    """Read the modules that `--paxini` names, from the user's own package."""
+    from skincal.files.paxini_points import read_modules
+
+    return read_modules([name for name in names.split(",") if name.strip()], package)
+
+
+def _write_points(modules: Sequence[PaxiniModule], out: Path) -> list[str]:
+    """Write the points of a single module next to the scene, to compare a calibration with; return a line on it."""
+    if len(modules) != 1:
+        return []
+    from skincal.files.atomic import write_atomically
+    from skincal.files.paxini_points import positions_as_json
+
+    path = out.parent / f"{modules[0].code}_points.json"
+    write_atomically(path, positions_as_json(modules).encode())
+    return [f"wrote {path}: the maker's points in the frame of the module, for `skincal compare SESSION {path}`"]
 
 
 def _saved_description(address: str, out: Path) -> Path:

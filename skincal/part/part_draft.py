@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Generator, Mapping, MutableMapping
+from collections.abc import Generator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -20,7 +20,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import Scene, load_scene, ships
 from skincal.model.skin import Anchor
-from skincal.model.tables import parse_toml
+from skincal.model.tables import Table, parse_toml
 from skincal.model.urdf import read_urdf
 from skincal.part.robot_copy import ROBOT_FOLDER, is_with_robot, list_robot_files, read_robot_files
 from skincal.part.tool_draft import NO_TOOL, Pose, Rig, ToolDraft, Vector, read_tool_draft, tool_entries
@@ -120,6 +120,10 @@ class PartDraft:
     """-1 if the sensor reports the reaction force; `None` for what the URDF says."""
     channels: int | None = None
     polarity: str = "up"
+    axes: int = 1
+    """Values of a taxel: 1, or 3 for a force vector."""
+    skin_unit: str = ""
+    """Unit of a skin of three axes, `"N"`; empty for raw values."""
     layout_text: str = ""
     """Of the layout file; empty without a layout."""
     layout_name: str = ""
@@ -180,6 +184,19 @@ def pose_rows(pose: FloatArray) -> Pose:
     return (*rows, (0.0, 0.0, 0.0, 1.0))
 
 
+def pushes_of(draft: PartDraft, frames: Sequence[FloatArray]) -> list[FloatArray]:
+    """Take the value that a push changes from each frame of the skin: z of taxels of three axes, as the device sends it."""
+    if draft.axes == 1:
+        return list(frames)
+    from skincal.model.skin_axes import read_axes  # other skins do without
+
+    given = parse_toml(draft.text, draft.source or Path(LAYOUT_FILE)).get("skin", {})
+    table = {key: given[key] for key in ("order", "values") if key in given}
+    axes = read_axes(Table({"axes": draft.axes, **table}, "[skin]"), 1)
+    assert axes is not None
+    return [axes.by_taxel(frame)[:, axes.places[2]] for frame in frames]
+
+
 def open_draft(path: Path) -> PartDraft:
     """Read a scene file, to change it.
 
@@ -220,6 +237,8 @@ def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
         sign=document.get("wrench", {}).get("sign"),
         channels=scene.skin.channels,
         polarity=skin.get("polarity", "up"),
+        axes=skin.get("axes", 1),
+        skin_unit="N" if skin.get("unit") == "N" else "",
         layout_text="" if layout is None else layout.text,
         layout_name=skin.get("modules", ""),
         anchor=_read_anchor(skin["anchor"]) if "anchor" in skin else None,
@@ -254,6 +273,8 @@ _ENTRY_COMMENTS: dict[Key, str] = {
     ("surface", "unit"): "of the mesh's numbers",
     ("sensor",): "pose of the force/torque sensor in the link, metres",
     ("skin", "channels"): "values of a skin frame",
+    ("skin", "axes"): "x, y and z of each taxel: three values a channel",
+    ("skin", "unit"): "of these values",
     ("skin", "modules"): "the layout of the modules",
     ("skin", "anchor"): "position of the layout on the part",
     ("skin", "anchor", "at_mm"): "a point of the layout",
@@ -301,6 +322,8 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
     entries |= tool_entries(draft.rig, draft.tool)
     entries[("skin", "channels")] = draft.channels
     entries[("skin", "polarity")] = draft.polarity
+    entries[("skin", "axes")] = draft.axes if draft.axes != 1 else None
+    entries[("skin", "unit")] = draft.skin_unit or None
     if draft.layout_text:
         entries[("skin", "modules")] = draft.layout_name or LAYOUT_FILE
     if draft.anchor is not None:
@@ -365,13 +388,17 @@ def _entries_of_text(draft: PartDraft) -> dict[Key, Any]:
             found[key] = _frozen(value)
     if "skin" in document:
         found.setdefault(("skin", "polarity"), "up")  # the default
+        if found.get(("skin", "unit")) == "raw":
+            del found["skin", "unit"]  # the default
+        if found.get(("skin", "axes")) == 1:
+            del found["skin", "axes"]  # the default
     return found
 
 
 def _all_keys(document: dict[str, Any]) -> list[Key]:
     """List the entries of a document that a draft knows."""
     known = [("name",), ("link",), ("skin", "channels"), ("skin", "polarity"), ("skin", "modules"), ("wrench", "sign")]
-    known += [("contacts", "response_min")]
+    known += [("contacts", "response_min"), ("skin", "axes"), ("skin", "unit")]
     known += [("surface", key) for key in ("mesh", "unit", "pose")] + [("sensor", "pose")]
     known += [("tool", key) for key in document.get("tool", {})]
     known += [("robot", key) for key in ("urdf", "sensor", "mesh", "unit", "joints")]
