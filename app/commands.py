@@ -199,6 +199,7 @@ GROUP_STARTS = frozenset(
         "quit",
         "no landmarks",
         "undo",
+        "turns",
         "exclude",
         "thresholds",
         "sounds",
