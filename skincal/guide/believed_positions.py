@@ -157,10 +157,16 @@ def _skin_share(skin: float, rig: float) -> float:
 
 def _group_offsets(off: FloatArray, precision: FloatArray, groups: IntArray, count: int, sd: float) -> FloatArray:
     """Compute (count, 3) the weighted mean of `off` (m, 3) in each group, with a zero-mean prior of `sd`."""
-    total, pull = np.tile(np.eye(3) / sd**2, (count, 1, 1)), np.zeros((count, 3))
-    np.add.at(total, groups, precision)
-    np.add.at(pull, groups, (precision @ off[:, :, None])[:, :, 0])
-    return solve_each(total, pull)
+    total = _add_to_groups(np.tile((np.eye(3) / sd**2).ravel(), (count, 1)), groups, precision.reshape(-1, 9))
+    pull = _add_to_groups(np.zeros((count, 3)), groups, (precision @ off[:, :, None])[:, :, 0])
+    return solve_each(total.reshape(-1, 3, 3), pull)
+
+
+def _add_to_groups(begin: FloatArray, groups: IntArray, values: FloatArray) -> FloatArray:
+    """Add rows of `values` (m, k) to those of `begin` (count, k), in their order: as `np.add.at`, in a tenth of its time."""
+    where, rows = np.concatenate([np.arange(len(begin)), groups]), np.concatenate([begin, values])
+    columns = [np.bincount(where, column, minlength=len(begin)) for column in np.ascontiguousarray(rows.T)]
+    return np.array(columns, dtype=np.float64).T
 
 
 def _add_own_offset(places: FloatArray, measured: FloatArray, precision: FloatArray, rig: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fi
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions, apply_action, is_undoable, take_back, with_excluded
 from skincal.session.landmark_pokes import can_be_at_landmark, landmark_pokes
-from skincal.session.snapshot import ChangePlace, PokeRecord, Snapshot, without_excluded
+from skincal.session.snapshot import ChangePlace, ChannelOrder, PokeRecord, Snapshot, without_excluded
 from skincal.session.solving import Solving
 from skincal.session.undo import ActionEntry, History
 from skincal.taxels.result import POSITION_MAX_SD_M, Estimate, Method
@@ -71,7 +71,7 @@ class Session:
         """Requested poke on the skin; `None` before the first request."""
         # By number, in ascending order.
         self._records: dict[int, PokeRecord] = {}
-        self._columns, self._changes = GrowingPokeColumns(), list[int]()
+        self._order, self._columns, self._changes = ChannelOrder(()), GrowingPokeColumns(), list[int]()
         self._reported: dict[int, Outcome] = {}
         self._frame: UsedCorrection | None = None
         self._landmark_pokes: LandmarkPokes | None = None
@@ -400,10 +400,16 @@ class Session:
             noise=self.scene.noise,
             table=self._solving.table_state,
             columns_now=self._columns.now(),
+            channels=self._channel_order(channels),
             changes=ChangePlace(self._changes, len(self._changes)),
             turns=self._solving.turns,
         )
         return self._snapshot
+
+    def _channel_order(self, channels: Sequence[int]) -> ChannelOrder:
+        if self._order.channels is not channels:
+            self._order = ChannelOrder(channels)
+        return self._order
 
     def _part_size(self, estimates: Mapping[Method, Sequence[Estimate]]) -> float:
         """Find the part's size, metres, for `Snapshot.part_size`."""

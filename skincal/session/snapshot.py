@@ -75,6 +75,18 @@ class ChangePlace:
         return sorted(set(self.numbers[min(earlier.count, self.count) : max(earlier.count, self.count)]))
 
 
+class ChannelOrder:
+    """Order of channels, which snapshots share, and the place of each."""
+
+    def __init__(self, channels: Sequence[int]) -> None:
+        self.channels = channels
+
+    @cached_property
+    def place_of(self) -> Mapping[int, int]:
+        """Place of each channel."""
+        return {channel: place for place, channel in enumerate(self.channels)}
+
+
 def without_excluded(pokes: LandmarkPokes, decisions: Decisions) -> LandmarkPokes:
     """Leave out the pokes that the operator excluded."""
     return pokes[~np.isin(pokes.number, list(decisions.excluded))]
@@ -125,6 +137,8 @@ class Snapshot:
     """Rows of the contacts, shared with the session until it solves again; see `evidence`."""
     columns_now: PokeColumns | None = None
     """Columns of `pokes` if the session keeps them; see `columns`."""
+    channels: ChannelOrder | None = None
+    """Order of the channels in the estimates, which the session's snapshots share; see `estimate_of`."""
     changes: ChangePlace | None = None
     """Place in the session's list of changes; `None` if it has none."""
     turns: SessionTurns | None = None
@@ -185,10 +199,11 @@ class Snapshot:
         return PokeColumns.collect((record.outcome, record.excluded) for record in self.pokes)
 
     @cached_property
-    def _place_of_channel(self) -> dict[int, int]:
+    def _place_of_channel(self) -> Mapping[int, int]:
         """Places of the channels in the estimates, which are in one order by all methods."""
-        estimates = next(iter(self.estimates.values()), ())
-        return {estimate.channel: place for place, estimate in enumerate(estimates)}
+        if self.channels is not None:
+            return self.channels.place_of
+        return ChannelOrder([estimate.channel for estimate in next(iter(self.estimates.values()), ())]).place_of
 
     def record_of(self, poke: int) -> PokeRecord | None:
         """Find the record of a poke; `None` if there is none."""

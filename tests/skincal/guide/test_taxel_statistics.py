@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.guide import candidates
-from skincal.guide.believed_positions import PlannedPlaces, believed_positions
+from skincal.guide.believed_positions import PlannedPlaces, _add_to_groups, believed_positions
 from skincal.guide.progress import GuideSettings
 from skincal.guide.taxel_statistics import TaxelStatistics, axis_diversity
 from skincal.mesh.surface import pairs_within
@@ -212,3 +212,14 @@ def test_an_uncertain_depth_wants_tilt_and_on_a_surface_none():
     assert free[0] < 0.2 * free.max()
     assert free.argmax() > candidates.PUSH_AZIMUTHS_TRIED, "the largest tilt"
     assert held[0] > 0.95 * held.max()
+
+
+def test_rows_are_added_to_groups_as_one_after_the_other():
+    rng = np.random.default_rng(0)
+    for count in (1, 7, 40):
+        groups, begin = rng.integers(0, count, 300), rng.normal(size=(count, 9))
+        values = rng.normal(size=(300, 9)) * 10.0 ** rng.integers(-8, 8, (300, 1))
+        added = begin.copy()
+        np.add.at(added, groups, values)
+        assert _add_to_groups(begin, groups, values).tolist() == added.tolist()
+    assert _add_to_groups(begin, groups[:0], values[:0]).tolist() == begin.tolist()
