@@ -6,6 +6,7 @@ Every run tries the same examples, so a red test is red again for anyone who rep
 
 from __future__ import annotations
 
+import gc
 import os
 import zlib
 from pathlib import Path
@@ -31,6 +32,13 @@ os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 
 POISON = "open({mark!r}, 'a').write(__file__ + '\\n')\nraise SystemExit(99)\n"
 NAMES = ("typer.py", "numpy.py", "pickle.py", "pip.py", "app/__init__.py", "skincal/__init__.py")
+
+
+def pytest_collection_finish() -> None:
+    """Look for cyclic garbage less often, and never at what the tests themselves are made of."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 @pytest.fixture

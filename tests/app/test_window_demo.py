@@ -22,14 +22,14 @@ from app.text.demo_text import FIRST_MINUTE, OTHER_RIG, UNKNOWN_RIG, pace_words,
 from app.text.message import Message, closed_words, kept_words
 from skincal.model.scene import resource
 from skincal.session.replay import replay
-from tests.app.whole_window import OPEN_MS, Bench
+from tests.app.whole_window import HAND, OPEN_MS, Bench
 
 Key = Qt.Key
 
 
 def demo(scene: str = "flat-patch") -> OpenRequest:
     path = resource(f"scenes/{scene}/scene.toml")
-    return OpenRequest(scene=path, server=(*server_command(path), "--careful", "--errors", "none"), demo=True)
+    return OpenRequest(scene=path, server=(*server_command(path), *HAND), demo=True)
 
 
 def card_of(bench) -> FirstMinute:

@@ -13,7 +13,7 @@ from app.text.demo_text import FIRST_MINUTE_ROBOT
 from skincal.robot.target_lines import NoTarget
 
 pytest.importorskip("mujoco")
-POKES = 5
+POKES = 2
 POKING_MS = 240_000
 STOPPED_MM = 0.05
 

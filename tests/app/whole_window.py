@@ -19,6 +19,8 @@ from app.workers.device_process import DeviceProcess
 from skincal.contacts.outcome import Contact
 from skincal.model.scene import resource
 
+HAND = ("--careful", "--errors", "none", "--pace", "4")
+"""A hand without slips, on a rig without errors; quick between its pokes, since a window that waits costs time, too."""
 POKE_MS = 60_000  # A poke takes about three seconds; a busy machine gets twenty times as long
 OPEN_MS = 100_000  # A report or an import takes some seconds
 
@@ -64,7 +66,7 @@ class Bench:
 
     def open_served(self, name: str = "icub-forearm", **changes) -> None:
         scene = resource(f"scenes/{name}/scene.toml")
-        self.open(OpenRequest(scene=scene, server=(*server_command(scene), "--careful", "--errors", "none"), **changes))
+        self.open(OpenRequest(scene=scene, server=(*server_command(scene), *HAND), **changes))
 
     def until(self, what, timeout: int = POKE_MS) -> None:
         self.qtbot.waitUntil(what, timeout=timeout)

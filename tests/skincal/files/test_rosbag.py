@@ -41,13 +41,14 @@ SECOND_NS = 10**9
 START_NS = 1_700_000_000 * SECOND_NS
 DELAY_NS = 2_000_000
 """From a message's stamp to its arrival at the recorder."""
+SAMPLE_S = 50
 LAB_TYPE = "lab_msgs/msg/TaxelData"
 LAB_DEFINITION = "std_msgs/Header header\nuint8 cdc_length\nfloat32[] cdc\n"
 
 
 @cache
 def sample_streams():
-    """Times (n,) ns and values (n, width) of the streams of the shipped simulated session; joints are radians."""
+    """Times (n,) ns and values (n, width) of the first 50 s of the shipped simulated session; joints are radians."""
     log = SessionLog(resource("sessions/sample"))
     decoders = {link.name: LinkDecoder(link.format, None, link.carries) for link in log.links}
     times, rows = {stream: [] for stream in SENSOR_STREAMS}, {stream: [] for stream in SENSOR_STREAMS}
@@ -55,7 +56,9 @@ def sample_streams():
         for host_ns, batch in decoders[item.link].feed(item.data, item.host_ns) if isinstance(item, Chunk) else ():
             times[batch.stream] += [host_ns // 1000 * 1000] * len(batch.values)
             rows[batch.stream] += batch.values.tolist()
-    return {stream: (times[stream], np.array(rows[stream])) for stream in SENSOR_STREAMS}
+    end_ns = times[Stream.SKIN][0] + SAMPLE_S * SECOND_NS
+    counts = {stream: sum(time < end_ns for time in times[stream]) for stream in SENSOR_STREAMS}
+    return {stream: (times[stream][:count], np.array(rows[stream][:count])) for stream, count in counts.items()}
 
 
 def write_sample(path, kind):
@@ -92,7 +95,7 @@ def import_sample(arguments, out, capsys):
 
 def test_a_bag_gives_the_estimates_of_the_same_streams_in_tables(tmp_path, capsys):
     result, expected = import_sample(["csv", *write_sample_tables(tmp_path)], tmp_path / "tables", capsys)
-    assert sum(position is not None for position in expected.values()) > 200
+    assert sum(position is not None for position in expected.values()) > 60
     bag = write_sample(tmp_path / "bag", "mcap")
     other, found = import_sample(["rosbag", str(bag)], tmp_path / "from-bag", capsys)
     for name in ("pokes", "accepted", "frames_without_wrench"):
@@ -104,7 +107,7 @@ def test_a_bag_gives_the_estimates_of_the_same_streams_in_tables(tmp_path, capsy
             np.testing.assert_allclose(found[key], position, atol=1e-9)
     session = skincal.read_bag(skincal.Scene.load("icub-forearm"), bag)
     same = session.taxels("surface").compare(f"{tmp_path / 'from-bag'}:surface")
-    assert (len(same.channel) > 60, same.worst) == (True, 0.0)
+    assert (len(same.channel) > 20, same.worst) == (True, 0.0)
     assert any("/skin" in sentence for sentence in session.findings)
     with pytest.raises(InputError, match="has no topic /nowhere"):
         skincal.read_bag(session.scene, bag, skin="/nowhere")
@@ -387,7 +390,7 @@ def test_damaged_bytes_give_readings_or_a_sentence(tmp_path, rng, kind):
     outcomes = set()
     for file in files:
         whole = file.read_bytes()
-        for at in rng.integers(0, len(whole), 40).tolist():
+        for at in rng.integers(0, len(whole), 12).tolist():
             length = int(rng.integers(1, 9))
             file.write_bytes(whole[:at] + rng.bytes(length) + whole[at + length :])
             try:
