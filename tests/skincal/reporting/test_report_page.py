@@ -91,6 +91,12 @@ def page(page_text) -> Page:
     return Page(page_text)
 
 
+@pytest.fixture
+def undrawn(monkeypatch) -> None:
+    """Give a report without pictures: they take most of its time, and this test is about its words."""
+    monkeypatch.setattr("skincal.reporting.drawings.render", lambda *_: [b"a picture"])
+
+
 def test_the_numbers_are_those_of_the_core(facts, page):
     snapshot, truth = load(SAMPLE).snapshot(), read_reference(SAMPLE / "truth.json")
     for each in facts.methods:
@@ -123,6 +129,7 @@ def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
     assert "SIMULATED" in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_only_a_verdict_is_coloured_and_no_name_that_reads_like_one(facts, page):
     marks, misses = (Landmark("agrees", np.zeros(3), None),), {"agrees": (0.001,)}
     snapshot = facts.results.snapshot
@@ -162,6 +169,7 @@ def test_columns_of_numbers_stand_at_their_right():
     assert table.numeric == (False, False, True, False)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_table_of_many_rows_is_looked_through_once(facts, monkeypatch):
     """A whole body has 4,200 of them: looking through all for each cell takes hours."""
     looked, numeric = [], ReportTable.numeric.fget
@@ -174,6 +182,7 @@ def test_what_is_wider_than_a_small_screen_moves_by_itself(page_text):
     assert page_text.count("<img") == page_text.count('<div class="wide"><img')
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_a_device_measures_beside_its_readings_stands_with_it(facts):
     first, *others = facts.results.pipeline.totals().links
     warm = replace(first, beside={TEMPERATURE_NAME: SideReading(30.5, 33.25, 31.0)})
@@ -183,6 +192,7 @@ def test_what_a_device_measures_beside_its_readings_stands_with_it(facts):
     assert text.count("temperature 31.0 degC (30.5 to 33.2)") == 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_sentences_on_a_tool_stand_with_the_rig(facts):
     said = ("Tip: its own place. The tip is not used.", "Part: its pose is known.")
     text = Page(report_page(replace(facts, results=other_results(facts, tool=said)))).text
@@ -190,16 +200,18 @@ def test_the_sentences_on_a_tool_stand_with_the_rig(facts):
     assert all(sentence in rig for sentence in said)
 
 
-def test_the_settings_of_a_rig_with_a_tool_name_no_arm(facts):
+@pytest.mark.usefixtures("undrawn")
+def test_the_settings_of_a_rig_with_a_tool_name_no_arm(facts, page):
     tool = load_scene(resource("scenes/cobot-forearm/scene.toml")).tool
     scene = replace(facts.results.part.scene, arm=None, tool=tool)
     results = other_results(facts, part=replace(facts.results.part, scene=scene))
     text = Page(report_page(replace(facts, results=results))).text
     assert "streamed poses, sensor on the tool" in text
     assert "Arm poses" not in text
-    assert "Arm poses" in Page(report_page(facts)).text
+    assert "Arm poses" in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_of_a_rig_without_a_sensor_has_no_row_on_its_frame(facts):
     tool = replace(load_scene(resource("scenes/cobot-forearm/scene.toml")).tool, has_sensor=False)
     scene = replace(facts.results.part.scene, arm=None, tool=tool)
@@ -250,6 +262,7 @@ def test_names_from_strangers_stay_names(facts, page):
     assert "49" not in re.findall(r"alert\(2\)&gt;.{0,40}", text)[0]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_truth_the_error_is_the_predicted_one(facts):
     told = report_page(replace(facts, truth=None, methods=tuple(replace(each, error=None) for each in facts.methods)))
     assert "SIMULATED" not in told
@@ -285,6 +298,7 @@ def test_a_part_without_mesh_arm_and_landmarks_has_a_report_too(tmp_path, rng, p
     assert approved("report.no_landmarks") in found.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_taxels_without_a_place_are_told_by_their_reason(facts):
     free = facts.results.snapshot.estimates[Method.FREE]
     lost = [estimate for estimate in free if estimate.position is None]
@@ -334,6 +348,7 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
     assert not (tmp_path / "none.html").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("has_arm", [True, False])
 def test_the_report_of_a_part_without_joints_speaks_of_the_sensor_alone(facts, has_arm):
     agreement = LandmarkAgreement(21, 4.2, corrected=False)
@@ -344,6 +359,7 @@ def test_the_report_of_a_part_without_joints_speaks_of_the_sensor_alone(facts, h
     assert "not corrected" in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
     count, session = imported[0], shutil.copytree(imported[1], tmp_path / "session")
     pipeline = resume(session)
