@@ -179,9 +179,9 @@ def _collect(surface: Surface, starts: IntArray, steps: int, points: FloatArray,
     owners, here = np.arange(count), starts
     seen[owners, here] = True
     # The last triangle that is no sliver: from it to the next one there must be no sharp edge.
-    before = starts
-    found = [(owners, here)]
+    found: list[tuple[IntArray, IntArray, IntArray]] = [(owners, here, starts)]
     for _ in range(steps):
+        owners, here, before = found[-1]
         owners, before, here = np.repeat(owners, 3), np.repeat(before, 3), ways[here].ravel()
         kept = here >= 0
         kept[kept] &= ~seen[owners[kept], here[kept]]
@@ -196,8 +196,7 @@ def _collect(surface: Surface, starts: IntArray, steps: int, points: FloatArray,
         _, first = np.unique(owners[kept] * total + here[kept], return_index=True)
         owners, before, here = owners[kept][first], before[kept][first], here[kept][first]
         seen[owners, here] = True
-        before = np.where(slim[here], before, here)
-        found.append((owners, here))
+        found.append((owners, here, np.where(slim[here], before, here)))
     owners, here = (np.concatenate([each[i] for each in found]) for i in (0, 1))
     vertices = len(surface.vertices)
     keys, where = np.unique((owners[:, None] * vertices + surface.triangles[here]).ravel(), return_inverse=True)

@@ -136,11 +136,12 @@ def fit_axes_tip(contacts: Sequence[Contact], noise: NoiseSettings) -> AxesTip |
     points = axis_point(force, np.array([contact.moment for contact in contacts]))
     sizes = np.linalg.norm(force, axis=1)
     pairs = orthonormal_pair(force / sizes[:, None])
-    place, variance, trust = np.zeros(3), TIP_SPREAD_MAX_M**2, np.ones(count)
+    steps: list[tuple[FloatArray, float, FloatArray]] = [(np.zeros(3), TIP_SPREAD_MAX_M**2, np.ones(count))]
     covariance, prior = np.eye(3), np.eye(3) / TIP_PRIOR_SD_M**2
     lean_noise = 2.0 * (noise.force / sizes) ** 2
     pushes = force / sizes[:, None]
     for _ in range(FIT_STEPS):
+        place, variance, trust = steps[-1]
         lever = np.broadcast_to(place, (count, 3))
         weights = row_precision(pairs, lever, sizes, np.full(count, variance), noise) * trust[:, None, None]
         pulls = pairs.transpose(0, 2, 1) @ weights
@@ -162,7 +163,8 @@ def fit_axes_tip(contacts: Sequence[Contact], noise: NoiseSettings) -> AxesTip |
         sensor = np.linalg.inv(row_precision(pairs, np.broadcast_to(place, (count, 3)), sizes, np.zeros(count), noise))
         freedom = (2.0 * count - 3.0) / (2.0 * count)
         seen = np.sum(misses**2, axis=1) / freedom - np.trace(sensor, axis1=1, axis2=2)
-        variance = max(float(trust @ seen / trust.sum()) / 2.0, TIP_SD_MIN_M**2)
+        steps.append((place, max(float(trust @ seen / trust.sum()) / 2.0, TIP_SD_MIN_M**2), trust))
+    place, variance, _ = steps[-1]
     return AxesTip(count, place, covariance, float(np.sqrt(variance)))
 
 
