@@ -104,6 +104,10 @@ class PartPose:
     """...and touches on the mesh."""
     tip_shift: FloatArray = field(default_factory=lambda: np.zeros(3))
     """(3,) float, metres: error of the tip that the touches show, in the frame of `PartShape.tip_covariance`."""
+    height: float = 0.0
+    """m, h: height of the touched face of the skin over the mesh; 0 without touches on it."""
+    height_sd: float = np.inf
+    """m; infinite without touches on the mesh."""
     ratio: float = 1.0
     """Misses over the expected ones: the root of chi-square over its degrees of freedom."""
     freedom: int = 0
@@ -146,15 +150,15 @@ class PartPose:
         """(6, 6) float: of the turn w (rad) about the centre, and of the shift s (m), link frame."""
         return self.with_tip[:6, :6]
 
-    def error_shifts(self, point: FloatArray, tool_turn: FloatArray) -> FloatArray:
-        """Compute the shifts (3, 9), metres, of a point (3,) of the link by independent errors of unit variance.
+    def error_shifts(self, points: FloatArray, tool_turns: FloatArray) -> FloatArray:
+        """Compute the shifts (..., 3, 9), metres, of points (..., 3) of the link by independent errors of unit variance.
 
         Parameters
         ----------
-        tool_turn : (3, 3) float: mean rotation of the tip's frame into the link, at the pokes that measured the point
+        tool_turns : (..., 3, 3) float: mean rotation of the tip's frame into the link, at the pokes that measured each point
         """
         values, axes = np.linalg.eigh(self.with_tip)
-        rows = np.concatenate([motion_rows(point - self.centre), tool_turn], axis=1)
+        rows = np.concatenate([motion_rows(points - self.centre), tool_turns], axis=-1)
         return rows @ (axes * np.sqrt(np.maximum(values, 0.0)))
 
 
@@ -176,6 +180,8 @@ class _Fit:
     """(9, 9) float, not yet enlarged: with the tip."""
     tip_shift: FloatArray
     """(3,) float, metres: error of the tip."""
+    height: tuple[float, float]
+    """m: h, and its sd, not yet enlarged."""
     step: FloatArray
     """(6,) float: the Gauss-Newton step."""
     cost: float
@@ -230,7 +236,8 @@ class _Fit:
             left[: 3 * landmarks].reshape(-1, 3),
             trust[: 3 * landmarks : 3],
         )
-        return cls(turn, shift, rows.centres[0], inverse[:9, :9], rest[:3], step, cost, chi2, (*own, normal))
+        skin = float(rest[3]), float(np.sqrt(inverse[9, 9]))
+        return cls(turn, shift, rows.centres[0], inverse[:9, :9], rest[:3], skin, step, cost, chi2, (*own, normal))
 
     def next(self, touches: PartTouches, shape: PartShape) -> _Fit:
         turn, shift = moved_pose(self.turn[None], self.shift[None], self.centre[None], self.step[None])
@@ -320,6 +327,8 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
         taxels=counts[1],
         points=counts[2],
         tip_shift=best.tip_shift,
+        height=best.height[0] if counts[2] else 0.0,
+        height_sd=best.height[1] * max(1.0, ratio) if counts[2] else np.inf,
         ratio=ratio,
         freedom=equations - 6,
         held_out_ratio=_held_out_ratio(best, touches.landmark[touches.at_landmark], ranks[touches.at_landmark]),

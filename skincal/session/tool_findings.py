@@ -6,11 +6,12 @@ landmark poke changes, and when the number of pokes on the skin grows by a quart
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from skincal.pokes import Pokes
 from skincal.rig.mesh_distance import MeshDistance, find_mesh_distance
 from skincal.rig.part_pose import NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
 from skincal.rig.part_pose_starts import closed_start
-from skincal.rig.part_touches import PartShape, PartTouches, motion_rows
+from skincal.rig.part_touches import MESH_SD_M, PartShape, PartTouches, motion_rows
 from skincal.rig.scene_mistakes import Mistake
 from skincal.rig.tip_frame import REFIT_AT_POKE_COUNT_RATIO, TipState, pokes_of_fit
 from skincal.rig.tip_fusion import CHI2_2DOF_QUANTILE_9999
@@ -147,7 +148,7 @@ class ToolFindings:
             surface = self._surface
             self.off_mesh = None if surface is None else find_mesh_distance(touches, surface, self._scene.noise)
             return
-        self.part, self.misfit = fit_part_pose(touches, shape), None
+        self.part, self.misfit = self._below_balls(fit_part_pose(touches, shape), touches, shape), None
         self._with_error.clear()
         if self.part.ratio > EXPLAIN_ABOVE_RATIO:
             # A copy keeps the tip of now.
@@ -155,6 +156,17 @@ class ToolFindings:
             # Beyond, the pose is refused without an explanation, too.
             if self.part.state is not PartPoseState.DISAGREES and self.explain(self.misfit, is_quick=True) is not None:
                 self.part = replace(self.part, state=PartPoseState.DISAGREES)
+
+    def _below_balls(self, found: PartPose, touches: PartTouches, shape: PartShape) -> PartPose:
+        """Fit again with the contacts below the middle of the ball: where that is, a first pose and its mesh say."""
+        if not found.is_known or not self._is_placed_by_tip or self._surface is None or not self._tool.tip_radius:
+            return found
+        turn, shift = found.link_from_base[:3, :3], found.link_from_base[:3, 3]
+        centres = touches.place - self._tool.tip_radius * touches.push
+        ways = self._ways_to_contact(centres @ turn.T + shift, touches.push @ turn.T)
+        places = centres + self._tool.tip_radius * ways @ turn
+        again = fit_part_pose(replace(touches, place=places), shape, start_at(found.link_from_base))
+        return again if again.is_known else found
 
     def explain(self, misfit: PartMisfit, *, is_quick: bool = False) -> Mistake | None:
         """Find the mistake that explains a misfit of this tool; see `PartMisfit.explain`.
@@ -289,11 +301,14 @@ class ToolFindings:
         if self._tool.has_sensor and self.part is not None and self.part.is_known:
             shift = shift + self.part.tip_shift
         centres = pokes.link_from_sensor[:, :3, :3] @ shift + pokes.sensor
+        is_in_part = self._tool.has_part_pose if self.part is None else self.part.is_known
+        if not is_in_part:
+            return centres + self._tool.tip_radius * pokes.direction
         return centres + self._tool.tip_radius * self._ways_to_contact(centres, pokes.direction)
 
     def _ways_to_contact(self, centres: FloatArray, pushes: FloatArray) -> FloatArray:
-        is_in_part = self._tool.has_part_pose if self.part is None else self.part.is_known
-        if self._surface is None or not is_in_part or not self._tool.tip_radius:
+        """Compute the directions (n, 3), unit, from the middle of the ball to the contact; all in the link frame."""
+        if self._surface is None or not self._tool.tip_radius:
             return pushes
         from skincal.mesh.search import nearest_pushed_points  # a part without a mesh does without
 
@@ -321,68 +336,89 @@ class ToolFindings:
     ) -> dict[Method, tuple[Estimate, ...]]:
         """Add what all taxels share to estimates: errors of the part's pose, of the tip, of the robot's scale, and the skin.
 
-        The tip touches the skin's outer face, by the scene's `skin` (sd) above the taxels. The free method has no mesh that
-        says so: its estimates lie outward by as much.
+        The tip touches the skin's outer face, by h above the taxels. Surface and modules are bound to the mesh. Estimates of
+        the free method move inward by the h that the touches show (`PartPose.height`). Else h has the scene's `skin` (sd).
 
         Parameters
         ----------
         contacts : that count, in the part's frame
         """
-        turns: dict[int, list[FloatArray]] = {}
-        pushes: dict[int, list[FloatArray]] = {}
-        for contact in contacts:
-            tip_moves = self._tip_moves(contact)
-            push = contact.link_from_sensor[:3, :3] @ contact.force / np.linalg.norm(contact.force)
-            for channel in contact.channels.tolist():
-                turns.setdefault(channel, []).append(tip_moves)
-                if contact.tip is not None:
-                    pushes.setdefault(channel, []).append(push)
-        mean = {channel: np.mean(each, axis=0) for channel, each in turns.items()}
-        every = np.mean(list(mean.values()), axis=0) if mean else np.zeros((3, 3))
-        depth = {channel: self._scene.noise.skin * np.mean(each, axis=0) for channel, each in pushes.items()}
-        return {
-            method: tuple(
-                self._added(
-                    estimate,
-                    mean.get(estimate.channel, every),
-                    depth.get(estimate.channel) if method is Method.FREE else None,
-                )
-                for estimate in of
+        every = [each for of in estimates.values() for each in of]
+        new = [each for each in every if self._with_error.get((each.method, each.channel), (None,))[0] is not each]
+        if new:
+            changed = self._add_errors(new, _MeanPokes.collect(contacts, is_placed_by_tip=self._is_placed_by_tip))
+            self._with_error.update(
+                ((each.method, each.channel), (each, found)) for each, found in zip(new, changed, strict=True)
             )
-            for method, of in estimates.items()
-        }
+        return {method: tuple(self._with_error[method, each.channel][1] for each in of) for method, of in estimates.items()}
 
-    def _tip_moves(self, contact: Contact) -> FloatArray:
-        """Compute (3, 3) how an error of the tip moves a contact: only along the push where the force axis places it."""
-        turn = contact.link_from_sensor[:3, :3]
-        if self._is_placed_by_tip:
-            return turn
-        if contact.tip is None:
-            return np.zeros((3, 3))
-        along = contact.force / np.linalg.norm(contact.force)
-        return np.outer(turn @ along, along)
-
-    def _added(self, estimate: Estimate, tip_moves: FloatArray, depth: FloatArray | None) -> Estimate:
-        key = estimate.method, estimate.channel
-        known, found = self._with_error.get(key, (None, estimate))
-        if known is not estimate:
-            moves = [] if depth is None else [depth[:, None]]
-            if self.part is not None and self.part.is_known and estimate.position is not None:
-                moves.append(pose_error_shifts(estimate.position, self.part, tip_moves))
-            found = add_shared_error(estimate, np.concatenate(moves, axis=1)) if moves else estimate
-            self._with_error[key] = estimate, found
+    def _add_errors(self, estimates: Sequence[Estimate], pokes: _MeanPokes) -> list[Estimate]:
+        found, part = list(estimates), self.part if self.part is not None and self.part.is_known else None
+        rows = [row for row, each in enumerate(estimates) if each.position is not None and each.covariance is not None]
+        if not rows:
+            return found
+        some = [estimates[row] for row in rows]
+        places, of = (
+            np.array([each.position for each in some], dtype=np.float64),
+            pokes.rows_of([each.channel for each in some]),
+        )
+        is_free = np.array([each.method is Method.FREE for each in some])
+        height, height_sd = 0.0, self._scene.noise.skin
+        if part is not None and part.height_sd < height_sd:
+            height, height_sd = part.height, math.hypot(part.height_sd, MESH_SD_M)
+        inward = np.where(is_free[:, None], pokes.pushes[of], 0.0)
+        moves = [height_sd * inward[:, :, None]]
+        places = places + height * inward
+        if part is not None:
+            moves += [part.error_shifts(places, pokes.tip_moves[of]), ROBOT_SCALE_SD * (places - part.centre)[:, :, None]]
+        shifts = np.concatenate(moves, axis=2)
+        for row, each, place, own in zip(rows, some, places, shifts, strict=True):
+            found[row] = add_shared_error(replace(each, position=place) if each.method is Method.FREE else each, own)
         return found
 
 
-def pose_error_shifts(position: FloatArray, part: PartPose, tip_moves: FloatArray) -> FloatArray:
-    """Compute shifts (3, k), metres, of a position (3,) by errors of the part's pose, the tip and the robot's scale.
+class _MeanPokes(NamedTuple):
+    """Means over the pokes of each of c taxels, and of all taxels as the last row."""
 
-    Parameters
-    ----------
-    tip_moves : (3, 3) float: derivative of the place by an error of the tip
-    """
-    of_scale = ROBOT_SCALE_SD * (position - part.centre)
-    return np.concatenate([part.error_shifts(position, tip_moves), of_scale[:, None]], axis=1)
+    channels: IntArray
+    """(c,) ascending."""
+    tip_moves: FloatArray
+    """(c + 1, 3, 3) float: derivative of a contact by an error of the tip: only along the push where a force axis places it."""
+    pushes: FloatArray
+    """(c + 1, 3) float, link frame: of the pokes with a tip; of all taxels zero."""
+
+    @classmethod
+    def collect(cls, contacts: Sequence[Contact], *, is_placed_by_tip: bool) -> _MeanPokes:
+        """Collect contacts, in the part's frame."""
+        if not contacts:
+            return cls(np.empty(0, np.int64), np.zeros((1, 3, 3)), np.zeros((1, 3)))
+        turns = np.array([contact.link_from_sensor[:3, :3] for contact in contacts])
+        along = np.array([contact.force for contact in contacts], dtype=np.float64)
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        has_tip = np.array([contact.tip is not None for contact in contacts])
+        pushes = np.where(has_tip[:, None], (turns @ along[:, :, None])[:, :, 0], 0.0)
+        moves = turns if is_placed_by_tip else pushes[:, :, None] * along[:, None]
+        counts = [len(contact.channels) for contact in contacts]
+        channels, of = np.unique(np.concatenate([contact.channels for contact in contacts]), return_inverse=True)
+        order, rows = of.argsort(kind="stable"), np.repeat(np.arange(len(contacts)), counts)
+        starts = np.searchsorted(of[order], np.arange(len(channels)))
+        rows = rows[order]
+        answers = np.diff(np.append(starts, len(rows)))
+        with_tip = np.maximum(np.add.reduceat(has_tip[rows].astype(np.int64), starts), 1)
+        mean_moves = np.add.reduceat(moves[rows], starts) / answers[:, None, None]
+        mean_pushes = np.add.reduceat(pushes[rows], starts) / with_tip[:, None]
+        return cls(
+            channels,
+            np.concatenate([mean_moves, mean_moves.mean(axis=0, keepdims=True)]),
+            np.concatenate([mean_pushes, np.zeros((1, 3))]),
+        )
+
+    def rows_of(self, channels: Sequence[int]) -> IntArray:
+        """Find the rows of channels; the last one for those without a poke."""
+        wanted: IntArray = np.array(channels, dtype=np.int64)
+        rows = np.searchsorted(self.channels, wanted)
+        is_known = np.append(self.channels, -1)[rows] == wanted
+        return np.where(is_known, rows, len(self.channels))
 
 
 def add_shared_error(estimate: Estimate, moves: FloatArray) -> Estimate:

@@ -144,7 +144,7 @@ def test_a_leaning_ball_touches_below_its_middle_not_along_the_push(recorded):
     tips = np.array([contact.tip for contact in snapshot.contacts])
     # What all share is the error of the part's pose: 2 mm of the ball at 3 to 23 degrees are 0.1 to 0.8 mm along the push.
     off = tips - true
-    assert np.abs(off - off.mean(axis=0)).max() < 0.0003
+    assert np.abs(off - off.mean(axis=0)).max() < 0.0004
     for contact in snapshot.contacts:
         turn, origin = contact.link_from_sensor[:3, :3], contact.link_from_sensor[:3, 3]
         force, moment = turn @ contact.force, turn @ contact.moment
@@ -172,7 +172,8 @@ def test_landmarks_and_mesh_place_the_part_and_taxels_are_within_their_errors(re
         errors = np.array([each.position for each in estimates]) - TAXELS
         squares = [x @ np.linalg.pinv(e.covariance) @ x for x, e in zip(errors, estimates, strict=True)]
         assert np.linalg.norm(errors, axis=1).mean() < 0.0018
-        assert 0.3 < np.median(squares) < 7.8
+        # The hand aims to 0.8 mm here, and the scene counts 1.5 mm.
+        assert 0.1 < np.median(squares) < 7.8
 
 
 def test_the_live_tool_and_press_are_in_the_frame_of_the_part_once_it_is_known(recorded):

@@ -65,7 +65,8 @@ def test_contacts_carry_the_sensors_pose_into_the_part():
 def test_a_given_tip_places_the_pokes_of_a_sensor_with_cross_talk():
     methods = run_session(Task(ToolCase("wrist", POSE_FOUND, 6, has_mesh=True), 1, ToolSizes(counts=(168,))))[168]["methods"]
     assert methods["modules"]["mean"] < 0.8
-    assert methods["free"]["mean"] < 2.5  # 28.8 by the force axes
+    # 28.8 by the force axes, and 1.7 where the skin's face is taken for its taxels.
+    assert methods["free"]["mean"] < 1.5
     # The noise of the wrench does not move them, so it is not in their predicted error: with it that is 0.88 mm.
     assert 0.4 < methods["modules"]["predicted"] < 0.75
     assert methods["modules"]["inside"] > 0.9
