@@ -1,7 +1,9 @@
-"""A whole body is poked for days: memory and cost of a poke, a kill, and the opening after it.
+"""A robot pokes a whole body for days: memory and cost of a poke, a kill, and the opening after it.
+
+The robot is the program's own client of the target lines, with an arm whose tip meets a spring; its sensors send bytes.
 
 By its name: `python3 -m pytest -s tests/long/test_fifty_thousand_pokes.py`. SKINCAL_POKES=1000 makes it shorter; the kill is
-at four fifths of the pokes, and -s shows the figures at each fifth. A poke takes 0.4 s of processor time: all take hours.
+at four fifths of the pokes, and -s shows the figures at each tenth. A poke takes 0.4 s of processor time: all take hours.
 """
 
 import json
@@ -18,30 +20,33 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.following.guided_session import RobotGuide
+from skincal.geometry import crossed, length_of
 from skincal.journal.documents import DetectorResult, SessionClosed
 from skincal.journal.writer import create_session
 from skincal.mesh.load import load_surface
 from skincal.model.readings import SESSION_START_TIME_NS, Chunk, LinkEvent, LinkState, Stream, Tick
 from skincal.model.scene import load_scene, scene_file
-from skincal.robot.target_lines import NoTarget
+from skincal.robot.arm import WrenchReading
+from skincal.robot.poking_client import Phase, PokeSettings, PokingClient
+from skincal.robot.target_lines import Answer, NoTarget, PokeTarget, RobotLine
+from skincal.robot.target_server import RobotChange
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, resume
-from skincal.simulation.device import DeviceSettings, DeviceTimeline
+from skincal.simulation.board_formats import make_encoder
 from skincal.simulation.example_parts import ExamplePart
-from skincal.simulation.operator import GuidedOperator, Habits
 from skincal.simulation.rig_errors import RigErrors
-from skincal.simulation.simulated_rig import Rig
+from skincal.simulation.simulated_rig import PressedPlaces, Rig
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
+from tests.skincal.robot.plain_arm import PlainArm
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 POKES = int(os.environ.get("SKINCAL_POKES", "50000"))
 SCENE = "whole-body"
-DEVICES = DeviceSettings(block_s=0.02, wrench_hz=200.0, skin_hz=50.0, joints_hz=50.0)
-PACE = 4.0
-"""Of the hand, over that of a person."""
-BLOCKS_AT_ONCE = 2
-"""Blocks of readings between two looks of the guide."""
+NEAR_M = 0.02
+"""m, from the box around the body, at which a tip may touch it."""
+PERIOD_S, PERIODS_PER_FRAME, PERIODS_AT_ONCE = 0.01, 2, 4
+"""s, of the robot's control and wrenches; a skin frame every second period; the guide looks every fourth."""
 OPENING_MAX_S = 8.0
 """s of processor time to open the session of 40,000 pokes, with its first snapshot."""
 GROWTH_MAX_MB = 150.0
@@ -50,24 +55,90 @@ SECONDS_A_POKE = 8.0
 """s of this machine for a poke, at most, until the test gives up."""
 
 
-class DirectTargets:
-    """Target lines between the guide and a simulated hand, without a port."""
+class BodyArm(PlainArm):
+    """An arm that pokes the simulated body, and the bytes of its two boards."""
 
-    def __init__(self, hand):
-        self._hand, self._answers = hand, []
-        hand.answered = self._answers.append
+    period_s = PERIOD_S
+
+    def __init__(self, rig, surface, seed):
+        # Above the body, and farther out than the client travels.
+        super().__init__(surface, start=surface.vertices.max(axis=0) + np.array([0.0, 0.0, 0.1]))
+        self._rig, self._pose, self._rng = rig, rig.arm_pose(), np.random.default_rng(seed)
+        width = rig.scene.skin.channels
+        self._boards = {"wrench": make_encoder("skb", 255, 0), "skin": make_encoder("skb", 255, width)}
+        self._records = {name: [board.header(0, "", width)] for name, board in self._boards.items()}
+        self._periods = 0
+        self._bounds = (surface.vertices.min(axis=0) - NEAR_M).tolist(), (surface.vertices.max(axis=0) + NEAR_M).tolist()
+
+    def link_from_sensor(self):
+        return self._pose.reported
+
+    def advance(self):
+        self.time_s += self.period_s
+        self._periods += 1
+        self.move()
+        gap, force, near = self.contact() if self.is_near() else (1.0, np.zeros(3), self.position)
+        self.wrench = WrenchReading(self.time_s, force, crossed(near - self._pose.reported[:3, 3], force))
+        clock_us = round(self.time_s * 1e6) % 2**32
+        wrench = self._rig.true_wrenches(near, force, self._pose) + self._pose.weight + self._rig.offset
+        wrench = wrench + self._rng.normal(0.0, [0.02] * 3 + [0.001] * 3)
+        self._records["wrench"].append(self._boards["wrench"].record(Stream.WRENCH, clock_us, wrench.tolist()))
+        if self._periods % PERIODS_PER_FRAME == 0:
+            answers = np.zeros((1, len(self._rig.channels)))
+            if gap < 0.0:
+                rows, values = self._rig.answers(self._pressed(near, force), np.array([length_of(force)]))
+                answers[0, rows[0]] = values[0]
+            frame = self._rig.skin_frame(answers, self._rng)[0]
+            self._records["skin"].append(self._boards["skin"].record(Stream.SKIN, clock_us, frame.tolist()))
+
+    def is_near(self):
+        """Whether the tip may touch: on its way around the body it is farther out, and nothing is searched."""
+        low, high = self._bounds
+        return all(a < x < b for a, x, b in zip(low, self.position.tolist(), high, strict=True))
+
+    def _pressed(self, near, force):
+        push = force / length_of(force)
+        return PressedPlaces(np.array([-1]), near[None], -push[None], push[None], np.array([1.0]), np.zeros(1))
+
+    def take_bytes(self):
+        """Give the records since the last call, by link."""
+        found = {name: b"".join(records) for name, records in self._records.items()}
+        for records in self._records.values():
+            records.clear()
+        return found
+
+
+class Robot:
+    """The robot's client with its arm, and the target lines to the guide without a port."""
+
+    def __init__(self, rig, surface, seed):
+        self.arm, self._rig = BodyArm(rig, surface, seed), rig
+        self._answers: list[RobotLine | RobotChange | str] = [RobotChange.CAME]
+        self._client = PokingClient(self.arm, surface, self._answers.append, PokeSettings(frame=rig.scene.link))
+        self._rng, self._own, self._is_free = np.random.default_rng([seed, 1]), 1_000_000_000, False
 
     def send(self, lines):
         for line in lines:
-            # When the guide has enough, the hand presses where it likes.
-            self._hand.show(NoTarget.ANY if line is NoTarget.ENOUGH else line)
+            self._is_free |= line is NoTarget.ENOUGH
+            self._client.receive_line(line)
 
     def read_answers(self):
         answers, self._answers[:] = list(self._answers), []
-        return answers
+        # The guide knows only its own targets.
+        return [each for each in answers if not (isinstance(each, Answer) and each.number > 1_000_000_000)]
 
     def refuse(self, reason):
         raise AssertionError(reason)
+
+    def run(self, periods):
+        for _ in range(periods):
+            if self._is_free and self._client.phase is Phase.IDLE:
+                # When the guide has enough, the robot presses where it likes.
+                self._own += 1
+                row = int(self._rng.integers(len(self._rig.channels)))
+                place, normal = self._rig.places[row], self._rig.normals[row]
+                self._client.receive_line(PokeTarget(self._own, None, place, -normal, frame=self._rig.scene.link))
+            self._client.run_period()
 
 
 def say(**figures):
@@ -84,29 +155,28 @@ def memory_mb():
 def poke_on(folder, until, step):
     """Begin a session, or go on with it, until it has `until` pokes; print each poke, and figures after each `step`."""
     scene, folder = load_scene(scene_file(Path(SCENE))), Path(folder)
+    assert scene.surface is not None
     surface, begun = load_surface(scene.surface)[0], 0
     is_new = not folder.exists()
-    rig = Rig(scene, surface, RigErrors.noise(), np.random.default_rng(1))
     if not is_new:
         begun = max(record.outcome.poke for record in load(folder).snapshot().pokes)
-    hand = GuidedOperator(rig, replace(Habits.careful().at_pace(PACE), ignores=0.0), np.random.default_rng([2, begun]))
-    line = DeviceTimeline(rig, hand, np.random.default_rng([3, begun]), DEVICES)
-    links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
+    robot = Robot(Rig(scene, surface, RigErrors.noise(), np.random.default_rng(1)), surface, begun)
+    links = [LinkSpec(name, f"simulated:{name}", (Stream(name),)) for name in ("wrench", "skin")]
     pipeline = Pipeline(scene, links, surface, create_session(folder, scene, links)) if is_new else resume(folder, links)
-    # Each segment has its own beginning on the host's clock; a poke takes less than ten seconds.
-    start_ns = SESSION_START_TIME_NS + begun * 10_000_000_000
-    guide = RobotGuide(pipeline, DirectTargets(hand), Method.MODULES)
+    # Each segment has its own beginning on the host's clock; a poke takes less than twenty seconds.
+    start_ns = SESSION_START_TIME_NS + begun * 20_000_000_000
+    guide = RobotGuide(pipeline, robot, Method.MODULES)
     for link in links:
         pipeline.feed(LinkEvent(link.name, start_ns, LinkState.OPEN))
     last, spent_s, since = begun, 0.0, begun
     while last < until:
-        items = []
-        for end_s, arrived in line.advance_many(BLOCKS_AT_ONCE):
-            items += [Chunk(link, start_ns + at_ns, data) for at_ns, link, data in arrived]
-            items.append(Tick(start_ns + round(end_s * 1e9)))
+        robot.run(PERIODS_AT_ONCE)
+        now_ns = start_ns + round(robot.arm.time_s * 1e9)
+        items: list[Chunk | LinkEvent | Tick] = [Chunk(name, now_ns, data) for name, data in robot.arm.take_bytes().items()]
+        items.append(Tick(now_ns))
         before = time.process_time()
         pipeline.feed_many(items)
-        guide.guide_robot(items[-1].host_ns)
+        guide.guide_robot(now_ns)
         spent_s += time.process_time() - before
         if pipeline.session.last_poke == last:
             continue
@@ -144,7 +214,7 @@ def run_poker(folder, until, step, kill_at=None):
 @pytest.mark.timeout(POKES * SECONDS_A_POKE + 300)
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is read as Linux says it, and processes are killed")
 def test_a_whole_body_is_poked_killed_opened_and_poked_on(tmp_path):
-    folder, step, kill_at = tmp_path / "s", POKES // 5, POKES * 4 // 5 + 3
+    folder, step, kill_at = tmp_path / "s", POKES // 10, POKES * 4 // 5 + 3
     figures, named = run_poker(folder, POKES, step, kill_at)
     begin = time.process_time()
     pipeline = load(folder)

@@ -61,6 +61,14 @@ class PlainArm:
 
     def advance(self):
         self.time_s += self.period_s
+        self.move()
+        gap, force, near = self.contact()
+        self.course.append((self.position, gap, float(np.linalg.norm(force))))
+        if not self.is_silent:
+            self.wrench = WrenchReading(self.time_s, WEIGHT + force, np.cross(near - SENSOR[:3, 3], force))
+
+    def move(self):
+        """Move the tip towards its goal for a period."""
         if self.goal is not None:
             way, turned = self.goal[0] - self.position, self.goal[1]
             size = np.linalg.norm(way)
@@ -70,7 +78,3 @@ class PlainArm:
             if np.linalg.norm(direction) < 1e-3:
                 direction = direction + np.array([0.01, 0.02, 0.0])
             self.direction = direction / np.linalg.norm(direction)
-        gap, force, near = self.contact()
-        self.course.append((self.position, gap, float(np.linalg.norm(force))))
-        if not self.is_silent:
-            self.wrench = WrenchReading(self.time_s, WEIGHT + force, np.cross(near - SENSOR[:3, 3], force))
