@@ -57,3 +57,9 @@ def poisoned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(folder)
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
     return folder
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give a report without pictures: they take most of its time, and the test is about its words."""
+    monkeypatch.setattr("skincal.reporting.drawings.render", lambda *_: [b"a picture"])

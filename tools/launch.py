@@ -39,8 +39,8 @@ CHECK_ARGUMENTS = {
         for name, arguments in {
             "the window": ("tests/app", *(f"--ignore={folder}" for folder in WINDOW_PARTS)),
             "the core": OTHER_CORE_TESTS,
-            "the readers": READER_TESTS,
             " ".join(SLOW_CORE_TESTS): SLOW_CORE_TESTS,
+            "the readers": READER_TESTS,
             "the window's parts": WINDOW_PARTS,
             "sessions": SESSION_TESTS,
         }.items()
@@ -52,7 +52,7 @@ CHECK_ARGUMENTS = {
     },
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
-"""Arguments for Python of each check; long ones first, for an even load."""
+"""Arguments for Python of each check; after the two quick ones the longest first, for an even load to the end."""
 PARALLEL_CHECKS = 3
 """For two cores: tests of devices and windows wait a quarter of their time."""
 TIMING_FILES = ("tests/app/test_window_live.py", "tests/skincal/cli/test_cli_record.py")

@@ -53,8 +53,19 @@ def test_a_report_is_written_beside_the_window_also_from_the_verdict_or_it_is_sa
 ):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
-    write_a_report(bench, tmp_path / "monday", monkeypatch)
+    write_a_report(bench, tmp_path / "none" / "report.html", monkeypatch)
+    bench.until(lambda: "does not exist" in said(bench), OPEN_MS)
+    bench.window.messages.dismiss()
+    assert not (bench.window.messages.isVisible() and REPORT_IN_PROGRESS in said(bench)), "nothing is being written any more"
+    bench.key(Qt.Key.Key_F)
+    dialog = bench.window.findChild(VerdictDialog)
     path = tmp_path / "monday.html"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "monday"), ""))
+    dialog.report.click()
+    assert dialog.isVisible(), "the verdict leads to the report, and stays"
+    bench.until(path.exists, OPEN_MS)
+    assert dialog.sentence.text() in path.read_text(encoding="utf-8")
+    dialog.reject()
     bench.until(lambda: str(path) in said(bench), OPEN_MS)
     told = said(bench).partition(approved("report.written", path=path))[2]
     opened = []
@@ -69,20 +80,6 @@ def test_a_report_is_written_beside_the_window_also_from_the_verdict_or_it_is_sa
     assert processes
     assert os.getpid() not in processes
     assert f"{bench.window.session_view.method.value} method" in text
-    write_a_report(bench, tmp_path / "none" / "report.html", monkeypatch)
-    bench.until(lambda: "does not exist" in said(bench), OPEN_MS)
-    bench.window.messages.dismiss()
-    assert not (bench.window.messages.isVisible() and REPORT_IN_PROGRESS in said(bench)), "nothing is being written any more"
-    bench.key(Qt.Key.Key_F)
-    dialog = bench.window.findChild(VerdictDialog)
-    path = tmp_path / "report.html"
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
-    dialog.report.click()
-    assert dialog.isVisible(), "the verdict leads to the report, and stays"
-    bench.until(path.exists, OPEN_MS)
-    assert dialog.sentence.text() in path.read_text(encoding="utf-8")
-    dialog.reject()
-    bench.until(lambda: str(path) in said(bench), OPEN_MS)
 
 
 def test_closing_the_window_ends_a_report_that_is_being_written(bench, recorded, tmp_path, monkeypatch):

@@ -72,6 +72,7 @@ def test_export_writes_the_leading_method_unless_it_is_named(tmp_path, capsys):
     assert approved("method.leads_in_help") in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_path, capsys):
     facts = skincal.Session.load(SAMPLE).facts()
     errors = [1e3 * each.rms for each in facts.estimates if each.rms is not None]
@@ -87,6 +88,7 @@ def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_pat
     assert all(f">{1e3 * size:.2f}<" in page for size in (facts.methods[2].predicted.mean, facts.methods[2].predicted.worst))
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("size", [0.2, 0.003])
 def test_an_error_that_is_large_for_the_part_is_not_known_yet_wherever_it_is_said(tmp_path, capsys, monkeypatch, size):
     monkeypatch.setattr(Surface, "size", size)

@@ -91,12 +91,6 @@ def page(page_text) -> Page:
     return Page(page_text)
 
 
-@pytest.fixture
-def undrawn(monkeypatch) -> None:
-    """Give a report without pictures: they take most of its time, and this test is about its words."""
-    monkeypatch.setattr("skincal.reporting.drawings.render", lambda *_: [b"a picture"])
-
-
 def test_the_numbers_are_those_of_the_core(facts, page):
     snapshot, truth = load(SAMPLE).snapshot(), read_reference(SAMPLE / "truth.json")
     for each in facts.methods:

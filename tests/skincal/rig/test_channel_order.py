@@ -15,7 +15,7 @@ from skincal.taxels.result import Method
 from skincal.words.mistake_words import setup_sentences
 from tests.skincal.soldered_board import Board, errors, import_board, layout_text, poke, write_rig
 
-BOARD = Board(rows=6, columns=8, pokes_each=2, pitch=0.012)
+BOARD = Board(rows=6, columns=8, pokes_each=1, pitch=0.012)
 ALL = np.arange(48)
 GRID = ALL.reshape(6, 8)
 ORDERS = {

@@ -88,7 +88,7 @@ def test_landmark_pokes_leave_as_much_as_is_predicted(count):
     rig, rng = make_rig(RigErrors.noise(), 1), np.random.default_rng(6)
     (plan, normals), noise, drawn = planned(rig, count // 7), rig.scene.noise, []
     sds = np.repeat([noise.force, noise.moment], 3)
-    for _ in range(60):
+    for _ in range(30):
         drawn_rig, wrenches = Drawn(reported(rig), rng), []
         for poke, normal in zip(plan, normals, strict=True):
             place = poke.place + PRIOR.landmark * rng.standard_normal(3)

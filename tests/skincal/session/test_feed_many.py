@@ -367,7 +367,7 @@ def test_hard_recordings_fed_in_blocks_leave_the_same_session_and_bytes(name, tm
 
 
 @given(st.data())
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_random_cuts_change_nothing(tmp_path_factory, data):
     scene = an_arm(write_scene(tmp_path_factory.mktemp("scene")))
     links, make = RECORDINGS_AND_LINKS[data.draw(st.sampled_from(list(RECORDINGS_AND_LINKS)))]

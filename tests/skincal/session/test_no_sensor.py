@@ -5,6 +5,7 @@ rests, and goes back.
 """
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -128,6 +129,12 @@ def outcomes_of(pipeline):
 EVERY = np.concatenate([MARKS, np.repeat(TAXELS, 2, axis=0)])
 
 
+@cache
+def on_taxels():
+    """Two touches of each taxel."""
+    return tuple(chunks(EVERY[4:]))
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     pipeline = calibrate(scene_of(tmp_path_factory.mktemp("none"), scene_text()), chunks(EVERY))
@@ -227,10 +234,10 @@ def test_a_pause_above_the_skin_is_no_poke(tmp_path):
 
 
 def test_a_replay_is_equal_to_the_last_bit(tmp_path):
-    scene = scene_of(tmp_path, scene_text())
-    first = calibrate(scene, chunks(EVERY[:10]))
+    scene, items = scene_of(tmp_path, scene_text()), list(chunks(EVERY[:10]))
+    first = calibrate(scene, items)
     pipeline = pipeline_of(scene)
-    for number, item in enumerate(chunks(EVERY[:10])):
+    for number, item in enumerate(items):
         pipeline.feed(item)
         if number % 97 == 0:
             pipeline.snapshot()
@@ -309,7 +316,7 @@ def wrong_tip_text(off, *, layout):
 def test_a_tip_that_is_wrong_sideways_is_named_and_no_sensor_is_blamed(tmp_path):
     (tmp_path / "m.toml").write_text(LAYOUT)
     off = np.array([0.02, 0.0, 0.0])
-    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text(off, layout=True)), chunks(EVERY[4:])))
+    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text(off, layout=True)), on_taxels()))
     (said,) = setup_sentences(results.setup)
     assert "the tip lies" in said
     assert "correct tip_mm of [tool]" in said
@@ -350,7 +357,7 @@ def test_a_press_before_the_first_pose_of_the_tool_names_the_frames_without_one(
 def test_touches_far_off_the_mesh_are_named_with_the_remedy_and_the_verdict_does_not_believe(tmp_path, layout):
     """A tip that is 30 mm too short puts all positions off along the push; test pokes agree with each other."""
     (tmp_path / "m.toml").write_text(LAYOUT)
-    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, -0.03], layout=layout)), chunks(EVERY[4:])))
+    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, -0.03], layout=layout)), on_taxels()))
     (said,) = [each for each in results.tool if "the mesh (median)" in each]
     # The tool leans by 3 to 23 degrees.
     assert re.match(r"\d+ touches lie (28|29|30) mm outside the mesh", said)
@@ -362,13 +369,13 @@ def test_touches_far_off_the_mesh_are_named_with_the_remedy_and_the_verdict_does
 
 
 def test_touches_of_a_tip_that_is_too_long_lie_inside_the_mesh(tmp_path):
-    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, 0.03], layout=False)), chunks(EVERY[4:])))
+    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, 0.03], layout=False)), on_taxels()))
     assert any(re.search(r"touches lie (28|29|30) mm inside the mesh", each) for each in results.tool)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.002])
 def test_touches_of_a_right_tip_are_on_the_mesh(tmp_path, off):
-    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, off], layout=False)), chunks(EVERY[4:])))
+    results = SessionResults(calibrate(scene_of(tmp_path, wrong_tip_text([0, 0, off], layout=False)), on_taxels()))
     assert results.snapshot.off_mesh is None
     assert not any("the mesh (median)" in each for each in results.tool)
 

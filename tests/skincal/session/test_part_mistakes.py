@@ -1,5 +1,7 @@
 """Wrong poses and tips of a tool on a part of unknown pose: touches of landmarks show them, and the mistake is named."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -31,10 +33,16 @@ def scene_text(tip=TIP):
     )
 
 
+@cache
+def touches():
+    """Touches of all landmarks, by leaning pushes; nobody changes them."""
+    return tuple(readings(MARKS, aim_sd=0.0003))
+
+
 def chunks(wrong):
-    """Touches of all landmarks, by leaning pushes; `wrong` changes each pose (4, 4)."""
+    """The touches with each pose (4, 4) changed by `wrong`."""
     number = {"skin": 0, "tool": 0}
-    for name, t, given in readings(MARKS, aim_sd=0.0003):
+    for name, t, given in touches():
         values = given
         if name == "tool":
             pose = np.eye(4)

@@ -75,8 +75,9 @@ def test_the_recording_is_right_without_a_fault(rig, imported, write, tmp_path):
     assert not [word for word in ("gap", "repeats", "unknown", "every value") if word in said]
 
 
-@pytest.mark.parametrize("write", WRITERS)
-@pytest.mark.parametrize(("until", "pokes"), [(1e9, 14), (MOVE_S + 6.5, 5)])
+@pytest.mark.parametrize(
+    ("write", "until", "pokes"), [(write_tables, 1e9, 14), *((write, MOVE_S + 6.5, 5) for write in WRITERS)]
+)
 def test_pokes_while_the_joints_pause_and_the_arm_moves_do_not_count(rig, imported, write, until, pokes, tmp_path):
     """The stream pauses before the arm moves: angles that are held would put pokes 30 mm beside."""
     begin = MOVE_S - 5.0
@@ -183,8 +184,7 @@ def test_stamps_with_too_few_digits_give_way_to_the_arrival(rig, imported, tmp_p
     assert "wrench: most of its stamps are that of the message before; they are placed by their arrival" in said
 
 
-@pytest.mark.parametrize("write", WRITERS)
-@pytest.mark.parametrize("stream", [Stream.WRENCH, Stream.SKIN, Stream.JOINTS])
+@pytest.mark.parametrize(("write", "stream"), [*zip(WRITERS, SENSOR_STREAMS, strict=True)])
 def test_a_stream_of_nan_is_named_and_leaves_no_session(rig, imported, write, stream, tmp_path):
     rig.rows[stream][:] = np.nan
     code, said, _ = imported(write(tmp_path / "r", rig))
@@ -229,8 +229,7 @@ def test_a_skin_behind_a_threshold_does_not_freeze(rig, imported, tmp_path):
     assert "repeats" not in said
 
 
-@pytest.mark.parametrize("write", WRITERS)
-@pytest.mark.parametrize("high", [100.0, 255.0, 1.0])
+@pytest.mark.parametrize(("write", "high"), [*zip(WRITERS, [100.0, 255.0, 1.0], strict=True)])
 def test_a_binary_skin_is_named_by_every_import(rig, imported, write, high, tmp_path):
     rows = rig.rows[Stream.SKIN]
     rows[:] = np.where(rows > 50, high, 0)
@@ -257,7 +256,7 @@ def test_the_window_hears_what_the_command_says(rig, tmp_path):
         assert any(each.startswith(binary) for each in findings)
 
 
-@pytest.mark.parametrize("size", [2, 3, 10])
+@pytest.mark.parametrize("size", [2, 10])
 def test_stampless_frames_in_groups_are_placed_by_their_count(rig, imported, size, tmp_path):
     code, said, snapshot = imported(write_rig_bag(tmp_path / "r", rig, skin_group=size))
     assert code == 0
@@ -267,8 +266,7 @@ def test_stampless_frames_in_groups_are_placed_by_their_count(rig, imported, siz
     assert "gap" not in said
 
 
-@pytest.mark.parametrize("write", [write_tables, write_logs])
-@pytest.mark.parametrize(("size", "step_s"), [(2, 0.005), (3, 0.001)])
+@pytest.mark.parametrize(("write", "size", "step_s"), [(write_tables, 2, 0.005), (write_logs, 3, 0.001)])
 def test_times_of_arrival_in_pairs_are_no_gaps(rig, imported, write, size, step_s, tmp_path):
     """A table of arrivals: its times are all that is known, and the period is not that of a pair."""
     rig.times[Stream.SKIN] = arrive_in_groups(rig.times[Stream.SKIN], size, step_s)
