@@ -139,6 +139,11 @@ class AxisFindings:
     """Natural logarithm of the odds that taxels report in the axes of their module, over all modules."""
     mistakes: tuple[AxisMistake, ...]
 
+    @property
+    def is_value_order_wrong(self) -> bool:
+        """Whether the values of a frame have another order than the scene."""
+        return any(mistake.kind is AxisMistakeKind.ORDER for mistake in self.mistakes)
+
 
 def find_axes(
     turns: SkinTurns,

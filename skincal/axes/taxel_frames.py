@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.axes.module_axes import AxisFindings, AxisMistakeKind, has_shared_turn
+from skincal.axes.axis_checks import find_dead_axes
+from skincal.axes.module_axes import AxisFindings, has_shared_turn
 from skincal.axes.skin_turns import SkinTurns, TurnState
 from skincal.geometry import FloatArray
 
@@ -29,6 +30,8 @@ class FrameState(Enum):
     """x, y and z of its readings are no right-handed axes, so no rotation describes them."""
     WRONG_ORDER = "order of values wrong"
     """The frames have another order of values than the scene: its readings are those of other taxels."""
+    DEAD_AXIS = "an axis does not answer"
+    """x or y of the taxel is dead or stuck."""
     UNKNOWN = "unknown"
     """No poke has a reading of it."""
 
@@ -81,10 +84,11 @@ def frames_of_taxels(
     """
     by_id = {module.id: module for module in findings.modules}
     mistakes = findings.mistakes
+    dead = {each.channel for each in find_dead_axes(turns)}
     mirrored = {mistake.module for mistake in mistakes if mistake.is_mirrored}
     if turns.is_mirrored:
         mirrored.add(None)
-    is_wrong_order = any(mistake.kind is AxisMistakeKind.ORDER for mistake in mistakes)
+    is_wrong_order = findings.is_value_order_wrong
 
     def frame(channel: int) -> TaxelFrame:
         own, module = turns.taxels.get(channel), by_id.get(module_of.get(channel, -1))
@@ -95,6 +99,8 @@ def frames_of_taxels(
             return TaxelFrame(channel, FrameState.WRONG_ORDER, pokes=pokes)
         if turn is None:
             return TaxelFrame(channel, FrameState.UNKNOWN)
+        if channel in dead:
+            return TaxelFrame(channel, FrameState.DEAD_AXIS, pokes=pokes)
         if None in mirrored or (module is not None and module.id in mirrored):
             return TaxelFrame(channel, FrameState.MIRRORED, pokes=pokes)
         if turn.state is TurnState.IN_PLANE_UNKNOWN:

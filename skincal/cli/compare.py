@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -10,6 +11,7 @@ from skincal.cli.solve import Json
 
 if TYPE_CHECKING:
     from skincal.files.reference import Comparison
+    from skincal.interface.taxels import Taxels
 
 Places = typer.Argument(
     help="Folder of a session, or a file: a calibration's JSON or CSV, an iCub position file, a URDF with a tactile sensor, a "
@@ -30,8 +32,26 @@ def compare(first: Annotated[str, Places], second: Annotated[str, Places], as_js
     from skincal.cli import output
     from skincal.interface.taxels import Taxels
 
-    result = comparison_result(Taxels.load(first).compare(Taxels.load(second)))
-    output.print_result(result, _lines(result), as_json)
+    here, there = Taxels.load(first), Taxels.load(second)
+    result, lines = comparison_result(here.compare(there)), list[str]()
+    if here.axes is not None and there.axes is not None:
+        result["turns"], lines = _turns(here, there)
+    output.print_result(result, [*_lines(result), *lines], as_json)
+
+
+def _turns(here: Taxels, there: Taxels) -> tuple[dict[str, Any], list[str]]:
+    """Compare the turns of taxels of three axes: as JSON in degrees, and in a line if both know one."""
+    from skincal.axes.turn_differences import compare_turns
+    from skincal.words.turn_words import turn_difference_words
+    from skincal.words.units import ChannelNames
+
+    found = compare_turns(here.places().axes, there.places().axes)
+    words = turn_difference_words(found, ChannelNames(None).taxel)
+    known = {
+        str(channel): {"z_deg": math.degrees(z), "in_plane_deg": math.degrees(about) if math.isfinite(about) else None}
+        for channel, z, about in zip(found.channels, found.normals.tolist(), found.in_plane.tolist(), strict=True)
+    }
+    return {"taxels": len(known), "apart": known}, [words] if words else ["Turns: no taxel has one in both."]
 
 
 def comparison_result(found: Comparison) -> dict[str, Any]:

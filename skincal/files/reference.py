@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.methods import leading_by
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_JSON_BYTES, parse_json, read_regular
@@ -285,10 +285,13 @@ def _json_sets(path: Path) -> tuple[TaxelPositions, ...]:
         axes = {int(taxel["channel"]): _axes(taxel[ROTATION_KEY]) for taxel in document["taxels"] if ROTATION_KEY in taxel}
         return (TaxelPositions(path.name, str(document.get("link", "")), places, axes=axes),)
     rows = [
-        (Method(name), taxel["channel"], taxel["module"], taxel["position_m"], taxel["rms_m"])
+        (
+            Method(name), taxel["channel"], taxel["module"], taxel["position_m"], taxel["rms_m"],
+            taxel.get("turn", {}).get("quaternion_wxyz"),
+        )
         for name, taxels in document["estimates"].items()
         for taxel in taxels
-    ]
+    ]  # fmt: skip
     return _method_sets(path, str(document["frame"]), rows)
 
 
@@ -299,26 +302,31 @@ def _csv_sets(path: Path) -> tuple[TaxelPositions, ...]:
             words = [row["x_m"], row["y_m"], row["z_m"]]
             place = [float(word) for word in words] if all(words) else None
             sd = float(row["sd_mm"]) * 1e-3 if row["sd_mm"] else None
-            rows.append((Method(row["method"]), int(row["channel"]), int(row["module"]) if row["module"] else None, place, sd))
+            turn = [row.get(f"turn_q{part}") for part in "wxyz"]
+            quaternion = [float(word) for word in turn if word] if all(turn) else None
+            module = int(row["module"]) if row["module"] else None
+            rows.append((Method(row["method"]), int(row["channel"]), module, place, sd, quaternion))
     return _method_sets(path, "", rows)
 
 
-_Row: TypeAlias = tuple[Method, int, int | None, Any, float | None]
-"""Method, channel, id of the module, position as three numbers or None, and predicted error in metres, or None."""
+_Row: TypeAlias = tuple[Method, int, int | None, Any, float | None, Any]
+"""Method, channel, id of the module, position as three numbers or `None`, predicted error in metres or `None`, and the turn as
+a quaternion w x y z or `None`."""
 
 
 def _method_sets(path: Path, link: str, rows: Sequence[_Row]) -> tuple[TaxelPositions, ...]:
     methods = list(dict.fromkeys(row[0] for row in rows))
     if not methods:
         raise ValueError
-    modules = {int(channel): int(module) for _, channel, module, _, _ in rows if module is not None}
+    modules = {int(channel): int(module) for _, channel, module, *_ in rows if module is not None}
     sets: dict[Method, TaxelPositions] = {}
     errors: dict[Method, list[float]] = {}
     for method in methods:
         own = [row for row in rows if row[0] is method and row[3] is not None]
-        places = {int(channel): _place(place) for _, channel, _, place, _ in own}
-        sets[method] = TaxelPositions(f"{path.name}, {method.value} method", link, places, modules, method)
-        errors[method] = [float(error) for *_, error in own if error is not None]
+        places = {int(channel): _place(place) for _, channel, _, place, *_ in own}
+        axes = {int(channel): _axes_of_quaternion(turn) for _, channel, *_, turn in own if turn is not None}
+        sets[method] = TaxelPositions(f"{path.name}, {method.value} method", link, places, modules, method, axes=axes)
+        errors[method] = [float(error) for *_, error, _ in own if error is not None]
     leads = leading_by(errors)
     return tuple(sets[method] for method in sorted(methods, key=lambda method: method is not leads))
 
@@ -328,6 +336,16 @@ def _place(numbers: object) -> FloatArray:
     if place.shape != (3,) or not np.isfinite(place).all():
         raise ValueError
     return place
+
+
+def _axes_of_quaternion(numbers: object) -> FloatArray:
+    """Read the axes (3, 3), in columns, of a unit quaternion w x y z."""
+    quaternion = np.array(numbers, dtype=float)
+    if quaternion.shape != (4,) or not abs(float(quaternion @ quaternion) - 1.0) < MAX_AXES_ERROR:
+        raise ValueError
+    w, vector = float(quaternion[0]), quaternion[1:]
+    # R = (w^2 - v.v) I + 2 v v' + 2 w S(v)
+    return (w * w - vector @ vector) * np.eye(3) + 2.0 * np.outer(vector, vector) + 2.0 * w * cross_matrix(vector[None])[0]
 
 
 def _axes(rows: object) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -67,6 +67,9 @@ from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Estimate, Method, State
+
+if TYPE_CHECKING:
+    from skincal.axes.module_axes import AxisFindings
 
 Answer = TypeVar("Answer")
 MAX_REMEMBERED_LANDMARK_ANSWERS = 4 * MAX_PREDICTED_ARM_POSES
@@ -212,7 +215,12 @@ class SessionGuide:
         has_arm = self._scene.arm is not None
         off_mesh = None if snapshot.off_mesh is None else snapshot.off_mesh.distance
         verdict = replace(verdict, closings=closings, frame_in_doubt=doubt, has_arm=has_arm, off_mesh=off_mesh)
-        return replace(verdict, unchecked=unchecked, left=left)
+        return replace(verdict, unchecked=unchecked, left=left, axes=self._axis_findings(snapshot, method))
+
+    def _axis_findings(self, snapshot: Snapshot, method: Method) -> AxisFindings | None:
+        """Find mistakes of the axes; `None` for a skin of one axis, or before the first reading."""
+        found = snapshot.axis_results(self._scene.skin.layout)
+        return None if found is None or not found.turns.skin.taxels else found.findings(method)
 
     def axis_diversity(self, channel: int) -> AxisDiversity | None:
         """Describe the pokes of a channel; `None` while guidance is off or nothing is known. Call `next_target` before."""

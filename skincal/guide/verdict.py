@@ -47,6 +47,7 @@ from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.taxels.solve import Solution, solve
 
 if TYPE_CHECKING:
+    from skincal.axes.module_axes import AxisFindings
     from skincal.mesh.surface import Surface
 
 POKES_PER_HELD_OUT_POKE = 6
@@ -321,6 +322,8 @@ class Verdict:
     """Channels with two or more own pokes that all contradict the place that their module gives them, and exchanged ones."""
     exchanged: tuple[tuple[int, int], ...] = ()
     """Pairs of channels that look exchanged."""
+    axes: AxisFindings | None = None
+    """Findings on the axes of taxels that measure three; `None` for one axis, or before the first reading."""
 
     @property
     def is_finished(self) -> bool:
@@ -336,8 +339,13 @@ class Verdict:
     def doubted(self) -> bool:
         """Whether anything contradicts the predicted errors."""
         contradicted = not self.check.believed or self.check.off_plan is not None or bool(self.frame_in_doubt)
-        contradicted |= bool(self.contradicted) or self.off_mesh is not None
+        contradicted |= bool(self.contradicted) or self.off_mesh is not None or self.is_value_order_wrong
         return self.has_moved or contradicted or (self.landmarks is not None and not self.landmarks.agrees)
+
+    @property
+    def is_value_order_wrong(self) -> bool:
+        """Whether the values of a frame have another order than the scene: then readings are those of other taxels."""
+        return self.axes is not None and self.axes.is_value_order_wrong
 
     @property
     def has_moved(self) -> bool:
@@ -348,6 +356,7 @@ class Verdict:
     def believed(self) -> bool:
         """Whether the predicted errors are confirmed (see `is_believed`)."""
         is_open = bool(self.frame_in_doubt) or bool(self.contradicted) or self.off_mesh is not None
+        is_open |= self.is_value_order_wrong
         return not is_open and is_believed(self.check, self.landmarks)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -126,7 +126,7 @@ def report_page(facts: SessionFacts) -> str:
         version=facts.versions["skincal"],
         verdict=verdict_sentence(facts.verdict),
         enough=facts.verdict.is_finished and not facts.verdict.doubted,
-        sections=[make(facts) for make in SECTIONS],
+        sections=[section for make in SECTIONS if (section := make(facts)) is not None],
     )
 
 
@@ -413,10 +413,30 @@ def _versions(facts: SessionFacts) -> ReportSection:
     return ReportSection("Versions", tables=(ReportTable(("", ""), list(facts.versions.items())),))
 
 
-SECTIONS = (
-    _verdict, _part, _map, _errors, _rig, _pokes, _lint, _devices, _settings, _taxels, _versions,
+def _turns(facts: SessionFacts) -> ReportSection | None:
+    """Make the section on taxels of three axes; `None` for others."""
+    axes, found = facts.results.session.scene.skin.axes, facts.results.session.axis_results()
+    if axes is None or found is None:
+        return None
+    from skincal.reporting.turn_section import (
+        MODULE_TURN_HEADINGS,
+        TURN_HEADINGS,
+        module_turn_rows,
+        turn_rows,
+        turn_words_of,
+    )
+
+    modules, taxels = list(module_turn_rows(found)), list(turn_rows(facts, found))
+    tables = [ReportTable(MODULE_TURN_HEADINGS, modules, "Modules; errors are standard deviations")] if modules else []
+    if taxels:
+        tables.append(ReportTable(TURN_HEADINGS, taxels, f"Axes of {plural(len(taxels), 'taxel')} in the link", small=True))
+    return ReportSection("Turns of the taxels", turn_words_of(facts, found, axes), tables=tables)
+
+
+SECTIONS: tuple[Callable[[SessionFacts], ReportSection | None], ...] = (
+    _verdict, _part, _map, _errors, _rig, _pokes, _lint, _devices, _settings, _taxels, _turns, _versions,
 )  # fmt: skip
-"""In the order of the page."""
+"""In the order of the page; `None` leaves a section out."""
 
 
 def _picture(data: bytes, kind: str, words: str) -> ReportPicture:

@@ -26,6 +26,10 @@ def session_skin_sentences(
     at_landmarks = snapshot.at_landmarks
     outcomes = [each.outcome for each in snapshot.pokes if not each.excluded and each.outcome.poke not in at_landmarks]
     of_skin = tuple(skin_sentences(condition, outcomes, scene, snapshot.decisions.thresholds))
+    if scene.skin.axes is not None:
+        from skincal.session.axis_findings import session_axis_sentences
+
+        of_skin += session_axis_sentences(snapshot, scene)
     if scene.tool is None:
         return of_skin
     from skincal.words.tool_words import pose_stream_faults, repeated_pose_sentence

@@ -15,6 +15,7 @@ from skincal.model.errors import list_channels
 from skincal.words.units import count, degrees
 
 if TYPE_CHECKING:
+    from skincal.axes.axis_checks import DeadAxis, MeshLean, ShearMiss
     from skincal.model.skin_axes import SkinAxes
 
 LARGEST_ODDS = 1e6
@@ -25,6 +26,7 @@ FRAME_STATE_WORDS: Mapping[FrameState, str] = {
     FrameState.IN_PLANE_UNKNOWN: "no poke leaned enough: press leaning",
     FrameState.MIRRORED: "no rotation: x, y and z of the readings are mirrored axes",
     FrameState.WRONG_ORDER: "no rotation: the values of a frame have another order than the scene",
+    FrameState.DEAD_AXIS: "no rotation: x or y of the taxel does not answer",
     FrameState.UNKNOWN: "turn unknown: no poke has a reading of it",
 }
 
@@ -82,6 +84,7 @@ def turn_summary(frames: Sequence[TaxelFrame]) -> str:
             (FrameState.IN_PLANE_UNKNOWN, "without a turn in the plane: press leaning"),
             (FrameState.MIRRORED, "with mirrored axes"),
             (FrameState.WRONG_ORDER, "with values in another order"),
+            (FrameState.DEAD_AXIS, "with an axis that does not answer"),
             (FrameState.UNKNOWN, "without a reading"),
         )
         if rest[state]
@@ -112,7 +115,7 @@ def shared_sentence(findings: AxisFindings) -> str:
 def axis_sentences(axes: SkinAxes, findings: AxisFindings) -> tuple[str, ...]:
     """Name mistakes of the axes with their remedies, then say whether taxels share the axes of their module."""
     mistakes = axis_mistake_sentences(axes, findings)
-    if any(mistake.kind is AxisMistakeKind.ORDER for mistake in findings.mistakes):
+    if findings.is_value_order_wrong:
         return mistakes
     shared = shared_sentence(findings)
     return (*mistakes, shared) if shared else mistakes
@@ -176,3 +179,53 @@ def corrected_values(axes: SkinAxes, directions: Sequence[str]) -> tuple[str, li
             polarity = "up" if sign < 0 else "down"
         names[axes.places[axis]] = f"-{name}" if sign < 0 and name != "z" else name
     return polarity, names
+
+
+MAX_LISTED_SHEAR_MISSES = 5
+
+
+def dead_axis_sentence(found: Sequence[DeadAxis]) -> str:
+    """Name axes of taxels that do not answer; empty without one."""
+    if not found:
+        return ""
+    stuck, weak = ([f"{each.axis} of taxel {each.channel}" for each in found if each.is_stuck is way] for way in (True, False))
+    parts = list[str]()
+    if stuck:
+        parts.append(f"{', '.join(stuck)} {'keeps' if len(stuck) == 1 else 'keep'} one value through all pokes")
+    if weak:
+        parts.append(f"{', '.join(weak)} {'answers' if len(weak) == 1 else 'answer'} much less than their pokes lean")
+    return f"{' and '.join(parts)}: dead or stuck. Check the taxel and its wiring; it has no turn until then."
+
+
+def shear_miss_sentence(found: Sequence[ShearMiss]) -> str:
+    """Name pokes whose shear on the skin is not that of the wrench; empty without one."""
+    if not found:
+        return ""
+    listed = ", ".join(f"{each.poke} ({degrees(each.angle)})" for each in found[:MAX_LISTED_SHEAR_MISSES])
+    more = f" and {len(found) - MAX_LISTED_SHEAR_MISSES} more" if len(found) > MAX_LISTED_SHEAR_MISSES else ""
+    word = "poke" if len(found) == 1 else "pokes"
+    return (
+        f"The skin feels another direction of the force than the force/torque sensor in {word} {listed}{more}: the tip "
+        "slipped, something else was touched, or the tare is wrong. These pokes do not count for turns; exclude them if their "
+        "positions are off, too."
+    )
+
+
+def mesh_lean_sentence(found: MeshLean | None) -> str:
+    """Name taxels whose z is not along the normal of the mesh; empty without one."""
+    if found is None:
+        return ""
+    return (
+        f"z of {len(found.channels)} of {count(found.judged, 'taxel')} leans {degrees(found.angle)} (median) from the normal "
+        f"of the mesh: channels {list_channels(found.channels)}. They report in other axes than across the skin, or mesh or "
+        "position is wrong there."
+    )
+
+
+def axes_doubt_words(findings: AxisFindings) -> str:
+    """Name mistakes of the axes in a clause for the verdict; empty without one."""
+    if not findings.mistakes:
+        return ""
+    if findings.is_value_order_wrong:
+        return "the values of a frame have another order than the scene"
+    return "the axes of the readings do not fit the scene"

@@ -94,6 +94,10 @@ def _doubts(verdict: Verdict) -> list[str]:
         against += [] if check.believed else ["test pokes"]
         found += ["taxels answer off the plan of their modules"] if check.believed and check.off_plan is not None else []
     found += _contradiction_words(verdict)
+    if verdict.axes is not None:
+        from skincal.words.axis_words import axes_doubt_words  # other skins do without
+
+        found += filter(None, [axes_doubt_words(verdict.axes)])
     against += [] if landmarks is None or landmarks.agrees else ["landmarks"]
     return [*found, *([f"{' and '.join(against)} contradict it"] if against else [])]
 

@@ -65,10 +65,36 @@ def test_turns_of_arrays_are_the_true_ones(tmp_path):
 
 
 def test_exchanged_axes_are_named_against_the_estimated_module(tmp_path):
-    wrenches, frames, _ = poke_arrays(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    wrenches, frames, _ = poke_arrays(EXCHANGED)
     _, found = skincal.solve(make_scene(tmp_path), wrenches, frames).turns()
     (mistake,) = found.mistakes
     assert (mistake.kind, mistake.axes) == (AxisMistakeKind.EXCHANGED, ("x", "y"))
+
+
+EXCHANGED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_mistakes_of_the_axes_are_in_the_verdict_the_skin_and_the_report(tmp_path):
+    wrenches, frames, _ = poke_arrays(EXCHANGED)
+    session = skincal.solve(make_scene(tmp_path), wrenches, frames)
+    assert "but the axes of the readings do not fit the scene" in session.verdict().sentence
+    # Positions do not depend on x and y.
+    assert not session.results.verdict(session.results.choose_method(None)).is_value_order_wrong
+    (sentence,) = session.results.skin
+    assert "x and y are exchanged (odds " in sentence
+    assert 'Write values = ["y", "x", "z"]' in sentence
+    session.report(tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert "Turns of the taxels" in page
+    assert "x and y are exchanged" in page
+    assert "mirrored axes: no rotation" in page
+
+
+def test_a_right_scene_has_no_doubt(tmp_path):
+    wrenches, frames, _ = poke_arrays()
+    session = skincal.solve(make_scene(tmp_path), wrenches, frames)
+    assert session.results.skin == ()
+    assert "axes" not in session.verdict().sentence
 
 
 def test_values_of_another_order_are_named_and_give_no_frame(tmp_path):
@@ -80,6 +106,9 @@ def test_values_of_another_order_are_named_and_give_no_frame(tmp_path):
     frames_ = session.results.session.axis_results().frames(session.results.choose_method(None))
     assert {frame.state for frame in frames_.values()} == {FrameState.WRONG_ORDER}
     assert not any(frame.is_known for frame in frames_.values())
+    assert session.verdict().doubted
+    assert "the values of a frame have another order than the scene" in session.verdict().sentence
+    assert 'Write order = "xxyyzz"' in session.results.skin[-1]
 
 
 def test_a_skin_of_one_axis_or_without_pokes_has_no_turns(tmp_path):

@@ -1,0 +1,89 @@
+"""Dead axes, pokes with another shear, and z off the mesh: named if they are there, and only then."""
+
+import numpy as np
+import pytest
+
+from skincal.axes.axis_checks import find_dead_axes, find_mesh_lean, find_shear_misses
+from skincal.axes.module_axes import AxisFindings
+from skincal.axes.skin_turns import find_turns
+from skincal.axes.taxel_frames import FrameState, frames_of_taxels
+from skincal.axes.turn_fit import AxisPokes
+from skincal.geometry import rotation_by
+from skincal.words.axis_words import dead_axis_sentence, mesh_lean_sentence, shear_miss_sentence
+from tests.skincal.axes.axis_support import FORCE_NOISE_N, make_pokes, random_rotation
+
+TAXELS = 4
+
+
+def skin(seed, change=None, *, pokes=10, lean=15.0):
+    """Find the turns of some taxels; poke k presses taxels 0 and 1 together, and later ones 2 and 3. `change` edits taxel 1."""
+    rng, made, axes = np.random.default_rng([5, seed]), {}, {}
+    for channel in range(TAXELS):
+        axes[channel] = random_rotation(rng)
+        own = make_pokes(rng, axes[channel], pokes, lean)
+        made[channel] = AxisPokes(own.forces, own.readings, own.pokes + 100 * (channel // 2))
+    if change is not None:
+        forces, readings = made[1].forces.copy(), made[1].readings.copy()
+        change(forces, readings)
+        made[1] = AxisPokes(forces, readings, made[1].pokes)
+    return find_turns(made, FORCE_NOISE_N), axes
+
+
+def stick_x(_, readings):
+    readings[:, 0] = 0.0
+
+
+def weaken_y(_, readings):
+    readings[:, 1] *= 0.05
+
+
+@pytest.mark.parametrize(("change", "axis", "is_stuck"), [(stick_x, "x", True), (weaken_y, "y", False)])
+def test_a_dead_axis_is_named_and_its_taxel_has_no_frame(change, axis, is_stuck):
+    turns, _ = skin(1, change)
+    (found,) = find_dead_axes(turns)
+    assert (found.channel, found.axis, found.is_stuck, found.pokes) == (1, axis, is_stuck, 10)
+    frames = frames_of_taxels(turns, AxisFindings((), 0.0, ()), range(TAXELS), {})
+    assert [frame.state for frame in frames.values()].count(FrameState.DEAD_AXIS) == 1
+    assert frames[1].rotation is None
+    assert f"{axis} of taxel 1 " in dead_axis_sentence([found])
+
+
+@pytest.mark.parametrize("lean", [0.0, 15.0])
+def test_good_taxels_and_straight_pokes_have_no_dead_axis_and_no_miss(lean):
+    for seed in range(2):
+        turns, _ = skin(seed, lean=lean)
+        assert find_dead_axes(turns) == find_shear_misses(turns) == ()
+    # Nor a taxel whose x is stuck, while no poke leans.
+    if not lean:
+        assert find_dead_axes(skin(1, stick_x, lean=lean)[0]) == ()
+
+
+def test_a_poke_with_another_shear_than_the_wrench_is_named():
+    """All of its taxels must say so: a poke that one of two taxels reads well did not slip."""
+    turned = rotation_by(np.array([0.0, np.radians(30.0), 0.0]))
+
+    def turn_force(forces, _):
+        forces[3] = turned @ forces[3]
+
+    only_one, _ = skin(2, turn_force)
+    assert find_shear_misses(only_one) == ()
+    rng, axes = np.random.default_rng(8), random_rotation(np.random.default_rng(9))
+    pokes = make_pokes(rng, axes, 12, 15.0)
+    pokes.forces[7] = turned @ pokes.forces[7]
+    (found,) = find_shear_misses(find_turns({0: pokes}, FORCE_NOISE_N))
+    assert (found.poke, found.taxels) == (7, 1)
+    assert np.degrees(found.angle) == pytest.approx(20.0, abs=7.0)  # a taxel feels shear 0.6 times
+    assert "in poke 7 (" in shear_miss_sentence([found])
+
+
+def test_z_is_compared_with_the_normal_of_the_mesh():
+    turns, axes = skin(3)
+    normals = {channel: axis[:, 2] for channel, axis in axes.items()}
+    assert find_mesh_lean(turns, normals, ()) is None
+    aside = {**normals, 2: rotation_by(np.radians(25.0) * axes[2][:, 0]) @ normals[2]}
+    found = find_mesh_lean(turns, aside, ())
+    assert (found.channels, found.judged) == ((2,), TAXELS)
+    assert np.degrees(found.angle) == pytest.approx(25.0, abs=2.0)
+    assert "z of 1 of 4 taxels leans 25" in mesh_lean_sentence(found)
+    # Taxels in the axes of their module need not be across the skin.
+    assert find_mesh_lean(turns, aside, (2,)) is None
