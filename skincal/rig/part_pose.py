@@ -36,7 +36,7 @@ from enum import Enum
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, inverse_pose
-from skincal.rig.part_pose_starts import start_poses
+from skincal.rig.part_pose_starts import DROPPED_ABOVE_COST_FACTOR, DROPPED_ABOVE_COST_INCREASE, start_poses
 from skincal.rig.part_touches import (
     HUBER_THRESHOLD_SDS,
     LANDMARK_SD_M,
@@ -64,11 +64,11 @@ DISAGREES_ABOVE_SDS = 5.0
 RIVAL_MIN_DISTANCE_M, RIVAL_MAX_CHI2_INCREASE = 0.010, 16.0
 """m, rms over the part, between two poses that are rivals; a rival fits no worse than by 4 standard deviations."""
 FIRST_FIT_STEPS, FIT_STEPS = 5, 30
-DROPPED_ABOVE_COST_FACTOR = 3.0
-"""After the first steps a start with a cost above this multiple of the least goes no further."""
 TIP_MIN_SD_M = 1e-6
 """m, added to the error of a tip, so that an exact one has an inverse."""
-CONVERGED_STEP_SDS = 1e-6
+STALLED_STEPS, MIN_COST_DECREASE = 3, 0.01
+"""Steps without a decrease of the cost by as much end a fit, too: 0.01 is a tenth of a standard deviation of one unknown."""
+CONVERGED_STEP_SDS = 1e-4
 """Steps smaller than this share of the standard deviations end a fit."""
 
 
@@ -286,19 +286,25 @@ def fit_part_pose(touches: PartTouches, shape: PartShape, starts: tuple[FloatArr
     fits = [_Fit.at(touches, shape, turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
     fits = [_advanced(fit, touches, shape, FIRST_FIT_STEPS) for fit in fits]
     least = min(fit.cost for fit in fits)
-    hopeful = [fit for fit in fits if fit.cost <= DROPPED_ABOVE_COST_FACTOR * least + RIVAL_MAX_CHI2_INCREASE]
+    hopeful = [fit for fit in fits if fit.cost <= DROPPED_ABOVE_COST_FACTOR * least + DROPPED_ABOVE_COST_INCREASE]
     fits = [_advanced(fit, touches, shape, FIT_STEPS) for fit in hopeful]
     best = min(fits, key=lambda fit: fit.cost)
     return _judge(best, fits, touches, shape, counts)
 
 
 def _advanced(fit: _Fit, touches: PartTouches, shape: PartShape, steps: int) -> _Fit:
-    """Make up to `steps` Gauss-Newton steps."""
+    """Make up to `steps` Gauss-Newton steps, and give the best pose on the way.
+
+    At the edges of triangles the nearest points change, and the steps go round between some poses that fit about as well.
+    """
+    best, stalled = fit, 0
     for _ in range(steps):
-        if fit.is_converged:
+        if fit.is_converged or stalled == STALLED_STEPS:
             break
         fit = fit.next(touches, shape)
-    return fit
+        stalled = 0 if fit.cost < best.cost - MIN_COST_DECREASE else stalled + 1
+        best = min(best, fit, key=lambda each: each.cost)
+    return best
 
 
 def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartShape, counts: tuple[int, int, int]) -> PartPose:

@@ -38,6 +38,10 @@ START_TOUCHES_MAX = 24
 """Touches that the starts use, spread evenly over their numbers; landmarks first."""
 STARTS_KEPT = 8
 CLOSED_START_MIN_TOUCHES = 4
+LANDMARK_MIN_SPREAD_M = 0.015
+"""m, rms distance of landmarks from a line: with errors of 1 mm none of their touches fits turned about it."""
+DROPPED_ABOVE_COST_FACTOR, DROPPED_ABOVE_COST_INCREASE = 3.0, 16.0
+"""After the first steps a start with a cost above this multiple of the least, and this much more, goes no further."""
 DIFFERENT_ABOVE_M = 0.003
 """m, rms over the part, between two starts that are kept."""
 SURVIVORS_AFTER_STEPS, SURVIVORS = 4, 48
@@ -46,6 +50,8 @@ SURVIVORS_AFTER_STEPS, SURVIVORS = 4, 48
 
 def start_poses(touches: PartTouches, shape: PartShape) -> tuple[FloatArray, FloatArray]:
     """Find up to `STARTS_KEPT` different poses: rotations (S, 3, 3) and shifts (S, 3), metres, the best first."""
+    if _landmarks_suffice(touches):
+        return start_from_landmarks(touches)
     some = _spread_touches(touches)
     starts = [_from_targets(some)] if len(some.at_landmark) + len(some.on_plan) else []
     if shape.surface is not None and len(some.on_mesh) and not _targets_suffice(some, shape, starts):
@@ -58,7 +64,8 @@ def start_poses(touches: PartTouches, shape: PartShape) -> tuple[FloatArray, Flo
             best = np.sort(np.argsort(costs, kind="stable")[:SURVIVORS])
             turns, shifts = turns[best], shifts[best]
     kept: list[int] = []
-    for row in np.argsort(costs, kind="stable").tolist():
+    hopeful = costs <= DROPPED_ABOVE_COST_FACTOR * costs.min() + DROPPED_ABOVE_COST_INCREASE
+    for row in np.argsort(costs, kind="stable")[: int(hopeful.sum())].tolist():
         base = (shape.corners - shifts[row]) @ turns[row]
         off = [base @ turns[other].T + shifts[other] - shape.corners for other in kept]
         if all(float(np.linalg.norm(each)) / len(each) ** 0.5 > DIFFERENT_ABOVE_M for each in off):
@@ -66,6 +73,22 @@ def start_poses(touches: PartTouches, shape: PartShape) -> tuple[FloatArray, Flo
         if len(kept) == STARTS_KEPT:
             break
     return turns[kept], shifts[kept]
+
+
+def _landmarks_suffice(touches: PartTouches) -> bool:
+    """Whether points at landmarks alone give the pose, so that no other one fits."""
+    places = touches.landmark[touches.at_landmark]
+    if len(places) < CLOSED_START_MIN_TOUCHES or not touches.is_point[touches.at_landmark].all():
+        return False
+    # The second singular value is the spread across the line that fits them best.
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / len(places) ** 0.5
+    return float(spread[1]) > LANDMARK_MIN_SPREAD_M
+
+
+def start_from_landmarks(touches: PartTouches) -> tuple[FloatArray, FloatArray]:
+    """Find the pose that carries the points at landmarks to these: rotation (1, 3, 3) and shift (1, 3), metres."""
+    turns, shifts = _from_targets(touches.rows(touches.at_landmark))
+    return turns[:1], shifts[:1]
 
 
 def closed_start(touches: PartTouches) -> tuple[FloatArray, FloatArray] | None:

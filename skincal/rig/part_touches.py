@@ -6,9 +6,11 @@ The derivation: `part_pose`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray, cross_matrix, mean_rows, rotations, select_rows
 from skincal.model.scene import NoiseSettings
@@ -31,7 +33,7 @@ POINT_MIN_PRECISION = 1.0 / 0.05**2
 """1/m^2. A touch with less along a direction is no point for the mesh."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PartTouches:
     """n points of the part that the tool touched."""
 
@@ -61,21 +63,35 @@ class PartTouches:
         """Select touches."""
         return select_rows(self, rows)
 
-    @property
+    @cached_property
     def at_landmark(self) -> IntArray:
         """Rows of touches at landmarks."""
         return np.flatnonzero(np.isfinite(self.landmark[:, 0]))
 
-    @property
+    @cached_property
     def on_plan(self) -> IntArray:
         """Rows of touches at a planned taxel."""
         return np.flatnonzero(np.isfinite(self.planned[:, 0]))
 
-    @property
+    @cached_property
+    def is_point(self) -> NDArray[np.bool_]:
+        """(n,) bool: measured in all directions."""
+        return np.linalg.eigvalsh(self.precision)[:, 0] > POINT_MIN_PRECISION
+
+    @cached_property
     def on_mesh(self) -> IntArray:
         """Rows of touches that are points, and at no landmark."""
-        is_point = np.linalg.eigvalsh(self.precision)[:, 0] > POINT_MIN_PRECISION
-        return np.flatnonzero(is_point & ~np.isfinite(self.landmark[:, 0]))
+        return np.flatnonzero(self.is_point & ~np.isfinite(self.landmark[:, 0]))
+
+    @cached_property
+    def points(self) -> PartTouches:
+        """The touches of `on_mesh`."""
+        return self.rows(self.on_mesh)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(n, 3, 3) float, m^2, base: of touches that are all points."""
+        return np.asarray(np.linalg.inv(self.precision), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +193,7 @@ def pose_rows(
     misses = (roots @ touches.place[rows][:, :, None])[..., 0] + (by_link @ (shifts[:, None] - goals)[..., None])[..., 0]
     slopes = by_link @ motion_rows(goals - centres[:, None])
     is_planned = np.repeat([0.0, 1.0], [len(landmarks), len(planned)])
-    mesh = _mesh_rows(touches.rows(on_mesh), shape, (turns, shifts, centres), added_sd, is_start=is_start)
+    mesh = _mesh_rows(touches.points, shape, (turns, shifts, centres), added_sd, is_start=is_start)
     of_plan = -by_link * is_planned[:, None, None]
     return PoseRows(misses, slopes, of_plan, roots @ touches.tool_turn[rows], *mesh, centres)
 
@@ -201,8 +217,7 @@ def _mesh_rows(
     near, triangles = nearest_pushed_points(shape.surface, there.reshape(-1, 3), pushes.reshape(-1, 3))
     near, normals = near.reshape(there.shape), shape.surface.normals[triangles].reshape(there.shape)
     in_base = (normals[:, :, None] @ turns[:, None])[:, :, 0]
-    covariances = np.linalg.inv(touches.precision)
-    variance = np.einsum("smi,mij,smj->sm", in_base, covariances, in_base) + MESH_SD_M**2 + added_sd**2
+    variance = np.vecdot((in_base[:, :, None] @ touches.covariance)[:, :, 0], in_base) + MESH_SD_M**2 + added_sd**2
     if is_start:
         variance = variance + shape.noise.skin**2
     weights = 1.0 / np.sqrt(variance)

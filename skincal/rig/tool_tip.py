@@ -50,6 +50,8 @@ MIN_INFORMATION_OVER_NOISE_SHARE = 3.0
 NOISE_VARIANCE_SD = 0.25
 """Relative sd of the scene's variance of the force."""
 FIT_STEPS = 20
+CONVERGED_STEP_M, CONVERGED_SHARE = 1e-6, 1e-3
+"""m of the tip, and share of the variance of its axes: smaller changes end a fit."""
 HUBER_THRESHOLD_SDS = 2.5
 
 

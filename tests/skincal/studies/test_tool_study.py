@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from skincal.mesh.surface import make_surface
+from skincal.rig import part_pose, part_pose_starts
+from skincal.session.session import Session
 from skincal.simulation.example_parts import forearm
 from skincal.studies.tool_simulator import NO_LANDMARK, TOOL_RIGS, simulate_tool_session
 from skincal.studies.tool_study import (
@@ -16,6 +19,7 @@ from skincal.studies.tool_study import (
     contacts_of,
     run_session,
     scene_of,
+    touch_landmarks,
 )  # fmt: skip
 from tests.skincal.studies.studies_support import small
 
@@ -76,3 +80,22 @@ def test_a_given_tip_places_the_pokes_of_a_sensor_with_cross_talk():
 def test_the_tip_touches_the_skin_above_the_taxels_and_the_predicted_errors_contain_that(rig):
     methods = run_session(Task(ToolCase(rig, POSE_FOUND, 6, has_mesh=True), 1, ToolSizes(counts=(84,))))[84]["methods"]
     assert {name: each["inside"] for name, each in methods.items() if each["inside"] < 0.9} == {}
+
+
+@pytest.mark.parametrize(("landmarks", "most"), [(6, 30), (0, 110)])
+def test_a_parts_pose_takes_few_steps_so_that_a_snapshot_does_not_stall(monkeypatch, landmarks, most):
+    """Each step costs a millisecond: with landmarks one start, and steps that go round at the edges of triangles end."""
+    part, calls = forearm(), []
+    poked = simulate_tool_session(
+        part.scene, part.surface.vertices, part.surface.triangles, TOOL_RIGS["none"], 1, (landmarks, 60)
+    )
+    scene = scene_of(ToolCase("none", POSE_FOUND, landmarks, has_mesh=True), poked)
+    session = Session(scene, make_surface(poked.vertices, part.surface.triangles))
+    touch_landmarks(session, poked)
+    for contact in contacts_of(poked, scene):
+        session.add(contact)
+    for room in (part_pose, part_pose_starts):
+        made = room.pose_rows
+        monkeypatch.setattr(room, "pose_rows", lambda *a, made=made, **k: calls.append(1) or made(*a, **k))
+    assert session.snapshot().is_placed
+    assert 5 < len(calls) <= most
