@@ -50,7 +50,7 @@ from skincal.journal.writer import SCENE_FOLDER
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene
-from skincal.session.importing import Imported, ImportRequest, joint_columns, missing_folders, take_away
+from skincal.session.importing import Imported, ImportRequest, joint_columns, missing_folders, of_scene, take_away
 
 SIZE_PX = (760, 680)
 TYPING_PAUSE_BEFORE_PREVIEW_MS = 400  # A recording is previewed after this pause in typing
@@ -58,11 +58,12 @@ PROGRESS_BAR_UPDATE_PERIOD_MS = 100  # Between two updates of the progress bar
 KILL_STOPPED_IMPORT_AFTER_MS = 500
 """A stopped import ends within this time, or is killed: while it reads a large log, it does not react."""
 FILE_FILTER = f"Recordings (*{' *'.join(suffix for each in RECORDING_IMPORTERS for suffix in each.suffixes)});;All files (*)"
-STREAM_TITLES = {Stream.WRENCH: "&Force/torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
+STREAM_TITLES = {Stream.WRENCH: "&Force/torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints", Stream.TOOL: "&Tool"}
 STREAM_HINTS = {
     Stream.WRENCH: "a folder with data.log, a table, or BAG::TOPIC",
     Stream.SKIN: "a folder with data.log, a table, or BAG::TOPIC",
     Stream.JOINTS: "optional",
+    Stream.TOOL: "poses of the tool: a table, or BAG::TOPIC",
 }
 
 
@@ -112,6 +113,7 @@ class ImportDialog(Dialog):
         self._progressing = QTimer(self, interval=PROGRESS_BAR_UPDATE_PERIOD_MS)
         self._patience = QTimer(self, interval=KILL_STOPPED_IMPORT_AFTER_MS, singleShot=True)
         self._arrange()
+        self._rows.setRowVisible(self._row_of[Stream.TOOL], False)
         self._connect()
         self._take_preview(None)
         self.scene.read()
@@ -120,12 +122,14 @@ class ImportDialog(Dialog):
             self.assign_files(paths)
 
     def _arrange(self) -> None:
-        make_form(
+        rows = {
+            stream: path_row(STREAM_TITLES[stream], field, lambda field=field: self._choose_file(field))
+            for stream, field in self.fields.items()
+        }
+        self._row_of = {stream: row for stream, (_, row) in rows.items()}
+        self._rows = make_form(
             ("Recording", make_row(self.take_folder, self.take_files, secondary_label("or drop it here"), 1)),
-            *(
-                path_row(STREAM_TITLES[stream], field, lambda field=field: self._choose_file(field))
-                for stream, field in self.fields.items()
-            ),
+            *rows.values(),
             path_row("&Scene", self.scene, self.scene.choose),
             ("Arm &pose", self.pose),
             path_row("Session &in", self.folder, lambda: choose_session_folder(self.folder, self)),
@@ -188,7 +192,7 @@ class ImportDialog(Dialog):
         if self.importing:
             return
         self._proposed = found
-        for stream, path in zip(self.fields, (found.wrench, found.skin, found.joints), strict=True):
+        for stream, path in zip(self.fields, (found.wrench, found.skin, found.joints, found.tool), strict=True):
             self.fields[stream].setText("" if path is None else str(path))
             completer = QCompleter([str(each) for each in found.candidates], self.fields[stream])
             completer.setFilterMode(Qt.MatchFlag.MatchContains)
@@ -203,7 +207,9 @@ class ImportDialog(Dialog):
         # The topics that the operator typed have no others.
         proposed = self._proposed.places.items() & files.places.items()
         others = {stream: self._proposed.others.get(stream, ()) for stream, _ in proposed}
-        return replace(files, tied=self._proposed.tied, others=others)
+        files = replace(files, tied=self._proposed.tied, others=others)
+        # A skin of another width is previewed, too.
+        return replace(files, tool=None) if self._scene is None else replace(of_scene(files, self._scene), channels=0)
 
     def _choose_recording_folder(self) -> None:
         path = QFileDialog.getExistingDirectory(self, "Folder of a recording")
@@ -237,7 +243,18 @@ class ImportDialog(Dialog):
         poses = [] if scene is None or scene.arm is None else list(scene.arm.poses)
         self.pose.addItems(poses if len(poses) == 1 else ["", *poses])
         self.pose.setCurrentText(chosen)
+        self._show_streams()
         self._update_problems()
+
+    def _show_streams(self) -> None:
+        """Show the fields that the scene has a use for; read the recording again if they are others now."""
+        tool = None if self._scene is None else self._scene.tool
+        used = {Stream.WRENCH: tool is None or tool.has_sensor, Stream.JOINTS: tool is None, Stream.TOOL: tool is not None}
+        changed = [stream for stream, is_used in used.items() if self._rows.isRowVisible(self._row_of[stream]) != is_used]
+        for stream in changed:
+            self._rows.setRowVisible(self._row_of[stream], used[stream])
+        if changed and any(field.text().strip() for field in self.fields.values()):
+            self._typing.start()
 
     def _check_folder(self) -> None:
         """Check the session's folder in the background: a disk may be slow."""
@@ -288,7 +305,7 @@ class ImportDialog(Dialog):
     def _update_problems(self) -> None:
         if self.importing:
             return
-        preview, has_joints = self._preview, bool(self.fields[Stream.JOINTS].text().strip())
+        preview, has_joints = self._preview, self._has_joints
         self.pose.setEnabled(self.pose.count() > 1 and not has_joints)
         found: Sequence[str] = (self._trouble,)
         if preview is not None:
@@ -297,6 +314,12 @@ class ImportDialog(Dialog):
         problems = " ".join(filter(None, (*found, self._folder_problem)))
         self._show_problem(problems)
         self.start.setEnabled(preview is not None and self._scene is not None and not problems)
+
+    @property
+    def _has_joints(self) -> bool:
+        """Whether a recording of the joints is named; a part that is poked by a tool with poses has none."""
+        has_tool = self._scene is not None and self._scene.tool is not None
+        return not has_tool and bool(self.fields[Stream.JOINTS].text().strip())
 
     def _show_problem(self, sentence: str) -> None:
         self.objection.setText(f"\N{BALLOT X} {sentence}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import inspect
 from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -46,19 +47,28 @@ def _files_command(importer: Importer) -> Callable[..., None]:
     """Make the command of an importer whose streams are files or folders."""
 
     def command(
-        wrench: Path, skin: Path, scene: SceneOption, out: OutOption, joints: Path | None = None, pose: _PoseOption = None,
-        as_json: Json = False,
+        skin: Path, scene: SceneOption, out: OutOption, wrench: Path | None = None, joints: Path | None = None,
+        tool: Path | None = None, pose: _PoseOption = None, as_json: Json = False,
     ) -> None:  # fmt: skip
         loaded = find_scene(scene)
         check_pose(loaded, pose, streamed=joints is not None)
-        paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+        paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TOOL: tool}
         places = {stream: RecordedPlace.parse(str(path)) for stream, path in paths.items() if path is not None}
         _import(importer, places, loaded, pose, out, as_json)
 
     help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
     # Typer reads the options from the annotations: each importer describes its own files.
-    command.__annotations__ |= {"wrench": Annotated[Path, help_of["wrench"]], "skin": Annotated[Path, help_of["skin"]]}
-    command.__annotations__["joints"] = Annotated[Path | None, help_of["joints"]]
+    command.__annotations__ |= {name: Annotated[Path | None, help_of[name]] for name in help_of}
+    command.__annotations__["skin"] = Annotated[Path, help_of["skin"]]
+    return _without_tool(command, importer)
+
+
+def _without_tool(command: Callable[..., None], importer: Importer) -> Callable[..., None]:
+    """Leave out the option for the tool's poses of an importer that has none."""
+    if Stream.TOOL not in importer.options:
+        signature = inspect.signature(command)
+        kept = [each for name, each in signature.parameters.items() if name != "tool"]
+        command.__signature__ = signature.replace(parameters=kept)  # pyright: ignore[reportFunctionMemberAccess]
     return command
 
 
@@ -67,13 +77,13 @@ def _topics_command(importer: Importer) -> Callable[..., None]:
 
     def command(
         path: Annotated[Path, typer.Argument(help="File or folder of the recording.")], scene: SceneOption, out: OutOption,
-        wrench: str | None = None, skin: str | None = None, joints: str | None = None, pose: _PoseOption = None,
-        as_json: Json = False,
+        wrench: str | None = None, skin: str | None = None, joints: str | None = None, tool: str | None = None,
+        pose: _PoseOption = None, as_json: Json = False,
     ) -> None:  # fmt: skip
         from skincal.session.importing import find_topics
 
         loaded = find_scene(scene)
-        names = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+        names = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TOOL: tool}
         check_pose(loaded, pose, streamed=True)
         places, others = find_topics(path, {stream: name for stream, name in names.items() if name}, loaded, pose)
         check_pose(loaded, pose, streamed=Stream.JOINTS in places)
@@ -146,8 +156,9 @@ def _import(
     findings: Sequence[str] = (),
 ) -> None:
     from skincal.files.importers.preview import open_places
-    from skincal.session.importing import joint_columns, new_session, play_recording
+    from skincal.session.importing import check_recorded_tool, joint_columns, new_session, play_recording
 
+    check_recorded_tool(scene, places)
     read_share = importer.reading_share
     with _progress() as go_on:
         others = {importer_of(place.path).name for place in places.values()} - {importer.name}

@@ -397,6 +397,11 @@ class FrameDecoder(ABC):
     def _make_splitter(self) -> FrameSplitter:
         return MarkSplitter(self.mark, self.limit)
 
+    def define_pose_form(self, form: PoseForm, metres_per_unit: float) -> None:
+        """Use the form of a tool's poses that the records themselves define, in place of the scene's."""
+        self._pose_form = form, metres_per_unit
+        self._widths[Stream.TOOL] = form.rotation.width
+
     def set_pose_form(self, form: PoseForm, metres_per_unit: float) -> None:
         """Use the form of a tool's poses that the scene names, unless the format defines one."""
         if Stream.TOOL in self._widths and self._pose_form is None:

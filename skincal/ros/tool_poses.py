@@ -69,15 +69,7 @@ class ToolPoseReader:
 
         Raises MessageError: the message has not the fields of its type.
         """
-        try:
-            if self.type_name == TF_MESSAGE:
-                found = [_stamped_pose(each, TRANSFORM_STAMPED) for each in member_of(message, "transforms")]
-            else:
-                found = [_stamped_pose(message, self.type_name)]
-        except MessageError:
-            raise
-        except (AttributeError, TypeError, ValueError, LookupError, OverflowError):
-            raise MessageError("a field is of another kind than in the definition of its type") from None
+        found = stamped_poses(message, self.type_name)
         of_child = [each for each in found if self._frame in ("", each.child) or not each.child]
         wanted = [each for each in of_child if self._base in ("", each.parent)]
         if not wanted:
@@ -92,6 +84,21 @@ class ToolPoseReader:
             self.problem = f"The pose comes in the frame {of_child[0].parent}; expected {self._base}"
         elif not self.problem and self.type_name != TF_MESSAGE:
             self.problem = f"The pose is that of {found[0].child}; expected {self._frame}"
+
+
+def stamped_poses(message: Any, type_name: str) -> list[StampedPose]:
+    """List the poses in a message of one of the three types.
+
+    Raises MessageError: the message has not the fields of its type.
+    """
+    try:
+        if full_type_name(type_name) == TF_MESSAGE:
+            return [_stamped_pose(each, TRANSFORM_STAMPED) for each in member_of(message, "transforms")]
+        return [_stamped_pose(message, full_type_name(type_name))]
+    except MessageError:
+        raise
+    except (AttributeError, TypeError, ValueError, LookupError, OverflowError):
+        raise MessageError("a field is of another kind than in the definition of its type") from None
 
 
 def _stamped_pose(message: Any, type_name: str) -> StampedPose:

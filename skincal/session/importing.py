@@ -11,7 +11,7 @@ from pathlib import Path
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.files.importers.preview import RecordingFiles, guess_streams
-from skincal.files.importers.registry import RecordedPlace, StoppedError
+from skincal.files.importers.registry import RecordedPlace, StoppedError, importer_of
 from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME, describe_lock_holder
@@ -22,6 +22,7 @@ from skincal.model.scene import Scene, load_scene
 from skincal.part.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.session.skin_findings import session_skin_sentences
+from skincal.session.tool_streams import check_tool_streams
 from skincal.streams.links import ITEMS_AT_ONCE, LinkSpec
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import sheet_findings
@@ -163,12 +164,8 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         left.
     """
     scene, read_share = load_scene(request.scene), request.files.importer.reading_share
-    if scene.tool is not None:
-        raise InputError(
-            f"{scene.path.name}: the sensor sits on the tool, and recordings of its poses cannot be imported; record the "
-            "devices (New session, or `skincal record --tool`)."
-        )
-    files = replace(request.files, channels=scene.skin.frame_width)
+    files = of_scene(request.files, scene)
+    check_recorded_tool(scene, files.places)
     recording = files.open(joint_columns(scene), lambda share: go_on(read_share * share))
     with new_session(request.folder, scene, recording.links, copy=True) as pipeline:
         play_recording(pipeline, recording, request.pose or None, lambda share: go_on(read_share + (1 - read_share) * share))
@@ -190,6 +187,37 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
     return Imported(request.folder, len(outcomes), accepted, unpoked, findings)
 
 
+def of_scene(files: RecordingFiles, scene: Scene) -> RecordingFiles:
+    """Leave out the streams that a scene has no use for, and add what it says of the others."""
+    form = None if scene.tool is None else scene.tool.streamed_form
+    return replace(
+        files,
+        wrench=files.wrench if scene.has_sensor else None,
+        joints=files.joints if scene.tool is None else None,
+        tool=None if scene.tool is None else files.tool,
+        channels=scene.skin.frame_width,
+        has_wrench=scene.has_sensor,
+        pose_form=form,
+    )
+
+
+def check_recorded_tool(scene: Scene, places: Mapping[Stream, RecordedPlace]) -> None:
+    """Refuse streams that do not fit the sensor of a scene, and poses whose form nothing defines.
+
+    Raises InputError: a stream is missing or has no use, or a table holds poses and `[tool]` does not say their form.
+    """
+    addresses = {stream: str(places[stream]) if stream in places else None for stream in Stream}
+    check_tool_streams(scene, {**addresses, Stream.WRENCH: addresses[Stream.WRENCH] or ""})
+    place = places.get(Stream.TOOL)
+    if place is None or scene.tool is None or scene.tool.streamed_form is not None:
+        return
+    if importer_of(place.path).name != "rosbag":
+        raise InputError(
+            f"{place}: numbers do not say the form of a pose; set rotation and unit in [tool] of {scene.path.name}: "
+            "`skincal tool` finds the form (docs/tool.md)."
+        )
+
+
 def find_topics(
     path: Path, named: Mapping[Stream, str], scene: Scene, pose: str | None
 ) -> tuple[dict[Stream, RecordedPlace], list[str]]:
@@ -198,7 +226,9 @@ def find_topics(
     A stream without a likely topic gets an empty one, which the importer refuses with the topics that there are. Joints are
     read only where the scene has an arm and no pose is given.
     """
-    wanted = {Stream.WRENCH, Stream.SKIN, *named}
+    wanted = {Stream.SKIN, *named}
+    wanted |= {Stream.WRENCH} if scene.has_sensor else set[Stream]()
+    wanted |= set[Stream]() if scene.tool is None else {Stream.TOOL}
     needs_joints = scene.arm is not None and pose is None
     guessed, others = dict[Stream, RecordedPlace](), list[str]()
     if wanted - named.keys() or (needs_joints and Stream.JOINTS not in named):

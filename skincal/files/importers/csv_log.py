@@ -40,7 +40,15 @@ from skincal.devices.decoding import TIME_STAMP_MAX_S, WRENCH_VALUES
 from skincal.devices.netft_page import FORCE_UNITS
 from skincal.files.importers.labview import ABSOLUTE_MIN_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
-from skincal.files.importers.table_columns import UNIX_NS, TableColumns, TimeColumns, ValueColumns, comment_units, names_time
+from skincal.files.importers.table_columns import (
+    POSE_WIDTHS,
+    UNIX_NS,
+    TableColumns,
+    TimeColumns,
+    ValueColumns,
+    comment_units,
+    names_time,
+)
 from skincal.files.importers.table_form import EMPTY_WORDS, TableForm, read_form
 from skincal.files.importers.table_values import (
     FIELD_SHOWN_MAX_CHARS,
@@ -315,7 +323,8 @@ def _guesses_of(form: TableForm, sheet: str) -> list[StreamGuess]:
         return [StreamGuess(place, None, len(_Table(Stream.SKIN, place).values))]
     columns = TableColumns(form)
     guesses: list[StreamGuess] = []
-    for stream in (Stream.WRENCH, Stream.JOINTS):
+    poses = (Stream.TOOL,) if len(columns.named_pose) in POSE_WIDTHS else ()
+    for stream in (Stream.WRENCH, Stream.JOINTS, *poses):
         with contextlib.suppress(InputError):
             guesses.append(StreamGuess(place, stream, len(columns.of_stream(stream, "", 0).at)))
     families = columns.skin_families()
@@ -353,6 +362,11 @@ def _unnamed_values(form: TableForm, time: TimeColumns, stream: Stream, channels
     if count < 1 or (stream is Stream.WRENCH and count != WRENCH_VALUES):
         expected = "time fx fy fz mx my mz" if stream is Stream.WRENCH else "the time and at least one value"
         raise InputError(f"{form.path}: has {plural(form.width, 'column')} and no header; expected {expected}.")
+    if stream is Stream.TOOL and count not in POSE_WIDTHS:
+        raise InputError(
+            f"{form.path}: has {plural(count, 'column')} after the time and no header; expected those of a pose: 6, 7, 12 or "
+            "16."
+        )
     if stream is Stream.SKIN and channels and count != channels:
         raise InputError(
             f"{form.path}: has {plural(count, 'column')} after the time and no header, and the scene has "

@@ -31,6 +31,7 @@ from skincal.streams.link_diagnosis import LinkMonitor
 from skincal.words.link_words import BINARY_LEVELS, binary_skin, freeze_sentences
 
 if TYPE_CHECKING:
+    from skincal.model.pose_form import PoseForm
     from skincal.model.scene import Scene
 
 PREVIEWED_TIME_S = 60.0
@@ -60,10 +61,16 @@ class RecordingFiles:
     wrench: RecordedPlace | None = None
     skin: RecordedPlace | None = None
     joints: RecordedPlace | None = None
+    tool: RecordedPlace | None = None
+    """Poses of the tool, for a scene with `[tool]`."""
     candidates: tuple[RecordedPlace, ...] = field(default=(), compare=False, kw_only=True)
     """All places in the recording that may hold a stream."""
     channels: int = field(default=0, compare=False, kw_only=True)
     """Of the skin, which a table must have; 0 if unknown, as in a preview."""
+    has_wrench: bool = field(default=True, compare=False, kw_only=True)
+    """Whether the rig has a force/torque sensor."""
+    pose_form: tuple[PoseForm, float] | None = field(default=None, compare=False, kw_only=True)
+    """Form of the tool's poses by the scene, and metres per unit of their lengths; `None` without one."""
     others: Mapping[Stream, tuple[RecordedPlace, ...]] = field(
         default_factory=dict[Stream, tuple[RecordedPlace, ...]], compare=False, kw_only=True
     )
@@ -76,7 +83,12 @@ class RecordingFiles:
     @property
     def places(self) -> dict[Stream, RecordedPlace]:
         """Known places."""
-        named = {Stream.WRENCH: self.wrench, Stream.SKIN: self.skin, Stream.JOINTS: self.joints}
+        named = {
+            Stream.WRENCH: self.wrench,
+            Stream.SKIN: self.skin,
+            Stream.JOINTS: self.joints,
+            Stream.TOOL: self.tool,
+        }
         return {stream: place for stream, place in named.items() if place is not None}
 
     def sentences_on_others(self, proposed: Collection[Stream]) -> list[str]:
@@ -99,9 +111,10 @@ class RecordingFiles:
 
         Raises InputError: sensor or skin are missing.
         """
-        if self.wrench is None or self.skin is None:
-            self.check_tied(Stream.WRENCH if self.wrench is None else Stream.SKIN)
-            missing = "the force/torque sensor" if self.wrench is None else "the skin"
+        lacks_wrench = self.wrench is None and self.has_wrench
+        if lacks_wrench or self.skin is None:
+            self.check_tied(Stream.WRENCH if lacks_wrench else Stream.SKIN)
+            missing = "the force/torque sensor" if lacks_wrench else "the skin"
             raise InputError(f"No recording of {missing} is named; name the file or folder that holds it.")
         return importer_of(self.skin.path)
 
@@ -201,7 +214,7 @@ def guess_streams(paths: Sequence[Path], channels: int = 0, joints: Sequence[str
         if len(equal) > 1 and all(importer_of(place.path).asks_if_tied for place in equal):
             tied[stream], found[stream] = tuple(equal), None
     return RecordingFiles(
-        found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS),
+        found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), found.get(Stream.TOOL),
         candidates=candidates, others=others, tied=tied,
     )  # fmt: skip
 
@@ -233,7 +246,7 @@ def _likely_stream(guess: StreamGuess, channels: int) -> Stream:
     by_width = Stream.SKIN
     if guess.width != channels and guess.width <= MAX_JOINTS_IN_UNNAMED_STREAM:
         by_width = Stream.WRENCH if guess.width == WRENCH_VALUES else Stream.JOINTS
-    is_sure = guess.stream in (Stream.WRENCH, Stream.JOINTS) or (guess.stream is not None and guess.place.topic)
+    is_sure = guess.stream in (Stream.WRENCH, Stream.JOINTS, Stream.TOOL) or (guess.stream is not None and guess.place.topic)
     return guess.stream if guess.stream is not None and is_sure else named or guess.stream or by_width
 
 
@@ -284,10 +297,12 @@ class RecordingPreview:
                 f"A row of the skin has {plural(skin, 'value')}, and the scene {scene.name} has "
                 f"{_expected_values(scene)}; choose the scene that it was recorded on."
             )
-        if widths[Stream.WRENCH] != WRENCH_VALUES:
+        if scene.has_sensor and widths.get(Stream.WRENCH) != WRENCH_VALUES:
             found.append("No row of the force/torque recording has fx fy fz mx my mz; choose another file.")
         if scene.arm is not None and joints is None and pose not in scene.arm.poses:
             found.append("The scene has an arm; name the recording of its joints, or choose the arm pose.")
+        if scene.tool is not None and Stream.TOOL not in widths:
+            found.append("The scene has a tool; name the recording of its poses.")
         # Topics name their joints: then the import finds those of a robot by their names.
         has_columns = self.importer.one_stream or scene.robot is None
         if has_columns and scene.arm is not None and joints is not None and joints <= max(scene.arm.arm.joints):
@@ -312,6 +327,9 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
     """
     importer, opened = files.importer, files.open()
     decoders = {link.name: LinkDecoder(link.format, None, link.carries) for link in opened.links}
+    if files.pose_form is not None:
+        for decoder in decoders.values():
+            decoder.current.set_pose_form(*files.pose_form)
     monitors = {link.name: LinkMonitor(link.carries, {}, None) for link in opened.links}
     readings: dict[str, list[Batch]] = defaultdict(list)
     for chunk in opened.chunks():
@@ -340,7 +358,7 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
         findings += freeze_sentences(monitor.freezes, SESSION_START_TIME_NS)
         findings += [f"{name}: {binary_skin(monitor.levels)}"] if monitor.levels in BINARY_LEVELS else []
     findings += files.sentences_on_others(files.others.keys())
-    curve = _force_curve(readings[Stream.WRENCH.value])
+    curve = _force_curve(readings.get(Stream.WRENCH.value, ()))
     frame = _mean_frame(_values(readings[Stream.SKIN.value]), opened.frame_shape)
     return RecordingPreview(importer, tuple(streams), tuple(findings), *curve, frame)
 

@@ -24,6 +24,7 @@ from skincal.files.importers.timeline import OpenRecording, Timeline, check_over
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
+from skincal.model.pose_form import RotationForm
 from skincal.model.readings import Stream
 from skincal.streams.decoders.records import pack_records
 from skincal.streams.links import LinkSpec
@@ -50,7 +51,11 @@ READ_ERRORS = (OSError, RuntimeError, MemoryError, OverflowError)
 """What h5py raises where a file is damaged."""
 _SKIN_RE = re.compile(r"skin|tactile|taxel|touch", re.IGNORECASE)
 _WRENCH_RE = re.compile(r"(?:^|::)(?:FTs?|force_?torque)", re.IGNORECASE)
+_POSE_RE = re.compile(r"(?:^|::|_)(?:tool|tcp|ee|end_effector|hand)?_?(?:cartesian_)?pose(?:$|::)", re.IGNORECASE)
 _POSITIONS_RE = re.compile(r"(?:^|::)joints?_state::(?:joint_)?positions$")
+
+
+POSE_WIDTHS = frozenset(form.width for form in RotationForm)
 
 
 class _NoChannelsError(InputError):
@@ -117,7 +122,9 @@ def _stream_of(channel: _Channel) -> Stream | None:
         return Stream.SKIN
     if _POSITIONS_RE.search(channel.name):
         return Stream.JOINTS
-    return Stream.WRENCH if channel.width == WRENCH_VALUES and _WRENCH_RE.search(channel.name) else None
+    if channel.width == WRENCH_VALUES and _WRENCH_RE.search(channel.name):
+        return Stream.WRENCH
+    return Stream.TOOL if channel.width in POSE_WIDTHS and _POSE_RE.search(channel.name) else None
 
 
 def _list_names(channels: Mapping[str, _Channel]) -> str:

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from skincal.files.importers.bag_poses import POSE_TYPES, AnyReader, BagPoseReader, guess_tools
 from skincal.files.importers.bag_reader import Bag, BagTopic
 from skincal.files.importers.even_times import space_evenly
 from skincal.files.importers.registry import RANK_OF_GUESS_BY_CHANNELS, RecordedPlace, StoppedError, StreamGuess
@@ -31,8 +32,10 @@ from skincal.ros.layouts import RunReader
 from skincal.ros.messages import MessageReader, is_seldom_a_skin, number_fields, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.proposals import is_command, natural_order
+from skincal.ros.tool_poses import TF_MESSAGE
 from skincal.ros.topics import TopicChoice
-from skincal.ros.types import MessageError, MessageTypes
+from skincal.ros.types import MessageError, MessageTypes, full_type_name
+from skincal.streams.decoders.records import POSE_KIND
 from skincal.streams.links import LinkSpec
 from skincal.words.frame_words import frame_words
 
@@ -69,6 +72,7 @@ def guess_streams(path: Path) -> list[StreamGuess]:
     with Bag(path) as bag:
         spread = _spread_messages(bag)
         guesses = [guess for topic in bag.topics.values() if (guess := _guess(bag, topic, spread[topic.name])) is not None]
+        guesses += guess_tools(bag, {name: [data for _, data in messages] for name, messages in spread.items()})
         if not guesses:
             raise InputError(f"{path}: no topic has readings of a sensor or skin; it has {list_topics(bag)}.")
     return [*guesses, *_joined_patches(guesses)]
@@ -77,7 +81,11 @@ def guess_streams(path: Path) -> list[StreamGuess]:
 def _spread_messages(bag: Bag) -> dict[str, list[tuple[int, bytes]]]:
     """Collect arrivals and bytes of messages of each topic that may have readings, from all parts of the bag."""
     found: dict[str, list[tuple[int, bytes]]] = {name: [] for name in bag.topics}
-    wanted = [each.name for each in bag.topics.values() if each.type_name and each.messages and _streams_of(bag, each)]
+    wanted = [
+        each.name
+        for each in bag.topics.values()
+        if each.type_name and each.messages and (_streams_of(bag, each) or full_type_name(each.type_name) in POSE_TYPES)
+    ]
     for topic, arrival_ns, data in bag.spread_messages(wanted):
         found[topic].append((arrival_ns, data))
     return found
@@ -158,7 +166,7 @@ class _Recorded:
 
     stream: Stream
     choice: TopicChoice
-    readers: dict[str, MessageReader]
+    readers: dict[str, AnyReader]
     """By topic."""
     patches: SkinPatches | None
     tape: Tape = field(default_factory=Tape)
@@ -198,7 +206,10 @@ class _Recorded:
 
     def _read_run(self, types: MessageTypes, topic: str, run: Sequence[tuple[int, bytes]]) -> bool:
         """Read messages of one length together. Returns False, and takes nothing, if they have not one layout."""
-        reader = self.runs.setdefault(topic, RunReader(types, self.readers[topic]))
+        of_topic = self.readers[topic]
+        if isinstance(of_topic, BagPoseReader):
+            return False  # a message may have poses of many frames, or none
+        reader = self.runs.setdefault(topic, RunReader(types, of_topic))
         arrivals_s = np.array([arrival_ns for arrival_ns, _ in run]) * 1e-9
         read = reader.read([data for _, data in run], arrivals_s)
         if read is None:
@@ -250,6 +261,8 @@ class _Recorded:
         reader = self.readers[self.choice.topics[0]]
         field_words = f", field {reader.field}" if self.choice.field else ""
         found = [f"{self.choice} ({reader.type_name}){field_words}{frame_words(self.frames)}."]
+        if isinstance(reader, BagPoseReader) and reader.parent:
+            found.append(f"its poses are in the frame {reader.parent}.")
         if self.stream is Stream.JOINTS and reader.joints:
             found.append(f"the order of the joints is {', '.join(name or 'unused' for name in reader.joints)}.")
         for name, silence in reader.silences.items():
@@ -321,7 +334,7 @@ def _prepare(bag: Bag, stream: Stream, text: str, joints: Sequence[str]) -> _Rec
     choice = TopicChoice.parse(text)
     if len(choice.topics) > 1 and stream is not Stream.SKIN:
         raise InputError(f"{text}: several topics can be the patches of a skin only; expected one topic of the {stream.value}.")
-    readers: dict[str, MessageReader] = {}
+    readers: dict[str, AnyReader] = {}
     for name in choice.topics:
         topic = bag.topics.get(name)
         if topic is None:
@@ -334,6 +347,9 @@ def _prepare(bag: Bag, stream: Stream, text: str, joints: Sequence[str]) -> _Rec
             bag.types.add_file(choice.msg, topic.type_name)
         else:
             bag.define(name)
+        if stream is Stream.TOOL:
+            readers[name] = _pose_reader(bag, topic, choice)
+            continue
         try:
             readers[name] = MessageReader(bag.types, topic.type_name, stream, choice.field, choice.joints or joints)
         except InputError as error:
@@ -343,7 +359,23 @@ def _prepare(bag: Bag, stream: Stream, text: str, joints: Sequence[str]) -> _Rec
             fields = ", ".join(number_fields(bag.types, topic.type_name)[:TOPICS_LISTED_MAX])
             advice = f" If they are in one of its fields, name it: {name}?field=PATH, with one of {fields}." if fields else ""
             raise InputError(f"{name}: its messages ({topic.type_name}) hold {kinds}; expected the {stream.value}.{advice}")
-    return _Recorded(stream, choice, readers, SkinPatches(choice.topics) if len(choice.topics) > 1 else None)
+    tape = Tape(POSE_KIND if stream is Stream.TOOL else 0)
+    return _Recorded(stream, choice, readers, SkinPatches(choice.topics) if len(choice.topics) > 1 else None, tape)
+
+
+def _pose_reader(bag: Bag, topic: BagTopic, choice: TopicChoice) -> BagPoseReader:
+    """Make the reader of a tool's poses. Raises InputError: the messages hold none, or name the frames that move."""
+    try:
+        return BagPoseReader(topic.type_name, choice)
+    except InputError as error:
+        if full_type_name(topic.type_name) != TF_MESSAGE:
+            raise InputError(f"{topic.name}: {error}") from None
+        spread = {name: [data for _, data in messages] for name, messages in _spread_messages(bag).items()}
+        moving = [guess.place.topic for guess in guess_tools(bag, spread)]
+        named = " or ".join(each for each in moving if "?" in each) or f"{topic.name}?frame=tool0&base=base"
+        raise InputError(
+            f"{bag.path}: {topic.name} has poses of many frames; name the tool's and its base, as in {named}."
+        ) from None
 
 
 def _read_messages(bag: Bag, streams: Sequence[_Recorded], go_on: Callable[[float], bool]) -> None:

@@ -27,6 +27,7 @@ from skincal.devices.netft_page import FORCE_UNITS
 from skincal.files.importers.table_form import TableForm
 from skincal.files.importers.table_values import is_date, is_time_of_day, to_float
 from skincal.model.errors import InputError, plural
+from skincal.model.pose_form import RotationForm
 from skincal.model.readings import Stream
 
 UNIX_NS = (1e18, 5e18)
@@ -46,6 +47,13 @@ _HEX_NUMBER_RE = re.compile("[0-9a-f]{1,4}")
 _JOINT_COLUMN_RE = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
 _JOINT_NAME_RE = re.compile(r".+[ _\[(](?:deg|rad)[\])]?")
 _JOINT_WORD_RE = re.compile(r"joint|(?:^|[^a-z])(?:j|q|a|axis|pos|position|angle)[ _\[(]?\d|position$|angle$")
+_POSE_COLUMN_RE = re.compile(
+    r"(?:.*[./_ ])?(?:(?:p|t|pos|position|translation)?[._]?[xyz]|(?:q|quat|rot|r|orientation|rotation)[._]?[xyzw]"
+    r"|roll|pitch|yaw|w)(?:[ _]*[\[(]?(?:m|mm|rad|deg)[\])]?)?"
+)
+"""Columns of a position, a quaternion, a rotation vector, or three angles."""
+_AXIS_LETTER_RE = re.compile(r".*?([xyzw])(?:[ _]*[\[(]?(?:m|mm|rad|deg)[\])]?)?")
+POSE_WIDTHS = frozenset(form.width for form in RotationForm)
 _PRESSURE_CENTRE_RE = re.compile(r"(?:.*[./_ ])?(?:a|cop|cop_|cop |p|cp)[xy](?:[ _]*[\[(].*)?")
 
 
@@ -192,6 +200,8 @@ class TableColumns:
                 return self._wrench_columns([k for k in self.wrench if self.names[k].startswith(within)])
             case Stream.JOINTS:
                 return self._joint_columns(within)
+            case Stream.TOOL:
+                return self._pose_columns([k for k in range(len(self.names)) if self.names[k].startswith(within)])
             case _:
                 return self._skin_columns([k for k in self.others if self.names[k].startswith(within)], channels)
 
@@ -306,6 +316,36 @@ class TableColumns:
 
     def _is_joint(self, column: int, name: str) -> bool:
         return column not in self.wrench and self._is_free(column) and _JOINT_COLUMN_RE.fullmatch(name) is not None
+
+    # Poses of a tool
+
+    @property
+    def named_pose(self) -> list[int]:
+        """Columns whose names are those of a pose."""
+        known = (*self.time.columns, self.number, *self.texts, *self.wrench)
+        return [k for k, name in enumerate(self.names) if k not in known and _POSE_COLUMN_RE.fullmatch(name)]
+
+    def _pose_columns(self, columns: Sequence[int]) -> ValueColumns:
+        """Choose the columns of a pose: x y z first, then those of the rotation, all in the order of the table."""
+        named = [k for k in self.named_pose if k in columns]
+        chosen = named if len(named) in POSE_WIDTHS else [k for k in self.others if k in columns]
+        ends = [_axis_letter(self.names[k]) for k in chosen]
+        if len(chosen) not in POSE_WIDTHS or (len(chosen) < 16 and ends[:3] not in (["x", "y", "z"], [""] * 3)):
+            raise InputError(
+                f"{self.path}: has no pose of a tool; seen {self._list_names(range(len(self.names)))}; expected x y z and the "
+                "rotation in the order of [tool]: 6, 7 or 12 columns, or 16 of a matrix. FILE::NAME takes the columns whose "
+                "names begin so."
+            )
+        order = "".join(ends[3:]) if len(chosen) == 7 else ""
+        said = f"its columns are {self._list_names(chosen)}."
+        if order in ("xyzw", "wxyz"):
+            said += f' The quaternion is in the order {" ".join(order)}: [tool] needs rotation = "{order}".'
+        elif len(chosen) == 7 and all(ends):
+            raise InputError(
+                f"{self.path}: its quaternion is in the order {' '.join(ends[3:])}; expected x y z w, or w x y z: order the "
+                "columns so."
+            )
+        return ValueColumns(tuple(chosen), (1.0,) * len(chosen), (said,))
 
     # Skin
 
@@ -588,6 +628,12 @@ def _counts_up(names: Sequence[str]) -> bool:
     ]
     numbers = [[[int(word) for word in re.findall(r"\d+", name)] for name in block] for _, block in blocks]
     return len(blocks) == len({*shapes}) and all(block == sorted(block) for block in numbers)
+
+
+def _axis_letter(name: str) -> str:
+    """Return x, y, z or w with which a column's name ends, before its unit; empty without one."""
+    found = _AXIS_LETTER_RE.fullmatch(name)
+    return "" if found is None else found[1]
 
 
 def _family_base(name: str) -> str:

@@ -90,7 +90,9 @@ class NumberFile:
 class Tape:
     """Values of a stream in the order of their messages. Rows may differ in width."""
 
-    def __init__(self) -> None:
+    def __init__(self, kind: int = 0) -> None:
+        self._kind = kind
+        """Of all records; 0 for that of their values."""
         self.rows = 0
         self._file = TemporaryFile()  # noqa: SIM115 - open as long as the recording
         finalize(self, self._file.close)
@@ -130,8 +132,8 @@ class Tape:
         # Half the bytes for skins, whose raw values single precision holds.
         with np.errstate(over="ignore"):
             single = values.astype(np.float32)
-        is_single = np.array_equal(single, values, equal_nan=True)
-        self._runs.append((*values.shape, 2 if is_single else 1))
+        is_single = not self._kind and np.array_equal(single, values, equal_nan=True)
+        self._runs.append((*values.shape, self._kind or (2 if is_single else 1)))
         _append(self._file, (single if is_single else values).tobytes())
 
     def lines(self, seconds: NumberFile) -> Iterator[Sequence[bytes]]:
@@ -149,7 +151,7 @@ class Tape:
                 at += len(data)
                 last = first + count
                 values = np.frombuffer(data, dtype).reshape(count, width)
-                records = pack_records(np.arange(first, last), seconds.read(first, last), values)
+                records = pack_records(np.arange(first, last), seconds.read(first, last), values, kind)
                 for row in range(first, last) if self._frames else ():
                     if (name := self._frames.get(row)) is not None:
                         records[row - first] = pack_frame(name) + records[row - first]

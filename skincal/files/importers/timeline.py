@@ -383,8 +383,8 @@ class OpenRecording:
 
     def chunks(self) -> Iterator[Chunk]:
         """Yield the lines of all streams as chunks in the order of time; lazily."""
-        # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
-        return merged_chunks(self.timelines, self.sources, (Stream.JOINTS.value,))
+        # A frame gets the last angles or pose before it, so these must not come later; a wrench may, since frames wait for it.
+        return merged_chunks(self.timelines, self.sources, (Stream.JOINTS.value, Stream.TOOL.value))
 
 
 def merged_chunks(timelines: Sequence[Timeline], sources: Sequence[Lines], early: Sequence[str] = ()) -> Iterator[Chunk]:

@@ -7,6 +7,8 @@ frame of the wrenches that follow:
     time       float64, seconds
     values     float64 (kind 1) or float32 (kind 2); joint angles in degrees
 
+Kind 4 is a pose of a tool, float64: x y z in metres and the quaternion x y z w. The form of the scene is not used for it.
+
 Records of one width are made and read many at a time.
 """
 
@@ -36,8 +38,8 @@ from skincal.model.readings import Batch, Loss, Stream
 
 RECORD_MAX_BYTES = 1 << 20
 """Of the values of a record: 131,000 channels."""
-KIND_DTYPES = {1: "<f8", 2: "<f4"}
-FRAME_KIND = 3
+FRAME_KIND, POSE_KIND = 3, 4
+KIND_DTYPES = {1: "<f8", 2: "<f4", POSE_KIND: "<f8"}
 FRAME_NAME_MAX_BYTES = 200
 _HEAD_FIELDS = [("kind", "u1"), ("size", "<u4"), ("number", "<i8"), ("seconds", "<f8")]
 _STAMP_BYTES = 16
@@ -54,9 +56,9 @@ def pack_frame(name: str) -> bytes:
     return pack(FRAME_KIND, name.encode()[:FRAME_NAME_MAX_BYTES])
 
 
-def pack_records(numbers: IntArray, seconds: FloatArray, values: NDArray[Any]) -> list[bytes]:
-    """Make n records of (n,) numbers, (n,) times and (n, width) values, float64 or float32."""
-    kind = 2 if values.dtype == np.float32 else 1
+def pack_records(numbers: IntArray, seconds: FloatArray, values: NDArray[Any], kind: int = 0) -> list[bytes]:
+    """Make n records of (n,) numbers, (n,) times and (n, width) values, float64 or float32; `kind` 0 is that of the values."""
+    kind = kind or (2 if values.dtype == np.float32 else 1)
     records = np.empty(len(values), record_dtype(kind, values.shape[1]))
     records["kind"], records["size"] = kind, records.itemsize - PACKET_HEAD.size
     records["number"], records["seconds"], records["values"] = numbers, seconds, values
@@ -116,6 +118,8 @@ class RecordsDecoder(FrameDecoder):
         if kind not in KIND_DTYPES or not _STAMP_BYTES < size <= RECORD_MAX_BYTES:
             return None
         width, rest = divmod(size - _STAMP_BYTES, np.dtype(KIND_DTYPES[kind]).itemsize)
+        if kind == POSE_KIND:
+            self._define_poses()
         if rest or len(data) % (PACKET_HEAD.size + size) or not self._has_width(self._stream, width):
             return None
         records = np.frombuffer(data, record_dtype(kind, width))
@@ -123,6 +127,13 @@ class RecordsDecoder(FrameDecoder):
             return None
         self._widths[self._stream] = width
         return records
+
+    def _define_poses(self) -> None:
+        """Read poses as metres and quaternion x y z w from here on."""
+        from skincal.model.pose_form import PoseForm, RotationForm  # only records of poses need it
+
+        if self._stream is Stream.TOOL:
+            self.define_pose_form(PoseForm(RotationForm.QUATERNION_XYZW), 1.0)
 
     def _batch_of_records(self, records: NDArray[Any]) -> Batch | None:
         """Return the readings as a batch; `None` if they are left out, since their frame is another one."""
@@ -140,6 +151,8 @@ class RecordsDecoder(FrameDecoder):
             self._frame = frame[1:].decode(errors="replace")
             return None
         values_type = KIND_DTYPES.get(frame[0])
+        if frame[0] == POSE_KIND:
+            self._define_poses()
         if values_type is None or len(frame) <= _STAMP_BYTES:
             return Loss.UNREADABLE
         width, rest = divmod(len(frame) - 1 - _STAMP_BYTES, np.dtype(values_type).itemsize)

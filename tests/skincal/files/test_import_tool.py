@@ -1,0 +1,155 @@
+"""Recordings of a tool's poses become sessions: bags with a moving frame, tables and robometry logs give the same estimates."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skincal.cli import main
+from skincal.files.importers.preview import guess_streams, preview_recording
+from skincal.files.importers.registry import RecordedPlace
+from skincal.model.errors import InputError
+from skincal.model.readings import Stream
+from skincal.model.scene import load_scene
+from skincal.session.importing import check_recorded_tool, find_topics, of_scene
+from skincal.session.replay import load
+from skincal.taxels.result import Method
+from tests.skincal.files.test_robometry import MatFile
+from tests.skincal.ros_support import SKIN_TYPE, BagFile, header, skin_message
+from tests.skincal.session.test_no_sensor import MARKS, readings, scene_of, scene_text
+from tests.skincal.session.test_tool_rig import TAXELS
+
+POSE, TREE = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
+FORM = 'rotation = "xyzw"\nunit = "m"\n'
+START_NS = 1_700_000_000 * 10**9
+POKES = np.concatenate([MARKS[:3], TAXELS[::3], TAXELS[::3]])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Times (n,) s and values of both streams, and the folder of the scene."""
+    folder = tmp_path_factory.mktemp("tool")
+    scene_of(folder, scene_text(FORM))
+    every = list(readings(POKES))
+    return folder, {
+        name: (np.array([t for of, t, _ in every if of == name]), np.array([v for of, _, v in every if of == name]))
+        for name in ("skin", "tool")
+    }
+
+
+def transform(stamp_ns, parent, child, values):
+    place, turn = dict(zip("xyz", values[:3], strict=True)), dict(zip("xyzw", values[3:], strict=True))
+    return {"header": header(stamp_ns) | {"frame_id": parent}, "child_frame_id": child} | {
+        "transform": {"translation": place, "rotation": turn}
+    }
+
+
+def write_bag(path, streams, kind):
+    """Write a bag; `kind` is the type of the poses. A `/tf` has the joints of an arm, and a base that does not move, too."""
+    with BagFile(path, "mcap") as bag:
+        for t, row in zip(*streams["skin"], strict=True):
+            bag.add("/skin", SKIN_TYPE, START_NS + round(1e9 * t), skin_message(row))
+        for t, row in zip(*streams["tool"], strict=True):
+            ns = START_NS + round(1e9 * t)
+            if kind == POSE:
+                pose = {
+                    "position": dict(zip("xyz", row[:3], strict=True)),
+                    "orientation": dict(zip("xyzw", row[3:], strict=True)),
+                }
+                bag.add("/tool", POSE, ns, {"header": header(ns) | {"frame_id": "base"}, "pose": pose})
+                continue
+            joint = [0.0, 0.1, 0.3, *Rotation.from_rotvec([0.0, 0.0, np.sin(t)]).as_quat()]
+            bag.add("/tf", TREE, ns, {"transforms": [transform(ns, "shoulder", "upper_arm", joint)]})
+            bag.add("/tf", TREE, ns, {"transforms": [transform(ns, "base", "tool0", row)]})
+    return bag.path
+
+
+def write_tables(folder, streams, names=("x", "y", "z", "qx", "qy", "qz", "qw")):
+    heads = {"skin": [f"t{n}" for n in range(9)], "tool": [f"tcp_{name}" for name in names]}
+    for name, (times, rows) in streams.items():
+        lines = (f"{t!r},{','.join(map(repr, row))}\n" for t, row in zip(times.tolist(), rows.tolist(), strict=True))
+        (folder / f"{name}.csv").write_text(f"t_s,{','.join(heads[name])}\n{''.join(lines)}")
+    return ["--skin", str(folder / "skin.csv"), "--tool", str(folder / "tool.csv")]
+
+
+def write_log(path, streams):
+    log = MatFile(path)
+    for name, channel in (("tool", "tool_pose"), ("skin", "skins::plate")):
+        log.channel(channel, streams[name][1], times=streams[name][0])
+    return log.close()
+
+
+def imported(scene, out, arguments, capsys):
+    """Import, and give the positions of the free method and the findings."""
+    capsys.readouterr()
+    assert main(["import", *map(str, arguments), "--scene", str(scene), "--out", str(out), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    found = load(out).snapshot().estimates[Method.FREE]
+    return result, np.array([np.full(3, np.nan) if each.position is None else each.position for each in found])
+
+
+def test_bag_tables_and_log_give_the_same_estimates(made, tmp_path, capsys):
+    folder, streams = made
+    scene = folder / "scene.toml"
+    _, by_tables = imported(scene, tmp_path / "a", ["csv", *write_tables(tmp_path, streams)], capsys)
+    assert np.isfinite(by_tables).all(axis=1).sum() == 3
+    result, by_tree = imported(scene, tmp_path / "b", ["rosbag", write_bag(tmp_path / "tree", streams, TREE)], capsys)
+    assert any("/tf?frame=tool0&base=base" in each for each in result["findings"])
+    _, by_log = imported(scene, tmp_path / "c", ["robometry", write_log(tmp_path / "log.mat", streams)], capsys)
+    for other in (by_tree, by_log):
+        np.testing.assert_allclose(other, by_tables, atol=1e-4, equal_nan=True)
+
+
+def test_the_frame_that_moves_is_proposed_and_poses_of_another_form_too(made, tmp_path):
+    _, streams = made
+    short = {name: (times[:400], rows[:400]) for name, (times, rows) in streams.items()}
+    found = guess_streams([write_bag(tmp_path / "pose", short, POSE)], 9)
+    assert found.places[Stream.TOOL].topic == "/tool"
+    found = guess_streams([write_bag(tmp_path / "tree", short, TREE)], 9)
+    assert found.places[Stream.TOOL].topic == "/tf?frame=tool0&base=base", "a joint only turns"
+    write_tables(tmp_path, short)
+    found = guess_streams([tmp_path / "tool.csv", tmp_path / "skin.csv"], 9)
+    assert found.places[Stream.TOOL].path.name == "tool.csv"
+    assert found.places[Stream.SKIN].path.name == "skin.csv"
+    found = guess_streams([write_log(tmp_path / "log.mat", short)], 9)
+    assert found.places[Stream.TOOL].topic == "tool_pose"
+
+
+def test_a_preview_of_a_rig_without_a_sensor_has_skin_and_tool(made, tmp_path):
+    folder, streams = made
+    scene = load_scene(folder / "scene.toml")
+    short = {name: (times[:400], rows[:400]) for name, (times, rows) in streams.items()}
+    write_tables(tmp_path, short)
+    files = of_scene(guess_streams([tmp_path / "tool.csv", tmp_path / "skin.csv"], 9), scene)
+    preview = preview_recording(files)
+    assert {each.stream for each in preview.streams} == {Stream.SKIN, Stream.TOOL}
+    assert preview.misfits(scene, "") == ()
+    assert any("order x y z w" in each for each in preview.findings)
+    assert not any("left out" in each for each in preview.findings)
+
+
+def test_what_is_missing_or_in_another_order_is_named(made, tmp_path, capsys):
+    folder, streams = made
+    short = {name: (times[:60], rows[:60]) for name, (times, rows) in streams.items()}
+    bag = write_bag(tmp_path / "tree", short, TREE)
+
+    def refused(arguments, scene=folder / "scene.toml"):
+        assert main(["import", *map(str, arguments), "--scene", str(scene), "--out", str(tmp_path / "out")]) == 2
+        return " ".join(capsys.readouterr().err.split())
+
+    tables = write_tables(tmp_path, short)
+    assert "expected the link of the tool's poses" in refused(["csv", *tables[:2]])
+    assert "name the tool's and its base" in refused(["rosbag", bag, "--skin", "/skin", "--tool", "/tf"])
+    tables = write_tables(tmp_path, short, ("x", "y", "z", "qz", "qy", "qx", "qw"))
+    assert "in the order z y x w" in refused(["csv", *tables])
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    scene_of(bare, scene_text())
+    tables = write_tables(tmp_path, short)
+    assert "numbers do not say the form of a pose" in refused(["csv", *tables], bare / "scene.toml")
+    with pytest.raises(InputError, match="the link of the tool's poses"):
+        check_recorded_tool(load_scene(bare / "scene.toml"), {Stream.SKIN: RecordedPlace(bag, "/skin")})
+    assert find_topics(bag, {}, load_scene(bare / "scene.toml"), None)[0].keys() == {Stream.SKIN, Stream.TOOL}
