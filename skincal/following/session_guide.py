@@ -41,7 +41,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.part.part import Part
 from skincal.rig.closing import CLOSING_CHECK_MIN_PLACES, CLOSING_CHECK_PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG
-from skincal.rig.correction_fit import MIN_LANDMARKS, RigAnswer, landmark_agreement
+from skincal.rig.correction_fit import MIN_LANDMARKS, RigAnswer
 from skincal.rig.expected_gain import (
     MAX_PREDICTED_ARM_POSES,
     Gain,
@@ -50,7 +50,7 @@ from skincal.rig.expected_gain import (
     taxel_pushes,
     unchecked_of,
 )
-from skincal.rig.part_agreement import agreement_with_part
+from skincal.rig.part_agreement import agreement_at_landmarks
 from skincal.rig.setup_check import frame_in_doubt
 from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
@@ -202,7 +202,7 @@ class SessionGuide:
         """
         guidance = self.remaining_work(snapshot, method)
         estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.decisions.corrections.get(RIG)
-        landmarks = landmark_agreement(rig, used) if self._scene.has_sensor else agreement_with_part(snapshot.part_pose)
+        landmarks = agreement_at_landmarks(rig, used, snapshot.part_pose, snapshot.tip_frame)
         verdict = verdict_of(guidance, snapshot, noise, self._surface, self._module_model, landmarks)
         pokes = snapshot.counting_landmark_pokes
         unchecked = None

@@ -1,4 +1,4 @@
-"""Agreement of the touches of landmarks with the pose of a part that follows from them, for rigs without a force sensor.
+"""Agreement of the touches of landmarks with the pose of a part that follows from them, where a tool's tip places the pokes.
 
 Each landmark is predicted from all other touches (`part_pose`). So a landmark with a wrong name or place, a wrong mesh and a
 wrong tip show, and the pose cannot hide its own errors. All touches together must agree, too.
@@ -6,8 +6,10 @@ wrong tip show, and the pose cannot hide its own errors. All touches together mu
 
 from __future__ import annotations
 
-from skincal.rig.correction_fit import MIN_LANDMARKS, LandmarkAgreement
+from skincal.rig.correction import UsedCorrection
+from skincal.rig.correction_fit import MIN_LANDMARKS, LandmarkAgreement, RigAnswer, landmark_agreement
 from skincal.rig.part_pose import PartPose
+from skincal.rig.tip_frame import TipFrame
 
 
 def agreement_with_part(pose: PartPose | None) -> LandmarkAgreement | None:
@@ -15,3 +17,21 @@ def agreement_with_part(pose: PartPose | None) -> LandmarkAgreement | None:
     if pose is None or not pose.is_known or pose.landmark_places < MIN_LANDMARKS:
         return None
     return LandmarkAgreement(pose.landmarks, max(pose.held_out_ratio, pose.ratio), False)
+
+
+def agreement_at_landmarks(
+    rig: RigAnswer | None, used: UsedCorrection | None, part: PartPose | None, tip: TipFrame | None
+) -> LandmarkAgreement | None:
+    """Compare landmark pokes with their prediction, in any rig; `None` with too few.
+
+    Where a tip places the pokes, the pose of the part follows from these landmarks: the sensor's errors say nothing about them.
+
+    Parameters
+    ----------
+    rig, used : as of `landmark_agreement`
+    part : pose of the part that is found from the touches; `None` in other rigs
+    tip : frame of the tip; `None` without one
+    """
+    if used is None and part is not None and tip is not None and tip.places_pokes:
+        return agreement_with_part(part)
+    return landmark_agreement(rig, used)

@@ -31,8 +31,8 @@ from skincal.model.tool_rig import (
 )
 from skincal.palette import BLACK, BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
-from skincal.rig.correction_fit import correct_rig, landmark_agreement
-from skincal.rig.part_agreement import agreement_with_part
+from skincal.rig.correction_fit import correct_rig
+from skincal.rig.part_agreement import agreement_at_landmarks
 from skincal.session.session import Session
 from skincal.simulation.example_parts import forearm
 from skincal.studies.error_numbers import error_numbers, mean_over_seeds
@@ -57,6 +57,8 @@ BELIEVED_MIN, WRONGLY_BELIEVED_MAX = 0.80, 0.02
 """Goals: share of right sessions that the verdict believes, and of wrong ones."""
 RIGHT_MIN_COVERAGE, WRONG_MAX_COVERAGE = 0.90, 0.80
 """Share of the taxels inside from which a prediction is right, and below which it is wrong."""
+WRONG_LANDMARK, WRONG_LANDMARK_SHIFT_M = "one landmark 7 mm off", (0.006, 0.0, -0.004)
+"""Mistake made on purpose in sessions of their own: the place of the first landmark, as a wrong drawing has it."""
 METHOD_COLOURS = dict(zip(Method, (BLUE, GREEN, VERMILION), strict=True))
 
 
@@ -67,6 +69,8 @@ class ToolCase(NamedTuple):
     known: str
     landmarks: int
     has_mesh: bool
+    mistake: str = ""
+    """Made on purpose: `WRONG_LANDMARK`; empty for a right session."""
 
     @property
     def words(self) -> str:
@@ -74,19 +78,22 @@ class ToolCase(NamedTuple):
         part = {BASE_ALONE: "positions in the base", POSE_GIVEN: "part's pose given", POSE_FOUND: "part's pose found"}[
             self.known
         ]
-        return f"{self.rig}, {part}, {self.landmarks} landmarks, {'mesh' if self.has_mesh else 'no mesh'}"
+        wrong = f", {self.mistake}" if self.mistake else ""
+        return f"{self.rig}, {part}, {self.landmarks} landmarks, {'mesh' if self.has_mesh else 'no mesh'}{wrong}"
 
 
 TOOL_CASES = (
     ToolCase("ideal", POSE_FOUND, 6, has_mesh=True),
     ToolCase("wrist", POSE_GIVEN, 0, has_mesh=True),
     ToolCase("wrist", BASE_ALONE, 0, has_mesh=False),
+    ToolCase("good_wrist", POSE_FOUND, 6, has_mesh=True),
     *(
         ToolCase(rig, POSE_FOUND, count, has_mesh=mesh)
-        for rig in ("wrist", "good_wrist", "none", "probe") for mesh in (True, False) for count in (6, 3, 0)
+        for rig in ("wrist", "none", "probe") for mesh in (True, False) for count in (6, 3, 0)
     ),
+    *(ToolCase(rig, POSE_FOUND, 6, True, WRONG_LANDMARK) for rig in ("wrist", "none")),
 )  # fmt: skip
-QUICK_CASES = tuple(case for case in TOOL_CASES if case.has_mesh and case.landmarks in (0, GOAL_LANDMARKS))
+QUICK_CASES = tuple(case for case in TOOL_CASES if case.has_mesh and not case.mistake and case.landmarks in (0, GOAL_LANDMARKS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,10 +193,8 @@ def _wrench_of(poked: ToolSession, row: int, scene: Scene) -> tuple[FloatArray, 
 def _believed(session: Session) -> dict[str, bool]:
     """Tell by method whether the verdict believes the predicted errors, as the window would."""
     snapshot, scene = session.snapshot(), session.scene
-    if scene.has_sensor:
-        landmarks = landmark_agreement(correct_rig(session.rig_request()), None)
-    else:
-        landmarks = agreement_with_part(snapshot.part_pose)
+    rig = correct_rig(session.rig_request()) if scene.has_sensor else None
+    landmarks = agreement_at_landmarks(rig, None, snapshot.part_pose, snapshot.tip_frame)
     return {
         method.value: is_believed(
             check(snapshot, session.channels, method, scene.noise, session.surface, session.module_model), landmarks
@@ -220,7 +225,10 @@ def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
     # As a scene file without a sensor is read.
     of_points = replace(own.noise, force=PUSH_TURN_SD_RAD * POINT_FORCE_N, moment=tool.tip_sd * POINT_FORCE_N)
     names = [each.name for each in own.landmarks]
-    landmarks = tuple(Landmark(*each, None) for each in zip(names, poked.landmark_places, strict=True))[: case.landmarks]
+    places = poked.landmark_places.copy()
+    if case.mistake == WRONG_LANDMARK:
+        places[0] += WRONG_LANDMARK_SHIFT_M
+    landmarks = tuple(Landmark(*each, None) for each in zip(names, places, strict=True))[: case.landmarks]
     return replace(
         own, link=BASE_LINK if case.known == BASE_ALONE else own.link, arm=None, tool=tool, wrench_sign=1, landmarks=landmarks,
         skin=replace(own.skin, anchor=None) if case.known == BASE_ALONE else own.skin,
@@ -256,8 +264,8 @@ def _row(case: Task, found: Sequence[Mapping[int, Mapping[str, Any]]]) -> dict[s
 
     Returns
     -------
-    JSON: `rig`, `known`, `landmarks`, `mesh`, `pokes`, `seconds` (lists over `pokes`), and by method lists over `pokes` of the
-    numbers of `error_numbers`, with `ratio`, predicted over true error in the directions that the covariance has
+    JSON: `rig`, `known`, `landmarks`, `mesh`, `mistake`, `pokes`, `seconds` (lists over `pokes`), and by method lists over
+    `pokes` of the numbers of `error_numbers`, with `ratio`, predicted over true error in the directions that the covariance has
     """
     about, counts = case.case, case.sizes.counts
     methods: dict[str, Any] = {}
@@ -271,7 +279,8 @@ def _row(case: Task, found: Sequence[Mapping[int, Mapping[str, Any]]]) -> dict[s
     placed = np.mean([[session[count]["placed"] for count in counts] for session in found], axis=0)
     seconds = np.mean([[session[count]["seconds"] for count in counts] for session in found], axis=0)
     return {
-        "rig": about.rig, "known": about.known, "landmarks": about.landmarks, "mesh": about.has_mesh, "pokes": list(counts),
+        "rig": about.rig, "known": about.known, "landmarks": about.landmarks, "mesh": about.has_mesh, "mistake": about.mistake,
+        "pokes": list(counts),
         "seconds": seconds.round(4).tolist(), "placed": placed.tolist(), "methods": methods,
     }  # fmt: skip
 
@@ -291,7 +300,7 @@ def tool_limits(rows: Sequence[Mapping[str, Any]]) -> Limits:
     limits: dict[str, tuple[float, str, float]] = {}
     for row in rows:
         goals = GOALS_MM.get(row["rig"], {})
-        if row["landmarks"] < GOAL_LANDMARKS or not row["mesh"] or GOAL_POKES not in row["pokes"]:
+        if row["landmarks"] < GOAL_LANDMARKS or not row["mesh"] or row["mistake"] or GOAL_POKES not in row["pokes"]:
             continue
         at = row["pokes"].index(GOAL_POKES)
         for method, goal in goals.items():
@@ -307,11 +316,11 @@ def tool_limits(rows: Sequence[Mapping[str, Any]]) -> Limits:
 
 def _belief_limits(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str, float]]:
     every = [
-        each for row in rows if row["landmarks"] >= GOAL_LANDMARKS and row["rig"] in GOALS_MM
+        (each, bool(row["mistake"])) for row in rows if row["landmarks"] >= GOAL_LANDMARKS and row["rig"] in GOALS_MM
         for numbers in row["methods"].values() for each in numbers["sessions"] if each["inside"] is not None
     ]  # fmt: skip
-    right = [each["believed"] for each in every if each["inside"] >= RIGHT_MIN_COVERAGE]
-    wrong = [each["believed"] for each in every if each["inside"] < WRONG_MAX_COVERAGE]
+    right = [each["believed"] for each, is_wrong in every if not is_wrong and each["inside"] >= RIGHT_MIN_COVERAGE]
+    wrong = [each["believed"] for each, is_wrong in every if is_wrong or each["inside"] < WRONG_MAX_COVERAGE]
     limits: dict[str, tuple[float, str, float]] = {}
     if right:
         limits["tool_believed_where_right"] = (float(np.mean(right)), ">=", BELIEVED_MIN)
@@ -328,7 +337,7 @@ def describe(result: Mapping[str, Any]) -> list[str]:
 
 
 def _row_text(row: Mapping[str, Any]) -> str:
-    case = ToolCase(row["rig"], row["known"], row["landmarks"], row["mesh"])
+    case = ToolCase(row["rig"], row["known"], row["landmarks"], row["mesh"], row["mistake"])
     placed = " ".join(f"{share:.0%}" for share in row["placed"])
     lines = [f"  {case.words}: {placed} of the sessions have positions on the part"]
     for name, own in row["methods"].items():
@@ -344,7 +353,7 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
     rows = result["tool"]
     panels = figure.subplots(2, len(rows), sharey=True, squeeze=False)
     for column, row in enumerate(rows):
-        case = ToolCase(row["rig"], row["known"], row["landmarks"], row["mesh"])
+        case = ToolCase(row["rig"], row["known"], row["landmarks"], row["mesh"], row["mistake"])
         times = np.cumsum(row["seconds"])
         for method, colour in METHOD_COLOURS.items():
             own = row["methods"].get(method.value)

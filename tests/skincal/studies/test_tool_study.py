@@ -13,6 +13,7 @@ from skincal.studies.tool_study import (
     POSE_FOUND,
     POSE_GIVEN,
     THIS_STUDY,
+    WRONG_LANDMARK,
     Task,
     ToolCase,
     ToolSizes,
@@ -30,7 +31,7 @@ def by_case(result):
 
 def test_a_rig_without_errors_is_calibrated_within_its_prediction():
     result, said = small("tool")
-    ideal = by_case(result)["ideal", POSE_FOUND, 6, True]
+    ideal = by_case(result)[ToolCase("ideal", POSE_FOUND, 6, has_mesh=True)]
     assert ideal["modules"]["mean_mm"][1] < 0.6
     assert ideal["modules"]["inside"][1] > 0.9
     assert any("ideal, part's pose found" in line for line in said)
@@ -80,6 +81,15 @@ def test_a_given_tip_places_the_pokes_of_a_sensor_with_cross_talk():
 def test_the_tip_touches_the_skin_above_the_taxels_and_the_predicted_errors_contain_that(rig):
     methods = run_session(Task(ToolCase(rig, POSE_FOUND, 6, has_mesh=True), 1, ToolSizes(counts=(84,))))[84]["methods"]
     assert {name: each["inside"] for name, each in methods.items() if each["inside"] < 0.9} == {}
+
+
+@pytest.mark.parametrize("rig", ["none", "wrist"])
+def test_a_right_session_is_believed_and_one_with_a_wrong_landmark_is_not(rig):
+    sizes = ToolSizes(counts=(168,))
+    right = run_session(Task(ToolCase(rig, POSE_FOUND, 6, has_mesh=True), 1, sizes))[168]
+    wrong = run_session(Task(ToolCase(rig, POSE_FOUND, 6, True, WRONG_LANDMARK), 1, sizes))[168]
+    assert set(right["believed"].values()) == {True}
+    assert set(wrong["believed"].values()) == {False}
 
 
 @pytest.mark.parametrize(("landmarks", "most"), [(6, 30), (0, 110)])
