@@ -25,6 +25,7 @@ from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
 HELP = ("-h", "--help", "--version")
 DEMO_COMMAND = "demo"
 ROBOT_DEMO = "robot"  # `skincal demo robot`: the window with a simulated robot that pokes
+SENSORS_OF_DEMO = ("below", "tool", "none")  # `--sensor`: below the part, in a cobot's wrist, or none; the first is the default
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -77,16 +78,19 @@ def _command(arguments: list[str]) -> int:
 
 
 def _run_demo(words: Sequence[str]) -> int:
-    if list(words) != [ROBOT_DEMO]:
-        named = " ".join([DEMO_COMMAND, *words])
-        raise InputError(f"{named} is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}.")
+    sensor = words[2] if len(words) == 3 and words[1] == "--sensor" else SENSORS_OF_DEMO[0] if len(words) == 1 else ""
+    if list(words[:1]) != [ROBOT_DEMO] or sensor not in SENSORS_OF_DEMO:
+        named, known = " ".join([DEMO_COMMAND, *words]), ", ".join(SENSORS_OF_DEMO)
+        raise InputError(
+            f"{named} is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}, with --sensor and one of {known} or without."
+        )
     reason = no_display() or objection()
     if reason:
         sys.stderr.write(reason + "\n")
         return 2
     from app.run import robot_demo, run_window
 
-    return run_window(robot_demo())
+    return run_window(robot_demo(sensor))
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -137,7 +141,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         "skincal",
         description="Open the window: on a simulated forearm, if no option says otherwise. "
-        f"`skincal {DEMO_COMMAND} {ROBOT_DEMO}`: a simulated robot arm calibrates it.",
+        f"`skincal {DEMO_COMMAND} {ROBOT_DEMO}`: a simulated robot arm calibrates it; with `--sensor tool` the arm is a cobot "
+        "that has the force/torque sensor in its wrist, with `--sensor none` one without a sensor.",
     )
     parser.add_argument("--scene", type=Path, help="scene file (*.toml), the name of one that ships, a mesh or a URDF")
     parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")

@@ -110,12 +110,21 @@ def _part_request(options: argparse.Namespace) -> OpenRequest:
     return OpenRequest(part=options.scene)
 
 
-def robot_demo() -> OpenRequest:
-    """Make the request for the demonstration with a robot. Raises InputError: the physics engine is missing."""
+SCENE_OF_SENSOR = {"below": "", "tool": "cobot-wrist", "none": "cobot-tip"}
+"""Shipped scene of the demonstration with a robot, by the place of its sensor; empty for the default scene."""
+
+
+def robot_demo(sensor: str = "below") -> OpenRequest:
+    """Make the request for the demonstration with a robot; `sensor` is one of `SCENE_OF_SENSOR`.
+
+    Raises InputError: the physics engine is missing.
+    """
     from skincal.physics.engine import load_mujoco
 
     load_mujoco()
-    return OpenRequest(server=server_command(None, robot=True), demo=True, robot=True)
+    name = SCENE_OF_SENSOR[sensor]
+    scene = find_scene(Path(name)) if name else None
+    return OpenRequest(scene=scene, server=server_command(scene, robot=True), demo=True, robot=True)
 
 
 class Faults(QObject):

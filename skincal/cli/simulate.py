@@ -128,7 +128,8 @@ def simulate(
         str,
         typer.Option(
             help="With --physics: imperfections of the robot and the rig, by name, separated by commas: noise, vibration, "
-            "weight, friction, patch, overshoot, sag, low_pass, base; or all, or none (docs/robot.md)."
+            "weight, friction, patch, overshoot, sag, low_pass, base, and of a cobot with [tool] scale, warp, tcp, late, bend; "
+            "or all, or none (docs/robot.md)."
         ),
     ] = "all",
     as_json: Json = False,
@@ -149,8 +150,6 @@ def simulate(
 
     loaded = find_scene(scene)
     if physics is not None:
-        if loaded.tool is not None:
-            raise InputError(f"{loaded.path}: the physics engine has no sensor on a tool; leave out --physics.")
         if serve == (out is not None) or (out is not None and targets is not None) or operator is not OperatorKind.AUTO:
             raise InputError("--physics needs --out FOLDER, or --serve and --targets PORT, and no --operator: a robot pokes.")
         others = {

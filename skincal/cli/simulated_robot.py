@@ -50,7 +50,12 @@ def record_robot(
     from skincal.streams.links import LinkSpec
 
     robot, surface = _make_robot(scene, seed, effects)
-    streams = (Stream.WRENCH, Stream.SKIN, *((Stream.JOINTS,) if scene.arm is not None else ()))
+    streams = (
+        *((Stream.WRENCH,) if scene.has_sensor else ()),
+        Stream.SKIN,
+        *((Stream.JOINTS,) if scene.arm is not None else ()),
+        *((Stream.TOOL,) if scene.tool is not None else ()),
+    )
     links = [LinkSpec(stream.value, f"simulated:{stream.value}", (stream,)) for stream in streams]
     session = RobotSession(scene, surface, robot, create_session(out, scene, links))
     try:
@@ -78,7 +83,7 @@ def _count_pokes(pipeline: Pipeline) -> int:
 def _make_robot(scene: Scene, seed: int, effects: str) -> tuple[SimulatedRobot, Surface]:
     from skincal.part.part import load_scene_surface
     from skincal.physics.effects import Effects
-    from skincal.physics.layouts import make_robot
+    from skincal.physics.robots import make_robot
 
     surface = load_scene_surface(scene)[0]
     if surface is None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from skincal.contacts.outcome import Contact
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
+from skincal.rig.part_pose import PartPose
 from skincal.robot.target_lines import (
     Answer,
     AnswerKind,
@@ -20,6 +21,7 @@ from skincal.robot.target_lines import (
     Held,
     Judged,
     NoTarget,
+    PartPlace,
     PokeTarget,
     write_answer,
     write_line,
@@ -82,6 +84,8 @@ class RobotDialogue:
         """The operator has stopped the robot."""
         self._reasons: set[str] = set()
         """Reasons for skips that the operator knows."""
+        self._part: PartPose | None = None
+        """Pose of the part that the robot knows."""
         self._judged_poke = -1
         """Number of the newest poke that is judged, or that was there before."""
         self._number = 0
@@ -117,6 +121,10 @@ class RobotDialogue:
         if held and newest is not None and newest.is_open and not newest.is_held:
             newest.is_held = True
             lines.append(Held(newest.target.number))
+        part = snapshot.part_pose
+        if part is not None and part.is_known and part is not self._part:
+            self._part = part
+            lines.append(PartPlace(self._frame, part.base_from_link))
         if self.is_halted:
             return lines
         wanted = self._wanted_line(guidance, snapshot, pose, measuring=measuring)
@@ -146,8 +154,8 @@ class RobotDialogue:
         self.is_halted = False
 
     def robot_connected(self) -> None:
-        """Send targets again after a robot's fault."""
-        self._is_stopped = False
+        """Send targets again after a robot's fault, and the pose of the part."""
+        self._is_stopped, self._part = False, None
 
     def handle_answer(self, answer: Answer, now_s: float) -> Meaning:
         """Process a robot's answer and return its meaning."""

@@ -40,9 +40,12 @@ class RobotDevices:
             Stream.WRENCH: 1 / PERIOD_S,
             Stream.SKIN: 1 / BLOCK_S,
             Stream.JOINTS: 1 / (CONTROL_PERIODS_PER_JOINT_RECORD * PERIOD_S),
+            Stream.TOOL: 1 / (CONTROL_PERIODS_PER_JOINT_RECORD * PERIOD_S),
         }
         top = (scene.skin.range or (0.0, 255.0))[1]
         self._headers = board_headers(scene, rates, top, rises=scene.skin.polarity > 0)
+        if not robot.has_sensor:
+            del self._headers[Stream.WRENCH]
         self._encoders = {
             stream: board_encoder("skb", stream, top if stream is Stream.SKIN else 255.0, header.width)
             for stream, header in self._headers.items()
@@ -66,9 +69,12 @@ class RobotDevices:
     def _collect(self) -> None:
         self._periods += 1
         time_us = round(self._periods * PERIOD_S * US_PER_S) % BOARD_CLOCK_WRAP_US
-        self._readings[Stream.WRENCH].append((time_us, self._robot.reading))
+        if Stream.WRENCH in self._headers:
+            self._readings[Stream.WRENCH].append((time_us, self._robot.reading))
         if self._periods % CONTROL_PERIODS_PER_SENT_BLOCK == 0:
             self._readings[Stream.SKIN].append((time_us, self._robot.skin_frame()))
+        if self._periods % CONTROL_PERIODS_PER_JOINT_RECORD == 0 and Stream.TOOL in self._headers:
+            self._readings[Stream.TOOL].append((time_us, self._robot.pose_record()))
         if self._periods % CONTROL_PERIODS_PER_JOINT_RECORD == 0 and Stream.JOINTS in self._headers:
             self._readings[Stream.JOINTS].append((time_us, np.degrees(self._robot.joint_record())))
 

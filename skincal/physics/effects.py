@@ -37,6 +37,18 @@ class Effects:
     """m, sd along each axis of the error of the robot's base frame, with 0.25 degrees for each millimetre. Assumed:
     robots know their tip to 1 to 5 mm."""
 
+    scale: float = 0.002
+    """sd of the scale of a cobot's lengths: sources as of the next. Only with a sensor on the tool, or without one."""
+    warp: float = 0.0005
+    """m, rms of a cobot's smooth position error over its workspace; the makers give 0.03 mm for repeats alone, and calibrated
+    arms are right to 0.3 to 1 mm (ISO 9283 tests in the literature). Assumed."""
+    tcp: float = 0.001
+    """m, error of the tool centre point, root of the sum of squares: of a fixed-point test by hand."""
+    late: float = 0.02
+    """s, delay of the stream of poses: one to five cycles of a controller at 125 Hz."""
+    bend: float = 5e-5
+    """m per N, how the tool and the arm yield: collaborative arms have 20 to 50 N/mm. Assumed."""
+
     @classmethod
     def none(cls) -> Effects:
         """Return an ideal rig."""
@@ -59,6 +71,8 @@ class Effects:
         return replace(cls.none(), **{name: sizes[name] for name in names})
 
 
+TOOL_EFFECTS = ("scale", "warp", "tcp", "late", "bend")
+"""Effects of a cobot whose poses are streamed: a sensor on the tool, or none. `sag` is in `bend` there."""
 EFFECT_NAMES = tuple(item.name for item in fields(Effects))
 SENSOR_DELAY_S = 0.020
 """s, delay of a filtered sensor's readings."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry import FloatArray, crossed, length_of
+from skincal.geometry import FloatArray, crossed, inverse_pose, length_of
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
@@ -113,6 +113,31 @@ class Engine:
         turned = np.zeros(9)
         self.mujoco.mju_quat2Mat(turned, self.model.body_quat[base])
         self.mujoco.mju_mat2Quat(self.model.body_quat[base], (turn @ turned.reshape(3, 3)).ravel())
+
+    def displace_tip(self, shift: FloatArray) -> None:
+        """Move the tip by `shift` (3,), metres, wrist frame: its tool centre point is wrong by as much."""
+        self.model.body_pos[self._wrist] = self.model.body_pos[self._wrist] + shift
+
+    def believe_part(self, world_from_part: FloatArray) -> None:
+        """Let the arm believe that a part at rest has this pose (4, 4), metres; nothing moves."""
+        body = self._nominal.body("p0").id
+        self._nominal.body_pos[body] = world_from_part[:3, 3]
+        self.mujoco.mju_mat2Quat(self._nominal.body_quat[body], world_from_part[:3, :3].ravel())
+
+    def part_in_arm(self) -> FloatArray:
+        """Compute the true pose (4, 4) of a part at rest in the world as the arm knows it, whose base is displaced."""
+        place, turn = self.part_pose()
+        true, known = (self._arm_base(model) for model in (self.model, self._nominal))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, place
+        return known @ inverse_pose(true) @ pose
+
+    def _arm_base(self, model: Any) -> FloatArray:
+        """Compute the pose (4, 4) of the arm's first body in the world at angle 0, metres."""
+        body, pose, turn = model.body("t0").id, np.eye(4), np.zeros(9)
+        self.mujoco.mju_quat2Mat(turn, model.body_quat[body])
+        pose[:3, :3], pose[:3, 3] = turn.reshape(3, 3), model.body_pos[body]
+        return pose
 
     @property
     def time_s(self) -> float:
@@ -216,6 +241,12 @@ class Engine:
     def believed_tip(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return position (3,), metres, and direction (3,) of the tip in the part's frame if the joints were rigid."""
         return self.tip_in_part(self._believe(angles))
+
+    def believed_body(self, name: str, angles: FloatArray) -> FloatArray:
+        """Compute the pose (4, 4) of a body in the world, metres, if the joints were rigid."""
+        data, pose, body = self._believe(angles), np.eye(4), self._nominal.body(name).id
+        pose[:3, :3], pose[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
+        return pose
 
     def believed_part(self, angles: FloatArray) -> FloatArray:
         """Compute the pose (4, 4) of the part in the world, metres, if the joints were rigid."""

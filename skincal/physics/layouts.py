@@ -14,7 +14,7 @@ from skincal.model.urdf_chain import TURNING_JOINT_KINDS, UrdfJoint
 from skincal.physics.effects import Effects
 from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, Engine
 from skincal.physics.mjcf import Joint, RigPlan, write_mjcf
-from skincal.physics.rig import RigLayout, SimulatedRobot, rotation_by, soft_axes
+from skincal.physics.rig import RigLayout, rotation_by, soft_axes
 from skincal.physics.skin import mount_skin
 
 TOOL_LENGTH_M = 0.10
@@ -54,14 +54,29 @@ def poking_arm(scene: Scene, surface: Surface, pose: str = "") -> RigLayout:
         poses = scene.arm.poses
         angles = poses[pose or next(iter(poses))] if poses else np.zeros(len(scene.arm.arm.joints))
         link_from_sensor = scene.arm.arm.link_from_sensor(angles)
-    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    centre = (low + high) / 2.0
-    world_from_link = _pose(np.array([0.0, 0.0, PART_CENTRE_HEIGHT_M]) - centre)
+    world_from_link, centre, tip_chain, start, seeds = place_arm_and_part(surface)
     part_chain = [
         Joint(world_from_link @ link_from_sensor, None, mass=1.0, trembles=True),
         Joint(np.eye(4), None, sensor_pose=np.eye(4)),
         Joint(inverse_pose(link_from_sensor), None),
     ]
+    plan = RigPlan(part_chain, centre, tip_chain, TOOL_LENGTH_M, False, soft_axes(scene, angles))
+    record = np.zeros(0 if scene.arm is None else max(scene.arm.arm.joints) + 1)
+    if scene.arm is not None:
+        record[list(scene.arm.arm.joints)] = angles
+    return RigLayout(plan, start, seeds, lambda _: angles, lambda _: record)
+
+
+def place_arm_and_part(surface: Surface) -> tuple[FloatArray, FloatArray, list[Joint], FloatArray, FloatArray]:
+    """Place a part over the floor, and an arm of primitives at its end.
+
+    Returns
+    -------
+    World_from_link (4, 4), centre of the part (3,) in its frame, metres; the chain of the arm up to its flange; its angles at
+    the start (joints,), and other starts of the inverse kinematics (n, joints), radians.
+    """
+    centre = (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2.0
+    world_from_link = _pose(np.array([0.0, 0.0, PART_CENTRE_HEIGHT_M]) - centre)
     y, z = np.eye(3)[1:]
     # All joints turn about z or y; at 0 the arm is stretched upwards.
     tip_chain = [
@@ -72,16 +87,12 @@ def poking_arm(scene: Scene, surface: Surface, pose: str = "") -> RigLayout:
         Joint(_pose(), y, (-2.4, 2.4), 0.3),
         Joint(_pose((0.0, 0.0, 0.05)), z, (-6.0, 6.0), 0.2),
     ]
-    plan = RigPlan(part_chain, centre, tip_chain, TOOL_LENGTH_M, False, soft_axes(scene, angles))
     yaw = -np.pi / 2.0
     start = np.array([yaw, -0.2, 1.7, 0.0, 1.5, 0.0])
     seeds = np.array(
         [[yaw + turn, 0.2, 1.2, roll, bend, 0.0] for turn in (-0.5, 0.5) for roll in (0.0, 1.5, -1.5) for bend in (0.8, 1.6)]
     )
-    record = np.zeros(0 if scene.arm is None else max(scene.arm.arm.joints) + 1)
-    if scene.arm is not None:
-        record[list(scene.arm.arm.joints)] = angles
-    return RigLayout(plan, start, seeds, lambda _: angles, lambda _: record)
+    return world_from_link, centre, tip_chain, start, seeds
 
 
 def moving_part(scene: Scene, surface: Surface) -> RigLayout:
@@ -194,12 +205,3 @@ def _tip_base(chain: Sequence[Joint], angles: FloatArray, places: FloatArray, no
     wrist[:3, 2] = push
     wrist[:3, 3] = middle - (TOOL_LENGTH_M + TIP_START_HEIGHT_M) * push
     return wrist
-
-
-def make_robot(scene: Scene, surface: Surface, effects: Effects, seed: int) -> SimulatedRobot:
-    """Make the rig that fits the scene: the part moves if the scene has a robot (URDF), else an arm pokes it.
-
-    Raises InputError: MuJoCo is missing, or the scene does not say where its taxels or its sensor are.
-    """
-    layout = poking_arm(scene, surface) if scene.robot is None else moving_part(scene, surface)
-    return SimulatedRobot(scene, surface, layout, effects, seed)

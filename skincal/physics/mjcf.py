@@ -75,6 +75,10 @@ class RigPlan:
     """The part's chain moves, not the tip's."""
     soft_axes: Sequence[tuple[FloatArray, FloatArray]] = ()
     """Hinges between sensor and part that yield under load: axis (3,) and point (3,), part's frame."""
+    tip_stiffness: float = WRIST_STIFFNESS_N_PER_M
+    """N/m, of the tip along its direction."""
+    tip_bending: float = WRIST_BENDING_STIFFNESS_NM_PER_RAD
+    """N m/rad, across it."""
 
 
 def write_mjcf(plan: RigPlan, effects: Effects) -> str:
@@ -87,7 +91,7 @@ def write_mjcf(plan: RigPlan, effects: Effects) -> str:
     part = _add_chain(world, plan.part_chain, "p", actuators if plan.part_is_actuated else None, effects)
     _add_part(part, plan, effects)
     wrist = _add_chain(world, plan.tip_chain, "t", None if plan.part_is_actuated else actuators, effects)
-    _add_tip(wrist, plan.tool_length)
+    _add_tip(wrist, plan)
     _add_contact(root, effects)
     sensors = _add(root, "sensor")
     _add(sensors, "force", name="force", site="ft")
@@ -161,13 +165,14 @@ def _add_part(parent: Element, plan: RigPlan, effects: Effects) -> None:
     )  # fmt: skip
 
 
-def _add_tip(parent: Element, length: float) -> None:
+def _add_tip(parent: Element, plan: RigPlan) -> None:
+    length = plan.tool_length
     wrist = _add(parent, "body", name="wrist", gravcomp="1")
-    damping = {"slide": f"{2 * np.sqrt(WRIST_STIFFNESS_N_PER_M * 0.1)}", "hinge": "0.3"}
+    damping = {"slide": f"{2 * np.sqrt(plan.tip_stiffness * 0.1)}", "hinge": "0.3"}
     for kind, axis, stiffness in (
-        ("slide", "0 0 1", WRIST_STIFFNESS_N_PER_M),
-        ("hinge", "1 0 0", WRIST_BENDING_STIFFNESS_NM_PER_RAD),
-        ("hinge", "0 1 0", WRIST_BENDING_STIFFNESS_NM_PER_RAD),
+        ("slide", "0 0 1", plan.tip_stiffness),
+        ("hinge", "1 0 0", plan.tip_bending),
+        ("hinge", "0 1 0", plan.tip_bending),
     ):
         _add(
             wrist, "joint", name=f"wrist_{kind}_{axis.replace(' ', '')}", type=kind, axis=axis, stiffness=f"{stiffness}",

@@ -181,7 +181,7 @@ class SimulatedRobot:
         self._angles = self.engine.solve_angles(self._angles, position, self._aim.direction, steps=4)[0]
 
     def _read_sensor(self) -> None:
-        true, effects = self.engine.sensor_wrench(), self.effects
+        true, effects = self._felt_by_part(self.engine.sensor_wrench()), self.effects
         if effects.low_pass:
             share = 1.0 - np.exp(-2.0 * np.pi * effects.low_pass * PERIOD_S)
             before = true if self._filtered is None else self._filtered
@@ -195,7 +195,23 @@ class SimulatedRobot:
         turn = self.link_from_sensor()[:3, :3]
         self._wrench = WrenchReading(self.time_s, turn @ read[:3], turn @ read[3:])
 
+    def _felt_by_part(self, wrench: FloatArray) -> FloatArray:
+        """Give the wrench (6,) on the part, sensor frame, from that on the sensor: the same if it is below the part."""
+        return wrench
+
     # ---- for devices and tests
+
+    @property
+    def has_sensor(self) -> bool:
+        """Whether the readings of the force/torque sensor are streamed."""
+        return True
+
+    def locate_part(self, base_from_link: FloatArray) -> None:
+        """Take the pose of the part as skincal found it; an arm that pokes a part on its sensor knows it."""
+
+    def pose_record(self) -> FloatArray:
+        """Return the reported pose (7,) of a tool that carries the tip; empty for a sensor below the part."""
+        return np.empty(0)
 
     def link_from_sensor(self) -> FloatArray:
         """Return link_from_sensor (4, 4) as the joints report it."""

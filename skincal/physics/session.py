@@ -111,7 +111,9 @@ def make_client(
     robot: SimulatedRobot, surface: Surface, answer: Callable[[RobotLine], object], *, corrects_aim: bool = True
 ) -> PokingClient:
     """Make the client of a simulated robot; a robot that carries the part moves slowly."""
-    settings = PokeSettings(frame=robot.scene.link, corrects_aim=corrects_aim)
+    has_tool = robot.scene.tool is not None
+    # With a sensor on the tool, or without one, the force axis of a poke goes through the tip wherever the part is.
+    settings = PokeSettings(frame=robot.scene.link, corrects_aim=corrects_aim and not has_tool)
     if robot.carries_part:
         settings = replace(
             settings,
@@ -119,4 +121,6 @@ def make_client(
             retreat_speed=TRAVEL_SPEED_WITH_CARRIED_PART_M_PER_S,
             arrive=ARRIVED_WITHIN_WITH_CARRIED_PART_M,
         )
-    return PokingClient(robot, surface, answer, settings)
+    client = PokingClient(robot, surface, answer, settings)
+    client.locate_part = robot.locate_part if has_tool else None
+    return client

@@ -25,7 +25,7 @@ from skincal.robot import target_lines
 from skincal.robot.aim_correction import AimCorrection
 from skincal.robot.arm import PokingArm, TipCentre
 from skincal.robot.clearance import Clearance, ViaPoint
-from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Held, NoTarget, PokeTarget, Refused, RobotLine
+from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Held, NoTarget, PartPlace, PokeTarget, Refused, RobotLine
 
 OUT_OF_REACH = "out of reach"
 WAY_BLOCKED = "the part is in the way"
@@ -163,6 +163,10 @@ class PokingClient:
         self.phase = Phase.IDLE
         self._goal: PokeTarget | None = None
         """Target that is not planned yet."""
+        self.locate_part: Callable[[FloatArray], object] | None = None
+        """Takes the pose (4, 4) of the part in the base of the arm, metres, as skincal found it; `None` if the arm knows it."""
+        self._part: PartPlace | None = None
+        """The newest one, which is not used yet."""
         self._plan: PokePlan | None = None
         self._answer: Answer | None = None
         """To send once the tip has let go."""
@@ -245,6 +249,8 @@ class PokingClient:
                 # A jolt of the arm on its way may look like a held poke.
                 is_pressing = self.phase in (Phase.PRESS, Phase.HOLD)
                 self._is_held |= is_pressing and self._plan is not None and line.number == self._plan.target.number
+            case PartPlace():
+                self._part = line
             case NoTarget() | Refused():
                 self._goal = None
                 self._break_off()
@@ -354,6 +360,10 @@ class PokingClient:
             self._begin_tare(Phase.TARE_AT_REST)
             return
         goal, self._goal = self._goal, None
+        part, self._part = self._part, None
+        if part is not None and self.locate_part is not None:
+            # Not during a motion, whose points are in the frame of the part.
+            self.locate_part(part.base_from_link)
         self._shift = self._shift_for(goal)
         plan = self._plan_poke(goal)
         if isinstance(plan, str):

@@ -28,6 +28,7 @@ from skincal.robot.target_lines import (
     Held,
     Judged,
     NoTarget,
+    PartPlace,
     PokeTarget,
     Refused,
     RobotLine,
@@ -106,6 +107,8 @@ def line_as_json(line: AskedLine) -> dict[str, Any]:
             return {"verdict": verdict, "number": line.number, "reason": line.reason}
         case Refused():
             return {"refused": line.reason}
+        case PartPlace():
+            return {"part": line.frame, "base_from_link": line.base_from_link.tolist()}
 
 
 class RosTargets:

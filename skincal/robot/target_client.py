@@ -25,6 +25,7 @@ from skincal.robot.target_lines import (
     Judged,
     LineCutter,
     NoTarget,
+    PartPlace,
     PokeTarget,
     Refused,
     RobotLine,
@@ -54,6 +55,8 @@ def read_line(line: str) -> AskedLine | None:
                 return Judged(read_number(number), (reason or word) if word == "rejected" else "")
             case "held":
                 return Held(read_number(rest))
+            case "part":
+                return _part_of(rest.split())
             case "refused":
                 return Refused(rest)
             case _:
@@ -62,6 +65,18 @@ def read_line(line: str) -> AskedLine | None:
         raise InputError(
             f"{shortened(line.strip(), REASON_MAX_CHARS)!r} is no target; docs/wire.md describes these lines."
         ) from None
+
+
+def _part_of(words: list[str]) -> PartPlace:
+    from skincal.model.pose_form import PoseForm, RotationForm
+    from skincal.model.tool_pose import convert_poses  # only robots that poke with a tool get this line
+
+    frame, *rest = words
+    values = np.array([[float(value) for value in rest]])
+    poses, (fault,) = convert_poses(values, PoseForm(RotationForm.QUATERNION_XYZW), 1.0)
+    if fault is not None:
+        raise ValueError(words)
+    return PartPlace("" if frame == NO_TAXEL else unquote(frame), poses[0])
 
 
 def _target_of(words: list[str]) -> PokeTarget:

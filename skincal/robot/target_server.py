@@ -24,6 +24,7 @@ from skincal.robot.target_lines import (
     Judged,
     LineCutter,
     NoTarget,
+    PartPlace,
     Refused,
     RobotLine,
     TipPose,
@@ -106,7 +107,7 @@ class TargetServer:
         """Send lines. The last one that is not about a poke is sent again to a robot that connects later."""
         with self._lock:
             for line in lines:
-                if not isinstance(line, Judged | Held):
+                if not isinstance(line, Judged | Held | PartPlace):
                     self._target = line
                 self._lines.append(write_line(line))
 

@@ -26,9 +26,9 @@ from skincal.mesh.surface import Surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.palette import BLUE, VERMILION
-from skincal.physics.effects import EFFECT_NAMES, Effects
+from skincal.physics.effects import EFFECT_NAMES, TOOL_EFFECTS, Effects
 from skincal.physics.engine import load_mujoco
-from skincal.physics.layouts import make_robot
+from skincal.physics.robots import make_robot
 from skincal.physics.session import RobotSession, make_client
 from skincal.plotting import Axes, Figure, draw_predicted_and_true
 from skincal.robot.target_lines import Judged
@@ -39,7 +39,7 @@ from skincal.studies.harness import Bench, Findings, Row, Study
 from skincal.taxels.result import Method
 
 RIG_DESCRIPTIONS: Mapping[str, str] = {"arm": "an arm pokes the part", "moving part": "the part is pressed onto a fixed tip"}
-IMPERFECTION_CASES = ("none", *EFFECT_NAMES, "all")
+IMPERFECTION_CASES = ("none", *(name for name in EFFECT_NAMES if name not in TOOL_EFFECTS), "all")
 """Imperfections: none, each alone, all."""
 SIMULATED_SECONDS_PER_POKE_MAX = 6.0
 """Simulated time of a session at most, over its pokes at most. The arm needs 3.2 s a poke."""

@@ -509,7 +509,17 @@ def test_the_operators_own_parts_are_listed_above_the_shipped_scenes(bench):
     dialog = bench.window.findChild(NewSessionDialog)
     picker = dialog.scene
     listed = [picker.itemText(row) for row in range(picker.count())]
-    assert listed == ["flat-patch (own)", "tube", "cobot-forearm", "flat-patch", "icub-forearm", "three-axis-pad", "whole-body"]
+    assert listed == [
+        "flat-patch (own)",
+        "tube",
+        "cobot-forearm",
+        "cobot-tip",
+        "cobot-wrist",
+        "flat-patch",
+        "icub-forearm",
+        "three-axis-pad",
+        "whole-body",
+    ]
     for text, path in (("tube", bench.documents / "scenes/tube/scene.toml"), ("flat-patch", PATCH)):
         with bench.qtbot.waitSignal(picker.scene_read, timeout=OPEN_MS) as read:
             picker.setCurrentText(text)

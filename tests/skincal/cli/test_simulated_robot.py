@@ -6,7 +6,7 @@ import pytest
 from skincal.cli import main, simulated_robot
 from skincal.part.part import load_scene_surface
 from skincal.physics.effects import Effects
-from skincal.physics.layouts import make_robot
+from skincal.physics.robots import make_robot
 
 
 def test_a_robot_that_stops_ends_its_session_with_the_reason(tmp_path, monkeypatch, capsys):

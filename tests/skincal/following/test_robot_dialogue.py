@@ -10,7 +10,8 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.following.robot_dialogue import POKE_DETECTION_TIMEOUT_S, RobotDialogue
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.model.scene import load_scene, resource
-from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PokeTarget
+from skincal.rig.part_pose import NO_PART_POSE, PartPoseState
+from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PartPlace, PokeTarget
 from skincal.session.decisions import Decisions
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
@@ -47,10 +48,12 @@ class Course:
         scene = load_scene(resource("scenes/flat-patch/scene.toml"))
         self.robot, self.thresholds = RobotDialogue(scene), scene.contacts
         self.pokes, self.missed, self.landmarks = list(pokes), {}, {}
+        self.part = None
 
     def at(self, now_s, guidance, *, measuring=True, held=False):
         decisions = Decisions(thresholds=self.thresholds, missed_landmarks=self.missed)
         snapshot = SimpleNamespace(pokes=tuple(self.pokes), at_landmarks=self.landmarks, decisions=decisions)
+        snapshot.part_pose = self.part
         return self.robot.lines_to_send(guidance, snapshot, "", now_s, measuring=measuring, held=held)
 
     def asked(self, now_s, guidance):
@@ -72,6 +75,23 @@ def test_a_target_says_what_the_guide_shows_once_and_all_that_a_robot_needs():
     course.thresholds = replace(course.thresholds, force_min=4.0, force_max=6.0, still_s=0.5)
     line = course.asked(1.3, wants(4))
     assert (line.number, line.force, line.hold) == (3, 5.0, 1.0)
+
+
+def test_the_pose_of_the_part_is_sent_once_it_is_known_and_again_to_another_robot():
+    course = Course()
+    course.part = NO_PART_POSE
+    course.asked(1.0, wants(3))
+    pose = np.eye(4)
+    pose[:3, 3] = 0.4, 0.1, 0.2
+    course.part = replace(NO_PART_POSE, state=PartPoseState.KNOWN, link_from_base=np.linalg.inv(pose))
+    place, line = course.at(1.1, wants(4))
+    assert isinstance(place, PartPlace)
+    assert (place.frame, line.number) == ("patch", 2)
+    np.testing.assert_allclose(place.base_from_link, pose, atol=1e-12)
+    assert course.at(1.2, wants(4)) == []
+    course.robot.robot_connected()
+    (again,) = course.at(1.3, wants(4))
+    assert isinstance(again, PartPlace)
 
 
 def test_a_known_point_and_what_is_said_where_there_is_no_target():

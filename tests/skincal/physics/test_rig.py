@@ -14,9 +14,9 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.physics.effects import EFFECT_NAMES, Effects
 from skincal.physics.engine import PERIOD_S, Touch, load_mujoco
-from skincal.physics.layouts import make_robot
 from skincal.physics.mjcf import FOAM_STIFFNESS_N_PER_M, FOAM_THICKNESS_M, TIP_RADIUS_M
 from skincal.physics.rig import SimulatedRobot
+from skincal.physics.robots import make_robot
 from skincal.physics.session import RobotSession, make_client
 from skincal.physics.skin import Pads
 from skincal.robot.target_lines import Answer, AnswerKind, PokeTarget, RobotLine

@@ -9,7 +9,7 @@ import pytest
 from skincal.mesh.load import load_surface
 from skincal.model.scene import load_scene, resource
 from skincal.physics.effects import Effects
-from skincal.physics.layouts import make_robot
+from skincal.physics.robots import make_robot
 from skincal.physics.session import RobotSession
 from skincal.robot.target_lines import (
     AnswerKind,

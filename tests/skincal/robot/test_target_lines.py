@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from skincal.geometry import rotation_by
 from skincal.model.errors import InputError
 from skincal.model.scene import MAX_TIME_SETTING_S, SETTING_MAX
 from skincal.robot.target_client import read_line
@@ -19,6 +20,7 @@ from skincal.robot.target_lines import (
     Judged,
     LineCutter,
     NoTarget,
+    PartPlace,
     PokeTarget,
     Refused,
     RobotPace,
@@ -60,6 +62,19 @@ def test_a_tip_survives_its_line():
     read = read_answer_line(write_answer(TipPose(SHOWN.place, PUSH)))
     np.testing.assert_allclose(read.place, SHOWN.place, atol=6e-7)
     np.testing.assert_allclose(read.push, SHOWN.push, atol=1e-6)
+
+
+def test_the_pose_of_the_part_survives_its_line():
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_by(np.array([0.3, -2.0, 1.0])), (0.4, -0.123456, 0.2)
+    line = write_line(PartPlace("left arm", pose))
+    assert line.startswith("part left%20arm 0.400000 -0.123456 0.200000 ")
+    read = read_line(line)
+    assert read.frame == "left arm"
+    np.testing.assert_allclose(read.base_from_link, pose, atol=2e-6)
+    for wrong in ("part a 0 0 0 0 0 0 0", "part a 0 0 0 1 0 0", "part"):
+        with pytest.raises(InputError, match="is no target"):
+            read_line(wrong)
 
 
 def test_a_target_survives_its_line():

@@ -11,7 +11,7 @@ from skincal.mesh.load import load_surface
 from skincal.model.errors import InputError
 from skincal.physics.effects import Effects
 from skincal.physics.engine import Touch
-from skincal.physics.layouts import make_robot
+from skincal.physics.robots import make_robot
 from skincal.physics.session import RobotSession, make_client
 from skincal.robot.target_lines import Judged, PokeTarget
 from skincal.studies import robot
