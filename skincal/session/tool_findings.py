@@ -371,10 +371,24 @@ class ToolFindings:
         places = places + height * inward
         if part is not None:
             moves += [part.error_shifts(places, pokes.tip_moves[of]), ROBOT_SCALE_SD * (places - part.centre)[:, :, None]]
+        elif self.part is None:
+            moves += self._errors_in_base(places, pokes.tip_moves[of])
         shifts = np.concatenate(moves, axis=2)
         for row, each, place, own in zip(rows, some, places, shifts, strict=True):
             found[row] = add_shared_error(replace(each, position=place) if each.method is Method.FREE else each, own)
         return found
+
+    def _errors_in_base(self, places: FloatArray, tip_moves: FloatArray) -> list[FloatArray]:
+        """Compute shifts (n, 3, k), metres, of places (n, 3) by errors that no fit of the part's pose contains.
+
+        They are those of the tip, of the robot's scale from its base on, and of its position, which is smooth over a part.
+        """
+        root = np.zeros((3, 3))
+        if self.tip.state is TipState.USED:
+            root = np.linalg.cholesky(self.tip.covariance[3:, 3:])
+        lever = places - self._tool.link_from_base[:3, 3]
+        smooth = np.broadcast_to(self._tool.tip_sd * np.eye(3), (len(places), 3, 3))
+        return [tip_moves @ root, ROBOT_SCALE_SD * lever[:, :, None], smooth]
 
 
 class _MeanPokes(NamedTuple):

@@ -109,3 +109,11 @@ def test_a_parts_pose_takes_few_steps_so_that_a_snapshot_does_not_stall(monkeypa
         monkeypatch.setattr(room, "pose_rows", lambda *a, made=made, **k: calls.append(1) or made(*a, **k))
     assert session.snapshot().is_placed
     assert 5 < len(calls) <= most
+
+
+@pytest.mark.parametrize(("known", "mesh"), [(POSE_GIVEN, True), (BASE_ALONE, False)])
+def test_without_a_fit_of_the_parts_pose_the_predicted_errors_contain_tip_and_robot(known, mesh):
+    methods = run_session(Task(ToolCase("wrist", known, 0, has_mesh=mesh), 2, ToolSizes(counts=(84,))))[84]["methods"]
+    # 2 to 3 mm, of which the pokes' own noise predicts 1 mm for modules.
+    assert {name: each["inside"] for name, each in methods.items() if each["inside"] < 0.9} == {}
+    assert all(each["predicted"] < 1.5 * each["true_along"] for each in methods.values())
