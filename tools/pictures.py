@@ -1,7 +1,7 @@
 """Make the pictures of README and `docs/` again: `python -m tools.pictures`; words after it choose some (`window part`).
 
-- `window`, `errors`, `rig`, `robot`: the window on seeded simulated sessions, without a display, about fifteen minutes. Devices
-  send in real time, so that pictures differ slightly from run to run: check each.
+- `window`, `errors`, `rig`, `robot`, `fingertip`: the window on seeded simulated sessions, without a display, in about fifteen
+  minutes. Devices send in real time, so that pictures differ slightly from run to run: check each.
 - `part`: the steps of the tutorial `docs/first-part.md`; needs the package icub-models.
 - `headless`: the 3D picture without a display.
 - `studies`: the figures of `NAME.json` in the folder `--measured`. A missing study is run, which takes up to half an hour.
@@ -16,6 +16,7 @@ import json
 import os
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -48,6 +49,7 @@ from app.session.opening import OpenRequest, find_scene, server_command
 from app.sound.player import Player
 from app.theme import Choice
 from app.window import Theme, Window
+from skincal.cli.simulated_robot import record_robot
 from skincal.interface.scene import Scene
 from skincal.interface.session import simulate
 from skincal.model.scene import load_scene
@@ -59,6 +61,7 @@ from skincal.taxels.result import Method
 from tools.picture_sentences import PICTURES_FOLDER, STUDY_PICTURES, choose_texts, program_texts, store_sentences
 
 PART_PICTURE_COLOURS = 200
+FINGERTIP_SEED, FINGERTIP_TAXEL = 1, 12
 SHOWN_SENTENCES: dict[str, list[str]] = {}
 """By picture of a window made here, the texts that it shows."""
 
@@ -218,6 +221,19 @@ def draw_robot() -> None:
     robot.window.leave()
 
 
+def draw_fingertip() -> None:
+    """Write the picture of a fingertip of three axes that a simulated robot calibrated."""
+    scene = load_scene(find_scene(Path("fingertip")))
+    record_robot(scene, Path("fingertip"), None, FINGERTIP_SEED, threading.Event(), "all")
+    tip = SessionPhotographer(OpenRequest(session=Path("fingertip")), Choice.LIGHT, "Taxel", (1280, 1100))
+    tip.view.select_taxel(FINGERTIP_TAXEL)
+    # The force axes of 30 pokes would cover the axes of the taxels.
+    tip.view.workspace.view.hide_layers(frozenset({"axes"}))
+    tip.dismiss_messages()
+    tip.grab("fingertip", 2.0)
+    tip.window.leave()
+
+
 def draw_part() -> None:
     """Write the pictures of the tutorial on a part of one's own."""
     from tools.first_part import find_icub, walk_tutorial
@@ -257,7 +273,9 @@ def draw_studies(measured: Path) -> None:
 def main() -> None:
     """Write the chosen pictures."""
     parser = argparse.ArgumentParser(description="Make the pictures of README and docs again.")
-    parser.add_argument("which", nargs="*", help="window, errors, rig, robot, part, headless, studies; without any: all")
+    parser.add_argument(
+        "which", nargs="*", help="window, errors, rig, robot, fingertip, part, headless, studies; without any: all"
+    )
     parser.add_argument("--measured", type=Path, default=Path("studies"), help="folder of the studies' numbers")
     options = parser.parse_args()
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
@@ -267,6 +285,7 @@ def main() -> None:
         "errors": draw_errors,
         "rig": draw_rig,
         "robot": draw_robot,
+        "fingertip": draw_fingertip,
         "part": draw_part,
         "headless": draw_headless,
         "studies": lambda: draw_studies(measured),

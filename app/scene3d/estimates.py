@@ -19,7 +19,7 @@ from vtkmodules.vtkRenderingCore import vtkPointPicker, vtkRenderer
 from app.scene3d.camera import facing
 from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, WITHIN, Dots, Layer, MeshActor, Segments
-from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, ColourArray, Comparison, SceneColours, StaticScene
+from app.scene3d.scene_state import ColourArray, Comparison, SceneColours, StaticScene
 from app.state.view_state import ViewState
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
@@ -69,7 +69,7 @@ class EstimatesLayer(Layer):
         if self.viewpoint is None:
             return
         position = self.viewpoint.pose.position
-        self.balls.pixels = float(np.clip(ESTIMATE_BALL_DIAMETER_M / self.viewpoint.pixel, *BALL_PX))
+        self.balls.pixels = float(np.clip(self.static.ball_diameter / self.viewpoint.pixel, *BALL_PX))
         self.balls.set_pixel_ratio(self.viewpoint.ratio)
         # Negated, since a cosine is NaN where nothing has a far side.
         self.near = ~(facing(self._sides, self.places, position) < 0.0)

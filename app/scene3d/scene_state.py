@@ -26,6 +26,8 @@ ColourArray: TypeAlias = NDArray[np.uint8]
 
 ESTIMATE_BALL_DIAMETER_M = 3.2e-3
 """m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""
+BALL_DIAMETER_OVER_SPACING = 0.64
+"""Of a denser skin, such as that of a fingertip: the same share as of 5 mm."""
 DEFAULT_VIEW_HALF_HEIGHT_M = 0.06
 """m. Half the height of the view while the part's size is unknown: about a forearm's width."""
 ONE_SIDED_SKIN_MIN_MEAN_NORMAL = 0.3
@@ -132,6 +134,12 @@ class StaticScene:
         """(n, 3) float: as `normals`; NaN without a layout on a surface: nothing else has a far side."""
         known = self.surface is not None and self.laid is not None
         return self.normals if known else np.full((len(self.channels), 3), np.nan)
+
+    @cached_property
+    def ball_diameter(self) -> float:
+        """m, of the balls of estimates: less on a dense skin."""
+        spacing = np.inf if self.layout is None else self.layout.spacing
+        return float(min(ESTIMATE_BALL_DIAMETER_M, BALL_DIAMETER_OVER_SPACING * spacing))
 
     @cached_property
     def extent(self) -> FloatArray:

@@ -15,7 +15,7 @@ from app.state.view_state import ViewState
 from skincal.axes.session_turns import ShownTurn
 from skincal.geometry import FloatArray
 
-AXIS_LENGTH_OVER_SPACING = 0.5
+AXIS_LENGTH_OVER_SPACING = 0.6
 MAX_AXIS_LENGTH_M = 4e-3
 SELECTED_OVER_OTHERS = 2.5
 """Length of the selected taxel's axes over that of others."""

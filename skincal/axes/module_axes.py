@@ -6,7 +6,13 @@ pokes: a single turn R, or a turn for each taxel with any of them as likely befo
     ln odds = E(all pokes of the module) - sum of E(pokes of a taxel),                                        (4)
 
 with E the logarithm of a fit's evidence (`TurnFit.log_evidence`): the fit that explains no more, with fewer unknowns, wins.
-Each hypothesis has the noise that it finds, from the misses of modules or of taxels.
+On a mesh the normals n of the skin are known. A taxel with a turn of its own then has z near n, and any turn about it, so
+
+    E(pokes of a taxel) grows by ln(4 pi) + ln N(lean of z from n; 0, cov(z) + tolerance^2).                 (4a)
+
+Without (4a) one turn with a small ratio of gains would explain a dome with a poke on each taxel: such readings are all along z.
+The ratio is a property of the taxels, so modules are fitted with that of the taxels if it is better known.
+Each hypothesis has the noise that it finds, from the misses of modules or of taxels. That of a shared turn has a limit.
 
 A module's plan has axes, too: x and y of the layout, and z out of the skin. A scene whose axes are right has R close to these
 in the module's pose. If the axes of the readings are close to another signed permutation P of the plan's axes, a plain mistake
@@ -22,14 +28,14 @@ mistake is nearly as likely.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import permutations, product
 
 import numpy as np
 
 from skincal.axes.skin_turns import CERTAIN_LOG_ODDS, SkinTurns, Turn, find_noise, fit_group, joined
-from skincal.axes.turn_fit import TurnFit
+from skincal.axes.turn_fit import AxisNoise, AxisPokes, TurnFit
 from skincal.contacts.value_order import LOG_PRIOR_OF_WRONG_ORDER, OrderOfValues
 from skincal.geometry import FloatArray, rotation_vector
 
@@ -37,6 +43,8 @@ PLAN_TOLERANCE = float(np.radians(8.0))
 """rad, standard deviation of a module's turn on the part from that of its plan: boards are glued by hand, and bend."""
 LOG_PRIOR_OF_MISTAKE = float(np.log(0.01))
 """A wrong scene is rarer than a right one, by about this much for each kind of mistake."""
+MAX_SHARED_NOISE = 0.12
+"""rad, of a reading's direction. Taxels that share a turn scatter less: by 0.05 rad on the simulated skins."""
 MAX_LOG_LOSS = 15.0
 """Largest part of a module in the loss of a permutation of the whole skin."""
 CLEAR_LOG_ODDS = float(np.log(5.0))
@@ -175,17 +183,53 @@ def _module_turns(turns: SkinTurns, plans: Sequence[ModulePlan]) -> list[ModuleT
     own = {plan.id: tuple(channel for channel in plan.channels if channel in turns.taxels) for plan in plans}
     own = {number: channels for number, channels in own.items() if channels}
     pokes = {number: joined([turns.pokes[channel] for channel in channels]) for number, channels in own.items()}
-    noise = find_noise(list(pokes.values()), turns.noise.force)
-    return [module_turn(number, fit_group(own[number], pokes[number], noise), turns.taxels) for number in own]
+    noise = find_module_noise(list(pokes.values()), turns.noise)
+    return [module_turn(number, fit_group(own[number], pokes[number], noise), turns.taxels, {}) for number in own]
 
 
-def module_turn(number: int, turn: Turn, taxels: Mapping[int, Turn]) -> ModuleTurn:
-    """Compare the turn of the module `number` with those of its `taxels`, by channel."""
+def find_module_noise(groups: Sequence[AxisPokes], of_taxels: AxisNoise) -> AxisNoise:
+    """Find the noise of modules whose taxels share a turn, as `find_noise`, at most `MAX_SHARED_NOISE`.
+
+    Without a limit the scatter of the taxels' normals would be noise. `of_taxels` is that of single taxels.
+    """
+    noise = find_noise(groups, of_taxels.force)
+    if not groups:
+        return noise
+    if of_taxels.log_ratio_sd < noise.log_ratio_sd:
+        noise = replace(noise, log_ratio=of_taxels.log_ratio, log_ratio_sd=of_taxels.log_ratio_sd)
+    size = float(np.median(np.concatenate([np.linalg.norm(pokes.readings, axis=1) for pokes in groups])))
+    return replace(noise, angle=min(noise.angle, MAX_SHARED_NOISE), reading=min(noise.reading, MAX_SHARED_NOISE * size))
+
+
+def module_turn(number: int, turn: Turn, taxels: Mapping[int, Turn], normals: Mapping[int, FloatArray]) -> ModuleTurn:
+    """Compare the turn of the module `number` with those of its `taxels`, by channel.
+
+    `normals` (3,), unit, outward, are those of the skin, by channel, where a mesh gives them.
+    """
     single = [taxels[channel] for channel in turn.channels]
     # One hand for all taxels: they are of one kind.
     together = max(fit.log_evidence for fit in turn.fits)
-    apart = max(sum(each.fits[hand].log_evidence for each in single) for hand in range(2))
+    apart = max(
+        sum(each.fits[hand].log_evidence + _log_factor_of_normal(each, hand, normals) for each in single) for hand in range(2)
+    )
     return ModuleTurn(number, turn, together - apart if len(single) > 1 else 0.0, len(single), _spread(turn, single))
+
+
+def _log_factor_of_normal(turn: Turn, hand: int, normals: Mapping[int, FloatArray]) -> float:
+    """Compute the logarithm of the factor (4a) from the normal of the skin."""
+    normal = normals.get(turn.channels[0])
+    if normal is None:
+        return 0.0
+    fit = turn.fits[hand]
+    local = fit.rotation.T @ normal
+    # Turns about x and y that bring z to the normal.
+    lean = (
+        np.array([-local[1], local[0]])
+        * float(np.arctan2(np.hypot(local[0], local[1]), local[2]))
+        / max(float(np.hypot(local[0], local[1])), 1e-12)
+    )
+    variance = fit.covariance[:2, :2] + PLAN_TOLERANCE**2 * np.eye(2)
+    return float(np.log(4.0 * np.pi) - np.log(2.0 * np.pi)) + _log_normal(lean, variance)
 
 
 def _spread(turn: Turn, single: Sequence[Turn]) -> float:

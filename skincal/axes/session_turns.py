@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skincal.axes.module_axes import ModuleTurn, has_shared_turn, module_turn
+from skincal.axes.module_axes import ModuleTurn, find_module_noise, has_shared_turn, module_turn
 from skincal.axes.skin_turns import (
     ReadingOfForce,
     SkinTurns,
@@ -120,12 +120,13 @@ class TurnSolving:
         """Pressed taxels of each contact that counts."""
         self._pokes: dict[int, AxisPokes] = {}
         self._taxels: dict[int, Turn] = {}
-        self._modules: dict[int, ModuleTurn] = {}
+        self._modules: dict[int, Turn] = {}
         self._waiting, self._waiting_modules = set[int](), set[int]()
         self._noise_pokes: tuple[int, ...] = ()
         """Contacts that show the noise."""
         self._is_noise_stale = False
-        self._turns: SessionTurns | None = None
+        self._skin: SkinTurns | None = None
+        """`None` after a change."""
 
     @property
     def waiting(self) -> int:
@@ -155,7 +156,7 @@ class TurnSolving:
         self._wait_for(changed)
 
     def _wait_for(self, channels: Collection[int]) -> None:
-        self._turns = None
+        self._skin = None
         for channel in channels:
             if not self._rows.get(channel):
                 self._rows.pop(channel, None)
@@ -173,7 +174,7 @@ class TurnSolving:
         for channel in sorted(self._waiting):
             rows = self._rows[channel]
             self._pokes[channel] = as_pokes([rows[poke] for poke in sorted(rows)])
-        if self._turns is None:
+        if self._skin is None:
             self._update_noise()
         for channel in sorted(self._waiting):
             self._taxels[channel] = fit_group((channel,), self._pokes[channel], self._noise)
@@ -191,8 +192,8 @@ class TurnSolving:
         if not channels:
             self._modules.pop(number, None)
             return
-        turn = fit_group(channels, joined([self._pokes[channel] for channel in channels]), self._module_noise)
-        self._modules[number] = module_turn(number, turn, self._taxels)
+        pokes = joined([self._pokes[channel] for channel in channels])
+        self._modules[number] = fit_group(channels, pokes, self._module_noise)
 
     def _channels_of_module(self, number: int) -> tuple[int, ...]:
         return tuple(channel for channel in sorted(self._pokes) if self._module_of.get(channel) == number)
@@ -220,17 +221,20 @@ class TurnSolving:
                     by_module.setdefault(self._module_of[channel], []).append(own)
             self._noise = find_noise(_largest([own for _, own in sorted(taxels.items())]), self._start.force)
             modules = [joined(own) for _, own in sorted(by_module.items())]
-            self._module_noise = find_noise(_largest(modules), self._start.force)
+            self._module_noise = find_module_noise(_largest(modules), self._noise)
         if before != (self._noise, self._module_noise):
             self._wait_for(list(self._rows))
 
-    def turns(self) -> SessionTurns:
-        """Give the turns, once nothing waits."""
-        if self._turns is None:
-            taxels = dict(sorted(self._taxels.items()))
-            skin = SkinTurns(taxels, self._noise, dict(sorted(self._pokes.items())))
-            self._turns = SessionTurns(skin, dict(sorted(self._modules.items())), self._module_of)
-        return self._turns
+    def turns(self, normals: Mapping[int, FloatArray]) -> SessionTurns:
+        """Give the turns, once nothing waits.
+
+        `normals` (3,), unit, outward, are those of the skin at the taxels, by channel, where a mesh gives them.
+        """
+        if self._skin is None:
+            self._skin = SkinTurns(dict(sorted(self._taxels.items())), self._noise, dict(sorted(self._pokes.items())))
+        taxels = self._skin.taxels
+        modules = {number: module_turn(number, turn, taxels, normals) for number, turn in sorted(self._modules.items())}
+        return SessionTurns(self._skin, modules, self._module_of)
 
 
 def _up_to(pokes: AxisPokes, last: int) -> AxisPokes:

@@ -42,7 +42,7 @@ class RobotDevices:
             Stream.JOINTS: 1 / (CONTROL_PERIODS_PER_JOINT_RECORD * PERIOD_S),
             Stream.TOOL: 1 / (CONTROL_PERIODS_PER_JOINT_RECORD * PERIOD_S),
         }
-        top = (scene.skin.range or (0.0, 255.0))[1]
+        top = (scene.skin.range or (0.0, 255.0))[1] if scene.skin.axes is None else np.inf
         self._headers = board_headers(scene, rates, top, rises=scene.skin.polarity > 0)
         if not robot.has_sensor:
             del self._headers[Stream.WRENCH]

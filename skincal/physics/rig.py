@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, PERIOD_S, Eng
 from skincal.physics.mjcf import TIP_RADIUS_M, RigPlan, write_mjcf
 from skincal.physics.skin import Pads
 from skincal.robot.arm import TipCentre, WrenchReading
+
+if TYPE_CHECKING:
+    from skincal.physics.vector_pads import VectorPadErrors, VectorPads
 
 SENSOR_LAST_DIGIT_SD_N = 0.005
 """N, sd of one reading of a sensor without noise: its last digit. Readings that never change look like a frozen sensor."""
@@ -51,6 +54,8 @@ class RigLayout:
     """From the actuated joints (joints,) to the angles of the scene's arm, radians."""
     columns: Callable[[FloatArray], FloatArray]
     """From the actuated joints to a record of the joint stream, radians; empty without one."""
+    skin_errors: VectorPadErrors | None = None
+    """Of a skin of three axes; `None` for the usual ones."""
 
 
 class SimulatedRobot:
@@ -70,7 +75,7 @@ class SimulatedRobot:
     def __init__(self, scene: Scene, surface: Surface, layout: RigLayout, effects: Effects, seed: int) -> None:
         skin, sensor, base, tremble, self._frame_rng = np.random.default_rng(seed).spawn(5)
         self.scene, self.effects, self._layout = scene, effects, layout
-        self.pads = Pads(scene, surface, skin)
+        self.pads = make_pads(scene, surface, skin, layout.skin_errors)
         error = effects.base * base.standard_normal(3), rotation_by(effects.base * BASE_TURN_PER_M * base.standard_normal(3))
         self.engine = Engine(write_mjcf(layout.plan, effects), surface, layout.start, error)
         self._sensor_rng, self._tremble_rng = sensor, tremble
@@ -233,7 +238,19 @@ class SimulatedRobot:
 
     def truth(self) -> dict[str, Any]:
         """Return the true taxels for `truth.json`."""
-        return truth_as_json(self.scene.link, self.pads.channels, self.pads.places, self.pads.normals)
+        pads = self.pads
+        return truth_as_json(self.scene.link, pads.channels, pads.places, pads.normals, pads.axes)
+
+
+def make_pads(
+    scene: Scene, surface: Surface, rng: np.random.Generator, errors: VectorPadErrors | None = None
+) -> Pads | VectorPads:
+    """Make the pads of a skin: of one axis, or of three with `errors`, `None` for the usual ones. Raises as `Pads`."""
+    if scene.skin.axes is None:
+        return Pads(scene, surface, rng)
+    from skincal.physics.vector_pads import VectorPads  # other scenes do without
+
+    return VectorPads(scene, surface, scene.skin.axes, rng, errors)
 
 
 def _moved_towards(

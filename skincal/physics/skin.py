@@ -50,16 +50,11 @@ class Pads:
     Raises InputError: the scene does not say where its taxels are.
     """
 
+    axes: FloatArray | None = None
+    """(n, 3, 3) float, true axes of taxels that measure three, in columns; `None` for one axis."""
+
     def __init__(self, scene: Scene, surface: Surface, rng: np.random.Generator) -> None:
-        if scene.skin.axes is not None:
-            raise InputError(f"{scene.path}: a robot does not poke a skin of three axes here; leave out axes = 3.")
-        shift, turn = MOUNT_SHIFT_M * rng.standard_normal(2), MOUNT_TURN * rng.standard_normal()
-
-        def displaced(anchor: Anchor) -> Anchor:
-            x = np.cos(turn) * anchor.x + np.sin(turn) * np.cross(anchor.normal, anchor.x)
-            return replace(anchor, at=anchor.at + shift, x=x)
-
-        self.channels, self.places, self.normals = mount_skin(scene, surface, displaced)
+        self.channels, self.places, self.normals = mount_skin(scene, surface, displaced_mount(rng, MOUNT_SHIFT_M))
         low, high = scene.skin.range or DEFAULT_RANGE
         self._low, self._high, self._polarity = low, high, scene.skin.polarity
         rest = REST_READING_OVER_RANGE if self._polarity < 0 else 1.0 - REST_READING_OVER_RANGE
@@ -104,6 +99,17 @@ class Pads:
             )
         values[self.channels] += READING_NOISE_SD_OVER_RANGE * span * rng.standard_normal(len(self.channels))
         return np.clip(np.rint(values), self._low, self._high)
+
+
+def displaced_mount(rng: np.random.Generator, shift_sd: float) -> Callable[[Anchor], Anchor]:
+    """Draw the displacement of a skin from its plan: `shift_sd`, m, in each direction, and a turn."""
+    shift, turn = shift_sd * rng.standard_normal(2), MOUNT_TURN * rng.standard_normal()
+
+    def displaced(anchor: Anchor) -> Anchor:
+        x = np.cos(turn) * anchor.x + np.sin(turn) * np.cross(anchor.normal, anchor.x)
+        return replace(anchor, at=anchor.at + shift, x=x)
+
+    return displaced
 
 
 def mount_skin(

@@ -120,7 +120,12 @@ class Solving:
     @property
     def turns(self) -> SessionTurns | None:
         """Turns of the taxels in the frame of the contacts, once nothing waits; `None` for taxels of one axis."""
-        return None if self._turns is None or not self.is_placed else self._turns.turns()
+        if self._turns is None or not self.is_placed:
+            return None
+        if Method.SURFACE not in self._estimates:
+            return self._turns.turns({})
+        on_mesh = self._estimates[Method.SURFACE].items()
+        return self._turns.turns({channel: each.normal for channel, each in on_mesh if each.normal is not None})
 
     def poke_changed(self, poke: int, channels: Iterable[int]) -> None:
         """Mark a contact as changed, with the channels that answered."""

@@ -20,6 +20,7 @@ from skincal.axes.skin_turns import MIN_SHARE_OF_STRONGEST, find_turns
 from skincal.axes.turn_fit import AxisPokes, TurnFit
 from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts, count_strongest
 from skincal.geometry import FloatArray, rotation_by, rotation_vector
+from skincal.model.errors import InputError
 from skincal.model.skin_axes import ResponseRule, SkinAxes, ValueOrder
 from skincal.palette import BLUE, GREEN, VERMILION
 from skincal.plotting import Figure
@@ -70,6 +71,8 @@ class AxesSizes:
     """Pokes on each taxel."""
     module_pokes: tuple[int, ...] = (4, 8, 16)
     """Pokes on each module."""
+    robots: int = 0
+    """Sessions of a robot in the physics engine, for each skin of a fingertip."""
 
 
 class Task(NamedTuple):
@@ -108,7 +111,8 @@ def measure(bench: Bench, sizes: AxesSizes) -> Findings:
 
     Returns
     -------
-    JSON: `seeds`, `turns` (a row of each case, see `_row`), `mistakes` (a row of each mistake, see `_mistake_row`)
+    JSON: `seeds`, `turns` (a row of each case, see `_row`), `mistakes` (a row of each mistake, see `_mistake_row`), `robots`
+    (a row of each skin, see `robot_row` of `robot_axes.py`)
     """
     seeds = range(1, 1 + sizes.seeds)
     cases = [
@@ -118,7 +122,25 @@ def measure(bench: Bench, sizes: AxesSizes) -> Findings:
     turns = bench.rows([(case, [case._replace(seed=seed) for seed in seeds]) for case in cases], run_session, _row, _row_text)
     named = [(name, [MistakeTask(name, seed) for seed in range(1, 1 + sizes.mistake_seeds)]) for name in TRIED_MISTAKES]
     mistakes = bench.rows(named, pokes_until_named, _mistake_row, _mistake_text)
-    return Findings({"seeds": sizes.seeds, "turns": turns, "mistakes": mistakes}, axis_limits(turns, mistakes))
+    numbers = {"seeds": sizes.seeds, "turns": turns, "mistakes": mistakes, "robots": _poke_with_robots(bench, sizes.robots)}
+    return Findings(numbers, axis_limits(turns, mistakes))
+
+
+def _poke_with_robots(bench: Bench, sessions: int) -> list[dict[str, Any]]:
+    """Measure sessions of a robot; none without the physics engine."""
+    if not sessions:
+        return []
+    from skincal.physics.engine import load_mujoco  # other sizes do without
+
+    try:
+        load_mujoco()
+    except InputError as error:
+        bench.say(f"no sessions of a robot: {error}")
+        return []
+    from skincal.studies.robot_axes import RobotTask, poke_fingertip, robot_row, robot_text
+
+    cases = [(is_bonded, [RobotTask(is_bonded, seed) for seed in range(1, 1 + sessions)]) for is_bonded in (False, True)]
+    return bench.rows(cases, poke_fingertip, robot_row, robot_text)
 
 
 def poke_skin(task: Task, count: int, rng: np.random.Generator) -> Poked:
@@ -291,7 +313,12 @@ def axis_limits(
 def describe(result: Mapping[str, Any]) -> list[str]:
     """Describe each case."""
     head = f"{MODULES} modules of {ROWS * COLUMNS} taxels, {result['seeds']} sessions of each kind (median, 95 %):"
-    return [head, *map(_row_text, result["turns"]), *map(_mistake_text, result["mistakes"])]
+    lines = [head, *map(_row_text, result["turns"]), *map(_mistake_text, result["mistakes"])]
+    if result.get("robots"):
+        from skincal.studies.robot_axes import robot_text
+
+        lines += map(robot_text, result["robots"])
+    return lines
 
 
 def _row_text(row: Mapping[str, Any]) -> str:
@@ -337,4 +364,4 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
 
 
 QUICK_SIZES = AxesSizes(seeds=2, mistake_seeds=4, leans_deg=(5.0, 15.0), taxel_pokes=(8, 20), module_pokes=(8,))
-THIS_STUDY = Study("axes", quick=QUICK_SIZES, full=AxesSizes(), measure=measure, lines=describe, draw=draw)
+THIS_STUDY = Study("axes", quick=QUICK_SIZES, full=AxesSizes(robots=4), measure=measure, lines=describe, draw=draw)

@@ -515,6 +515,7 @@ def test_the_operators_own_parts_are_listed_above_the_shipped_scenes(bench):
         "cobot-forearm",
         "cobot-tip",
         "cobot-wrist",
+        "fingertip",
         "flat-patch",
         "icub-forearm",
         "three-axis-pad",

@@ -26,6 +26,6 @@ def turns_of(taxels: Mapping[int, Turn], modules: Mapping[int, tuple[int, ...]] 
     shared = {}
     for number, channels in (modules or {}).items():
         first = taxels[channels[0]]
-        shared[number] = replace(module_turn(number, first, taxels), taxels=len(channels), log_odds_shared=9.0)
+        shared[number] = replace(module_turn(number, first, taxels, {}), taxels=len(channels), log_odds_shared=9.0)
     module_of = {channel: number for number, channels in (modules or {}).items() for channel in channels}
     return SessionTurns(SkinTurns(taxels, NOISE, {}), shared, module_of)
