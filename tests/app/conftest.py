@@ -15,7 +15,6 @@ from PySide6.QtWidgets import QApplication
 from skincal.model.scene import resource
 from skincal.robot.target_lines import write_line
 from skincal.robot.target_server import TargetServer
-from tests.app.whole_window import Bench
 
 WAIT_S = 5.0  # s. A thread that was told to stop has so long on a busy machine.
 ENDING = ("reader ", "skincal-")  # Names of the program's threads that must end with the window
@@ -96,6 +95,8 @@ def _own_theme() -> Iterator[None]:
 
 @pytest.fixture
 def bench(qtbot, tmp_path):
+    from tests.app.whole_window import Bench  # tests of one widget or picture need not wait for the whole window
+
     made = Bench(qtbot, tmp_path)
     yield made
     made.window.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from pathlib import Path
 
 from PySide6.QtCore import QProcess, QSettings, Qt
@@ -21,6 +22,7 @@ from skincal.model.scene import resource
 
 HAND = ("--careful", "--errors", "none", "--pace", "4")
 """A hand without slips, on a rig without errors; quick between its pokes, since a window that waits costs time, too."""
+POLL_MS = 20
 POKE_MS = 60_000  # A poke takes about three seconds; a busy machine gets twenty times as long
 OPEN_MS = 100_000  # A report or an import takes some seconds
 
@@ -69,7 +71,10 @@ class Bench:
         self.open(OpenRequest(scene=scene, server=(*server_command(scene), *HAND), **changes))
 
     def until(self, what, timeout: int = POKE_MS) -> None:
-        self.qtbot.waitUntil(what, timeout=timeout)
+        end = time.monotonic() + timeout / 1000.0
+        while not what():
+            assert time.monotonic() < end, f"it took longer than {timeout} ms"
+            self.qtbot.wait(POLL_MS)
 
     def panel(self, kind):
         """The panel of a class."""

@@ -13,7 +13,7 @@ SENSOR[:3, 3] = 0.01, -0.08, 0.02
 
 
 class PlainArm:
-    tip_radius_m, period_s = 0.002, 0.004
+    tip_radius_m, period_s = 0.002, 0.008
 
     def __init__(self, surface, start=(0.0, 0.0, 0.3), tip_error=(0.0, 0.0, 0.0)):
         self.surface, self.time_s, self.tip_error = surface, 0.0, np.array(tip_error)
