@@ -115,6 +115,7 @@ def check(arguments: Sequence[str]) -> int:
     install.provide_test_display()
     environment = install.environment()
     environment.pop("QT_QPA_PLATFORM", None)  # "offscreen" has no OpenGL; the tests look at real pixels
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes would each compile the same modules
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the program: plugins of pytest import numpy before it
     if arguments:
         return 1 if _python(("-m", "pytest", *arguments), environment).returncode else 0

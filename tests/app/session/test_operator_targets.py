@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import queue
 import subprocess
 import sys
 import threading
@@ -30,6 +29,7 @@ from skincal.robot.target_lines import GREETING
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
+from skincal.streams.links import ChunkQueue
 from skincal.taxels.poke_figures import peak_channel
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
@@ -131,7 +131,7 @@ def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked
 def without_a_window(folder, lived) -> None:
     """From the same bytes and orders `record` makes the same session as the window."""
     log = SessionLog(folder)
-    items = queue.SimpleQueue()
+    items = ChunkQueue()
     for item in log.items():
         if isinstance(item, Chunk | LinkEvent):
             items.put(item)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import MAX_REQUESTED_POKES, OrderLine, _handle_item, find_scene
+from skincal.cli.record import MAX_REQUESTED_POKES, OrderLine, _follow_order, find_scene
 from skincal.files.importers.registry import RECORDING_IMPORTERS
 from skincal.journal import writer
 from skincal.model.errors import InputError
@@ -242,7 +242,7 @@ def test_a_file_that_ends_as_another_format_is_remarked_on(run, tmp_path, sessio
 @pytest.mark.parametrize("line", [b"[" * 100_000, b'{"do": "exclude", "poke": NaN}', b"7"])
 def test_an_order_that_is_none_is_said_and_left_out(capsys, line):
     """Beyond the interpreter's depth `json` raises a RecursionError, which would end the recording."""
-    _handle_item(None, OrderLine(1, line))
+    _follow_order(None, OrderLine(1, line))
     assert "not done" in capsys.readouterr().err
 
 
