@@ -66,7 +66,7 @@ def _files_command(importer: Importer) -> Callable[..., None]:
 def _without_tool(command: Callable[..., None], importer: Importer) -> Callable[..., None]:
     """Leave out the option for the tool's poses of an importer that has none."""
     if Stream.TOOL not in importer.options:
-        signature = inspect.signature(command)
+        signature = inspect.signature(command, eval_str=True)  # typer evaluates no words of a signature that is given
         kept = [each for name, each in signature.parameters.items() if name != "tool"]
         command.__signature__ = signature.replace(parameters=kept)  # pyright: ignore[reportFunctionMemberAccess]
     return command
