@@ -290,7 +290,9 @@ def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
         return {}
     from skincal.simulation.emulated_devices import assign_devices
 
-    streams = tuple(stream for stream in SENSOR_STREAMS if stream is not Stream.JOINTS or scene.arm is not None)
+    has = {Stream.WRENCH: scene.has_sensor, Stream.JOINTS: scene.arm is not None}
+    streams = tuple(stream for stream in SENSOR_STREAMS if has.get(stream, True))
+    streams += () if scene.tool is None else (Stream.TOOL,)
     return assign_devices(tuple(name.strip() for name in named.split(",")), streams)
 
 

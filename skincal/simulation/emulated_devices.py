@@ -10,6 +10,7 @@ import json
 import math
 import re
 import struct
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -97,15 +98,31 @@ class RobotiqTextEncoder(Encoder):
         return f"({' , '.join(words)})".encode()
 
 
-class RtdeEncoder(Encoder):
-    """Data packets of a UR controller, recipe 1: time and one field of six values."""
+UR_TCP_OFFSET = (0.0, 0.0, 0.12, 0.0, 0.0, 0.3)
+"""m and rotation vector, rad: tool centre point on the pendant of the simulated UR controller."""
 
-    PACKET_BYTES = 60
+
+class RtdeEncoder(Encoder):
+    """Data packets of a UR controller, recipe 1: time and one field of six values; two fields for a pose of the flange."""
+
+    PACKET_BYTES, POSE_PACKET_BYTES = 60, 108
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
+        if stream is Stream.TOOL:
+            fields = *_tcp_pose(values), *UR_TCP_OFFSET
+            return struct.pack(">HBB13d", self.POSE_PACKET_BYTES, ord("U"), 1, t_us / 1e6, *fields)
         if stream is Stream.JOINTS:
             values = [*np.radians(values[:6]).tolist(), *[0.0] * (6 - len(values))]
         return struct.pack(">HBB7d", self.PACKET_BYTES, ord("U"), 1, t_us / 1e6, *values)
+
+
+def _tcp_pose(flange: list[float]) -> list[float]:
+    """Compute position and rotation vector of the tool centre point from the flange's: x y z, quaternion x y z w."""
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs] - slow to import
+
+    turn = Rotation.from_quat(flange[3:])
+    place = np.array(flange[:3]) + turn.apply(UR_TCP_OFFSET[:3])
+    return [*place.tolist(), *(turn * Rotation.from_rotvec(UR_TCP_OFFSET[3:])).as_rotvec().tolist()]
 
 
 class YarpEncoder(Encoder):
@@ -192,6 +209,55 @@ class RtdeTalk(PlainTalk):
     def _packet(self, packet: bytes) -> bytes:
         known = {b"timestamp": packet[self.TIME], self._field: packet[self.TIME.stop :]}
         body = b"".join(known.get(name, self.OTHER) for name in self._asked)
+        return struct.pack(">HBB", 4 + len(body), ord("U"), 1) + body
+
+
+class RtdeController:
+    """Joins the packets of single streams, which have equal times, to packets with all fields of a UR controller."""
+
+    FIELDS = (b"ft_raw_wrench", b"actual_q", b"actual_TCP_pose", b"tcp_offset")
+    FIELD_OF_STREAM: Mapping[Stream, int] = MappingProxyType({Stream.WRENCH: 0, Stream.JOINTS: 1, Stream.TOOL: 2})
+    PACKET_BYTES = 12 + 48 * len(FIELDS)
+
+    def __init__(self) -> None:
+        self._waiting: dict[Stream, deque[bytes]] = {}
+
+    def add_stream(self, stream: Stream) -> None:
+        """Wait for this stream's packets, too."""
+        self._waiting[stream] = deque()
+
+    def join(self, stream: Stream, data: bytes) -> bytes:
+        """Take packets of one stream; return the packets that are complete now."""
+        size = RtdeEncoder.POSE_PACKET_BYTES if stream is Stream.TOOL else RtdeEncoder.PACKET_BYTES
+        self._waiting[stream].extend(data[at : at + size] for at in range(0, len(data), size))
+        joined = b""
+        while all(self._waiting.values()):
+            parts = {each: waiting.popleft() for each, waiting in self._waiting.items()}
+            fields = [bytes(48)] * len(self.FIELDS)
+            for each, part in parts.items():
+                first, body = self.FIELD_OF_STREAM[each], part[12:]
+                for number in range(len(body) // 48):
+                    fields[first + number] = body[48 * number : 48 * number + 48]
+            time = next(iter(parts.values()))[4:12]
+            joined += struct.pack(">HBB", self.PACKET_BYTES, ord("U"), 1) + time + b"".join(fields)
+        return joined
+
+
+class ControllerTalk(RtdeTalk):
+    """A UR controller that sends wrench, joints and pose of its tool by one port; its data are those of `RtdeController`."""
+
+    KINDS: Mapping[bytes, bytes] = MappingProxyType(
+        {b"timestamp": b"DOUBLE", **dict.fromkeys(RtdeController.FIELDS, b"VECTOR6D")}
+    )
+
+    def frame(self, data: bytes) -> bytes:
+        size = RtdeController.PACKET_BYTES
+        return b"".join(self._packet(data[at : at + size]) for at in range(0, len(data), size))
+
+    def _packet(self, packet: bytes) -> bytes:
+        known = {name: packet[12 + 48 * number : 60 + 48 * number] for number, name in enumerate(RtdeController.FIELDS)}
+        known[b"timestamp"] = packet[self.TIME]
+        body = b"".join(known[name] for name in self._asked if name in known)
         return struct.pack(">HBB", 4 + len(body), ord("U"), 1) + body
 
 
@@ -422,7 +488,7 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
         "bota": Maker((Stream.WRENCH,), BotaEncoder, 800.0, serial=True),
         "robotiq": Maker((Stream.WRENCH,), RobotiqEncoder, 100.0, serial=True),
         "robotiq-text": Maker((Stream.WRENCH,), RobotiqTextEncoder, 125.0),
-        "rtde": Maker((Stream.WRENCH, Stream.JOINTS), RtdeEncoder, 125.0),
+        "rtde": Maker((Stream.WRENCH, Stream.JOINTS, Stream.TOOL), RtdeEncoder, 125.0),
         "yarp": Maker(SENSOR_STREAMS, YarpEncoder, 0.0, has_vectors=True),
         "xela": Maker((Stream.SKIN,), XelaEncoder, 100.0, has_vectors=True),
         "papillarray": Maker(

@@ -7,14 +7,17 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
 from skincal.model.readings import Stream
 from skincal.simulation.emulated_devices import (
+    ControllerTalk,
     NameTalk,
     PageTalk,
+    RtdeController,
     RtdeTalk,
     SkinManagerTalk,
     XelaTalk,
@@ -196,6 +199,43 @@ class InspireOutlet(TalkOutlet):
         return any(isinstance(talk, InspireTalk) and talk.is_waiting for talk in self._talks.values())
 
 
+class ControllerOutlet(TalkOutlet):
+    """The one port of a UR controller that sends several streams; `FieldOutlet` gives it those of the others."""
+
+    def __init__(self, stream: Stream) -> None:
+        super().__init__(ControllerTalk, "rtde://127.0.0.1:{}")
+        self._controller, self._stream = RtdeController(), stream
+        self._controller.add_stream(stream)
+
+    def add_stream(self, stream: Stream) -> FieldOutlet:
+        """Send another stream by the same port."""
+        self._controller.add_stream(stream)
+        return FieldOutlet(self, stream)
+
+    def write(self, data: bytes) -> None:
+        self.write_stream(self._stream, data)
+
+    def write_stream(self, stream: Stream, data: bytes) -> None:
+        """Take packets of one of its streams; send those that are complete."""
+        super().write(self._controller.join(stream, data))
+
+
+class FieldOutlet:
+    """A further stream of a UR controller."""
+
+    def __init__(self, port: ControllerOutlet, stream: Stream) -> None:
+        self._port, self._stream, self.address = port, stream, port.address
+
+    def poll(self) -> tuple[bool, bytes]:
+        return False, b""
+
+    def write(self, data: bytes) -> None:
+        self._port.write_stream(self._stream, data)
+
+    def close(self) -> None:
+        """Leave the port open: it is closed with its own stream."""
+
+
 class SkinManagerOutlet(TalkOutlet):
     """The RPC port of a skinManager without positions."""
 
@@ -207,13 +247,25 @@ class SkinManagerOutlet(TalkOutlet):
 class MakerOutlets:
     """Opens the outlets of one rig's devices. All ports of a YARP network share a name server and a skinManager.
 
-    `channels` is the skin's width, for the skinManager.
+    `channels` is the skin's width, for the skinManager; `emulated` names the maker's device of each stream.
     """
 
-    def __init__(self, channels: int) -> None:
+    def __init__(self, channels: int, emulated: Mapping[Stream, str] = MappingProxyType({})) -> None:
+        self._has_controller = emulated.get(Stream.TOOL) == "rtde"
+        self._controller: ControllerOutlet | None = None
         self._names: dict[str, int] = {}
         self._channels = channels
         self._shared: tuple[TalkOutlet, TalkOutlet] | None = None
+
+    def _open_rtde(self, stream: Stream) -> Outlet:
+        """Open a port for each stream, or one port for all if the controller sends poses of its tool."""
+        if not self._has_controller:
+            field = b"actual_q" if stream is Stream.JOINTS else b"ft_raw_wrench"
+            return TalkOutlet(lambda: RtdeTalk(field), "rtde://127.0.0.1:{}")
+        if self._controller is not None:
+            return self._controller.add_stream(stream)
+        self._controller = ControllerOutlet(stream)
+        return self._controller
 
     def open(self, maker: str, stream: Stream, *, tcp: bool) -> Outlet:
         """Open the port where a simulated device sends its bytes; with `tcp`, serial devices get a TCP port instead."""
@@ -227,8 +279,7 @@ class MakerOutlets:
             case "netft":
                 return RdtOutlet()
             case "rtde":
-                field = b"actual_q" if stream is Stream.JOINTS else b"ft_raw_wrench"
-                return TalkOutlet(lambda: RtdeTalk(field), "rtde://127.0.0.1:{}")
+                return self._open_rtde(stream)
             case "xela":
                 return TalkOutlet(XelaTalk, "xela://127.0.0.1:{}")
             case "ros2":

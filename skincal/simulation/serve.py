@@ -56,7 +56,7 @@ class Server:
         self._line = line
         self._outlets: dict[str, Outlet] = {}
         self._paused: set[str] = set()
-        emulated, makers = line.emulated, MakerOutlets(line.channels)
+        emulated, makers = line.emulated, MakerOutlets(line.channels, line.emulated)
         try:
             for name, stream in line.links.items():
                 if stream in emulated:

@@ -150,7 +150,8 @@ def test_events_and_bytes_alone_make_the_same_readings_again(played):
 
 def test_who_sends_what():
     streams = tuple(Stream)
-    assert assign_devices(("rtde", "xela"), streams) == {Stream.WRENCH: "rtde", Stream.JOINTS: "rtde", Stream.SKIN: "xela"}
+    of_robot = dict.fromkeys((Stream.WRENCH, Stream.JOINTS, Stream.TOOL), "rtde")
+    assert assign_devices(("rtde", "xela"), streams) == of_robot | {Stream.SKIN: "xela"}
     assert assign_devices(("netft", "yarp"), streams) == {Stream.WRENCH: "netft", Stream.SKIN: "yarp", Stream.JOINTS: "yarp"}
     with pytest.raises(InputError, match="expected some of netft"):
         assign_devices(("optoforce",), streams)
