@@ -259,6 +259,8 @@ class LandmarkAgreement:
     """Judged with the rig's correction in use, of pokes that were held out of it; else the rig as reported."""
     noisier: float = 1.0
     """Factor on the scene's noise in the prediction (`RigAnswer.noisier`); 1 without a correction."""
+    by_part: bool = False
+    """Each landmark was predicted from all other touches of a tool, without the sensor (`part_agreement`)."""
 
     @property
     def agrees(self) -> bool:

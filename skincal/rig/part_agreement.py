@@ -16,7 +16,7 @@ def agreement_with_part(pose: PartPose | None) -> LandmarkAgreement | None:
     """Compare the touches of landmarks with their prediction; `None` with too few, or while the pose is unknown."""
     if pose is None or not pose.is_known or pose.landmark_places < MIN_LANDMARKS:
         return None
-    return LandmarkAgreement(pose.landmarks, max(pose.held_out_ratio, pose.ratio), False)
+    return LandmarkAgreement(pose.landmarks, max(pose.held_out_ratio, pose.ratio), corrected=False, by_part=True)
 
 
 def agreement_at_landmarks(

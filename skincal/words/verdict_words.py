@@ -224,11 +224,13 @@ def agreement_words(landmarks: LandmarkAgreement | None, *, has_arm: bool) -> st
         return f"not checked: needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} landmarks"
     rig = "sensor and arm" if has_arm else "sensor"
     how = f"{rig} corrected without them" if landmarks.corrected else f"{rig} not corrected"
+    how = "each predicted from all other touches" if landmarks.by_part else how
     how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
     words = f"errors of {count(landmarks.pokes, 'landmark poke')} are {landmarks.ratio:.1f} x the expected size ({how})"
     if landmarks.agrees:
         return words
     things = "the landmarks, the sensor and the arm" if has_arm else "the landmarks and the sensor"
+    things = "the landmarks and of the tip, and the mesh" if landmarks.by_part else things
     return f"{words}: too large. Check the positions of {things}."
 
 

@@ -14,6 +14,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.rig.part_agreement import agreement_with_part
 from skincal.rig.part_pose import PartPoseState, fit_part_pose
 from skincal.rig.part_touches import LANDMARK_SD_M, PartShape, PartTouches
+from skincal.words.verdict_words import agreement_words
 
 NOISE = NoiseSettings()
 TIP_SD = 0.0003
@@ -128,7 +129,11 @@ def test_a_landmark_at_a_wrong_place_shows_when_it_is_held_out_also_among_many_o
 
     assert agreement(landmark).agrees
     landmark[:3] += [0.006, 0.0, -0.004]
-    assert not agreement(landmark).agrees
+    found = agreement(landmark)
+    assert not found.agrees
+    said = agreement_words(found, has_arm=False)
+    assert "each predicted from all other touches" in said
+    assert "sensor" not in said, "the rig may have none"
 
 
 def lines(rng, marks, pushes, sd):
