@@ -140,11 +140,11 @@ def load(
         _renderer_class(static)
         return None
     egl_probe = start_egl_probe()
+    # Meanwhile the child tries to draw.
+    import_plotter()
     from app.scene3d.mesh_actors import window_of
     from app.scene3d.offscreen import choose_offscreen, make_plotter
 
-    # Meanwhile the child tries to draw.
-    import_plotter()
     choose_offscreen(egl_probe)
     # Only EGL and OSMesa are not bound to a thread: elsewhere the window's thread draws the first picture.
     if not sys.platform.startswith("linux"):

@@ -1,7 +1,7 @@
-"""Import pyvista's plotter without matplotlib's figures, which it needs for charts alone.
+"""Import pyvista's plotter without matplotlib, which it needs for charts and colour maps alone, and without its downloader.
 
-`matplotlib.pyplot` and its canvas take a quarter of the processor time to the first picture. Modules stand for them while the
-plotter is imported; they import the real ones at the first use.
+They take more processor time than pyvista itself. Modules stand for them while the plotter is imported; they import the real
+ones at the first use.
 """
 
 from __future__ import annotations
@@ -10,6 +10,10 @@ import importlib
 import sys
 from types import ModuleType
 from typing import Any
+
+LATE_FIGURES = ("matplotlib", "matplotlib.colors", "matplotlib.pyplot", "matplotlib.backends.backend_agg")
+LATE_DOWNLOADER = "pooch"
+"""Names of the modules that stand-ins replace."""
 
 
 class LateModule(ModuleType):
@@ -38,17 +42,51 @@ class LateClass:
         return getattr(self._module, self._name)(*arguments, **options)
 
 
+class LateType(type):
+    """A class that stands for one of a module in annotations and `isinstance`."""
+
+    def __instancecheck__(cls, value: object) -> bool:
+        real = sys.modules.get(cls.__module__)
+        # Before the module is imported there are no objects of its classes.
+        return real is not None and not isinstance(real, LateModule) and isinstance(value, getattr(real, cls.__name__))
+
+
+class LateTable:
+    """A table of a module that is imported at the first look-up after `is_ready`. Before, each name has the value `None`."""
+
+    def __init__(self, module: LateModule, name: str) -> None:
+        self._module, self._name = module, name
+        self.is_ready = False
+
+    def __getitem__(self, name: str) -> Any:
+        return getattr(self._module, self._name)[name] if self.is_ready else None
+
+
 def import_plotter() -> None:
     """Import `pyvista.plotting`; does nothing if it is imported."""
     if "pyvista.plotting" in sys.modules:
         return
-    figures, canvas = LateModule("matplotlib.pyplot"), LateModule("matplotlib.backends.backend_agg")
-    late = [module for module in (figures, canvas) if module.__name__ not in sys.modules]
-    sys.modules.update({module.__name__: module for module in late})
-    # pyvista takes the name out of the module at once.
-    canvas.__dict__["FigureCanvasAgg"] = LateClass(LateModule(canvas.__name__), "FigureCanvasAgg")
+    late: dict[str, LateModule] = {}
+    # While it is imported, pyvista checks the name of its default map.
+    maps = LateTable(LateModule("matplotlib"), "colormaps")
+    if not any(name in sys.modules for name in LATE_FIGURES):
+        late = {name: LateModule(name) for name in LATE_FIGURES}
+        _fill_in_names(late, maps)
+    if LATE_DOWNLOADER not in sys.modules:
+        late[LATE_DOWNLOADER] = LateModule(LATE_DOWNLOADER)
+    sys.modules.update(late)
     try:
         importlib.import_module("pyvista.plotting")
     finally:
-        for module in late:
+        for module in late.values():
             module.withdraw()
+        maps.is_ready = True
+
+
+def _fill_in_names(late: dict[str, LateModule], maps: LateTable) -> None:
+    """Add the names that pyvista imports from the stand-ins."""
+    root, colors, canvas = (late[name] for name in ("matplotlib", "matplotlib.colors", "matplotlib.backends.backend_agg"))
+    colors.__dict__["ListedColormap"] = LateClass(LateModule(colors.__name__), "ListedColormap")
+    colors.__dict__["Colormap"] = LateType("Colormap", (), {"__module__": colors.__name__})
+    canvas.__dict__["FigureCanvasAgg"] = LateClass(LateModule(canvas.__name__), "FigureCanvasAgg")
+    root.__dict__.update(colors=colors, pyplot=late["matplotlib.pyplot"], colormaps=maps)

@@ -236,7 +236,7 @@ class Sounds:
         wrap_method(Press, "add", self._add)
         wrap_method(pipeline, "feed", self._feed)
         wrap_method(Player, "play", self._play)
-        wrap_method(Line, "take", self._on_sound_read)
+        wrap_method(Line, "next_samples", self._on_sound_read)
 
     def _add(self, call: Call, press: Any, *arguments: Any) -> None:
         before = press.may_release

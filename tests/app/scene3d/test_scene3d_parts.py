@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -185,16 +186,27 @@ LATE_FIGURES = """
 from app.scene3d.pyvista_import import import_plotter
 import_plotter()
 import pyvista as pv
+import sys
+assert not {"matplotlib", "matplotlib.colors", "pooch"} & set(sys.modules)
+assert not isinstance("viridis", pv.plotting.colors.colors.Colormap)
 chart = pv.ChartMPL()
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 import matplotlib.pyplot as plt
-import sys
-print(type(chart._canvas) is FigureCanvasAgg, chart.figure is plt.gcf(), plt is sys.modules["matplotlib.pyplot"])
+import matplotlib
+assert isinstance(pv.LookupTable("viridis").cmap, matplotlib.colors.Colormap)
+assert isinstance(matplotlib.colormaps["plasma"], pv.plotting.colors.colors.Colormap)
+assert pv.plotting.colors.get_cmap_safe(["red", "blue"]).N == 2
+try:
+    pv.plotting.colors.get_cmap_safe("nonsense")
+except ValueError:
+    print(type(chart._canvas) is FigureCanvasAgg, chart.figure is plt.gcf(), plt is sys.modules["matplotlib.pyplot"])
 """
 
 
 def test_a_chart_of_pyvista_finds_the_figures_that_were_not_imported_with_it():
-    done = subprocess.run([sys.executable, "-c", LATE_FIGURES], capture_output=True, text=True, check=True)
+    # Without a display: matplotlib would ask Qt for one.
+    environment = {**os.environ, "MPLBACKEND": "Agg"}
+    done = subprocess.run([sys.executable, "-c", LATE_FIGURES], capture_output=True, text=True, env=environment, check=True)
     assert done.stdout.split() == ["True", "True", "True"]
 
 
