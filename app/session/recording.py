@@ -145,10 +145,10 @@ class Recording:
         drained = False
         while not self._queue.empty():
             drained = True
-            item: Chunk | LinkEvent = self._queue.get()
-            self.pipeline.feed(item)
-            self.reached_ns = item.host_ns
-            # After an item, so that every call makes progress.
+            items: list[Chunk | LinkEvent] = self._queue.get_many(0.0)
+            self.pipeline.feed_many(items)
+            self.reached_ns = items[-1].host_ns
+            # After some items, so that every call makes progress.
             if time.perf_counter() > end:
                 break
         return drained

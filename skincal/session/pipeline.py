@@ -9,6 +9,7 @@ After a request for a landmark (`AskLandmark`) the pipeline finds which poke was
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -183,13 +184,14 @@ class Pipeline:
         chunks = [item for item in items if isinstance(item, Chunk)]
         self._begin_ns = self._begin_ns or (chunks[0].host_ns if chunks else 0)
         unwritten, decoded_due_ns = self._unwritten, self._decoded_due_ns
-        fed = self._intake.feed_many(chunks)
+        fed, rest = self._intake.feed_many(chunks), deque(items)
         try:
-            for item in items:
-                if isinstance(item, Tick):
-                    unwritten.append(item)
+            while rest:
+                if isinstance(item := rest[0], Tick):
+                    unwritten.append(rest.popleft())
                     continue
                 samples, changes_frozen = next(fed)
+                rest.popleft()
                 has_news = self._intake.has_new_frames or (self.finds_skin_unit and self._intake.skin_unit)
                 if samples or changes_frozen or has_news:
                     self._process_decoded(item, samples, changes_frozen=changes_frozen)
@@ -200,6 +202,7 @@ class Pipeline:
                     self._decoded_wrenches(item.host_ns)
                     decoded_due_ns = self._decoded_due_ns
         finally:
+            unwritten.extend(rest)  # where the work fails: these bytes are worth keeping
             self._now_ns = max([self._now_ns, *(item.host_ns for item in chunks)])
             self._write_waiting()
 

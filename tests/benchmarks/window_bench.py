@@ -96,8 +96,8 @@ class Measure(QObject):
         assert canvas is not None
         self._canvas = canvas
         canvas.installEventFilter(self)
-        wrap_method(Pipeline, "feed", self._feed)
-        self.sounds.watch(Pipeline)
+        wrap_method(Pipeline, "_commit", self._commit)
+        self.sounds.watch()
         session_view.workspace.view.update()
         session_view.workspace.show_tab("Readings")
         return True
@@ -127,10 +127,10 @@ class Measure(QObject):
             self.presses.append((self._pressing_since, now))
             self._pressing_since = None
 
-    def _feed(self, call: Call, pipeline: Any, item: Any) -> None:
+    def _commit(self, call: Call, pipeline: Any, item: Any, outcomes: Any) -> None:
         """Note the arrival of each reading that ends a poke."""
         last = pipeline.session.last_poke
-        call(pipeline, item)
+        call(pipeline, item, outcomes)
         if pipeline.session.last_poke != last:
             self._released.append((pipeline.session.last_poke, item.host_ns * 1e-9))
 
@@ -210,8 +210,6 @@ class Sounds:
     def __init__(self) -> None:
         self.latencies: list[float] = []
         self.device: str | None = None
-        self._full = False
-        """The present call of the pipeline filled the still window."""
         self._since: float | None = None
         """Time of the reading that filled it, until the sound is requested."""
         self._asked: float | None = None
@@ -228,26 +226,20 @@ class Sounds:
         self.device = getattr(output, "backend", "")
         return output
 
-    def watch(self, pipeline: type[Any]) -> None:
-        """Measure calls of the pipeline, its press and the player."""
+    def watch(self) -> None:
+        """Measure calls of the press and the player."""
         from app.sound.player import Line, Player
         from skincal.contacts.press import Press
 
         wrap_method(Press, "add", self._add)
-        wrap_method(pipeline, "feed", self._feed)
         wrap_method(Player, "play", self._play)
         wrap_method(Line, "next_samples", self._on_sound_read)
 
     def _add(self, call: Call, press: Any, *arguments: Any) -> None:
         before = press.may_release
         call(press, *arguments)
-        self._full = self._full or (press.may_release and not before)
-
-    def _feed(self, call: Call, pipeline: Any, item: Any) -> None:
-        self._full = False
-        call(pipeline, item)
-        if self._full:
-            self._since = item.host_ns * 1e-9
+        if press.may_release and not before:
+            self._since = arguments[0].host_s
 
     def _play(self, call: Call, player: Any, sound: Cue | None, word: str = "") -> None:
         if sound is not None and sound.name == "HELD":

@@ -14,11 +14,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from skincal.contacts.detector import ContactDetector
 from skincal.devices.decoding import pack
 from skincal.devices.netft import PAGE, RECORDS
 from skincal.devices.netft_page import given_page
 from skincal.geometry import Arm, DhLink
 from skincal.journal import writer
+from skincal.journal.reader import SessionLog
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream, Tick
 from skincal.model.scene import ArmSpec
 from skincal.session import pipeline as pipeline_module
@@ -387,6 +389,25 @@ def test_blocks_are_decoded_together_and_not_chunk_by_chunk(tmp_path, monkeypatc
     fed(scene, items, None, itertools.repeat(100))
     assert all(isinstance(item, LinkEvent) for item in single)
     assert len(single) == len(LINKS)
+
+
+def test_a_fault_in_the_middle_of_a_block_loses_no_bytes(tmp_path, monkeypatch):
+    scene = write_scene(tmp_path / "scene")
+    items, calls = as_items(plain(scene))[:60], itertools.count()
+    feed = ContactDetector.feed
+
+    def fail_once(self, *sample):
+        if next(calls) == 4:
+            raise ZeroDivisionError
+        return feed(self, *sample)
+
+    monkeypatch.setattr(ContactDetector, "feed", fail_once)
+    pipeline = Pipeline(scene, LINKS, None, writer.create_session(tmp_path / "s", scene, LINKS))
+    with pytest.raises(ZeroDivisionError):
+        pipeline.feed_many(items)
+    pipeline.close()
+    kept = [item for item in SessionLog(tmp_path / "s").items() if isinstance(item, Chunk)]
+    assert kept == [item for item in items if isinstance(item, Chunk)]
 
 
 def test_a_recorded_session_in_blocks_is_replayed(tmp_path):
