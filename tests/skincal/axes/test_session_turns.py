@@ -1,5 +1,7 @@
 """Turns of a session that grows: the same to the last bit by every way to the same contacts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,18 @@ def test_a_growing_session_has_the_turns_of_all_its_contacts(session):
         steps += 1
     assert steps > 5
     assert numbers(solving.turns({})) == numbers(once)
+
+
+def test_the_tare_after_an_early_poke_changes_the_noise_that_all_share(session):
+    session, _ = session
+    contacts = session.contacts[:20]
+    later = replace(contacts[2], force=contacts[2].force + np.array([0.3, -0.2, 0.1]))
+    solving = TurnSolving(session.scene.skin.layout, session.scene.noise.force)
+    solving.pokes_changed([contact.poke for contact in contacts], contacts)
+    solving.solve()
+    solving.pokes_changed([later.poke], [later])
+    solving.solve()
+    assert numbers(solving.turns({})) == numbers(fed(session, [*contacts[:2], later, *contacts[3:]]))
 
 
 def test_a_poke_changes_the_taxels_that_it_presses_alone(session):

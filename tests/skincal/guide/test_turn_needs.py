@@ -81,6 +81,8 @@ def test_the_predicted_gain_is_that_of_the_poke(pokes, lean):
         assert sds[0] < now
         assert sds[1] <= now
         assert now == turn.fit.in_plane_sd
+        # A straight push shows nothing of a turn about it.
+        assert lean or sds[1] > 0.9 * now
         predicted.append(sds[0])
         made.append(fit_group((0,), after, NOISE).fit.in_plane_sd)
     assert np.median(predicted) == pytest.approx(np.median(made), rel=0.5)
