@@ -102,8 +102,42 @@ def test_enter_keeps_a_provisional_session(bench, kept_before):
     assert len(replay(kept).snapshot().pokes) == len(pipeline.snapshot().pokes)
 
 
-def test_before_another_session_is_opened_it_is_asked_too_and_nothing_happens_until_then(bench, recorded):
+def test_a_provisional_session_is_asked_about_before_it_goes(bench, recorded):
     pokes = poked(bench)
+    the_verdict_that_is_due_waits_until_the_question_is_answered(bench)
+    the_question_counts_the_pokes_that_come_meanwhile(bench, pokes)
+    nothing_happens_until_the_answer(bench, recorded, pokes)
+
+
+def the_verdict_that_is_due_waits_until_the_question_is_answered(bench):
+    view = bench.window.session_view
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session_view, "DEMO_VERDICT_DELAY_MS", 0)
+        bench.window.close()
+        bench.until(lambda: isinstance(QApplication.activeWindow(), QMessageBox), 5000)
+        may = replace(view.state.may, ends=True)
+        patch.setattr(view, "_completed", lambda moment: replace(moment, may=may))
+        view.show()
+        bench.qtbot.wait(50)
+        assert isinstance(QApplication.activeModalWidget(), QMessageBox)
+        assert not bench.window.findChildren(VerdictDialog)
+        answer(bench, "Cancel")
+        bench.until(lambda: bool(bench.window.findChildren(VerdictDialog)), 5000)
+    bench.window.findChildren(VerdictDialog)[0].reject()
+
+
+def the_question_counts_the_pokes_that_come_meanwhile(bench, pokes):
+    bench.window.open(OpenRequest(scene=resource("scenes/flat-patch/scene.toml")))
+    assert str(pokes) in bench.window._question.text()
+    more = replace(bench.recording.pipeline.snapshot(), pokes=bench.snapshot.pokes * 2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench.recording.pipeline, "snapshot", lambda *_: more)
+        bench.until(lambda: f" {len(more.pokes)} poke" in bench.window._question.text(), 5000)
+    answer(bench, "Cancel")
+    bench.until(lambda: len(bench.snapshot.pokes) == pokes, 5000)
+
+
+def nothing_happens_until_the_answer(bench, recorded, pokes):
     bench.window.tell(Message("It is so with the first session.", error=True))
     bench.window.open(OpenRequest(session=recorded))
     answer(bench, "Cancel")
@@ -128,35 +162,6 @@ def test_the_next_session_says_where_the_one_before_is_kept(bench, recorded):
     (kept,) = bench.documents.iterdir()
     assert closed_words(kept) in told(bench)
     assert kept_words(kept) not in told(bench), "it is no longer this session"
-
-
-def test_the_question_whether_to_keep_a_session_counts_the_pokes_that_come_meanwhile(bench, monkeypatch):
-    pokes = poked(bench)
-    bench.window.open(OpenRequest(scene=resource("scenes/flat-patch/scene.toml")))
-    assert str(pokes) in bench.window._question.text()
-    more = replace(bench.recording.pipeline.snapshot(), pokes=bench.snapshot.pokes * 2)
-    monkeypatch.setattr(bench.recording.pipeline, "snapshot", lambda *_: more)
-    bench.until(lambda: f" {len(more.pokes)} poke" in bench.window._question.text(), 5000)
-    monkeypatch.undo()
-    answer(bench, "Cancel")
-
-
-def test_the_verdict_that_is_due_waits_until_an_open_question_is_answered(bench, monkeypatch):
-    poked(bench)
-    view = bench.window.session_view
-    monkeypatch.setattr(session_view, "DEMO_VERDICT_DELAY_MS", 0)
-    bench.window.close()
-    bench.until(lambda: isinstance(QApplication.activeWindow(), QMessageBox), 5000)
-    may = replace(view.state.may, ends=True)
-    monkeypatch.setattr(view, "_completed", lambda moment: replace(moment, may=may))
-    view.show()
-    bench.qtbot.wait(50)
-    assert isinstance(QApplication.activeModalWidget(), QMessageBox)
-    assert not bench.window.findChildren(VerdictDialog)
-    answer(bench, "Cancel")
-    bench.until(lambda: bool(bench.window.findChildren(VerdictDialog)), 5000)
-    monkeypatch.undo()
-    bench.window.findChildren(VerdictDialog)[0].reject()
 
 
 def told(bench) -> str:
