@@ -349,8 +349,8 @@ def _row_text(row: Mapping[str, Any]) -> str:
 
 
 def draw(result: Mapping[str, Any], figure: Figure) -> None:
-    """Draw each case's error against the number of pokes and against run time, by method."""
-    rows = result["tool"]
+    """Draw the error of cases with a mesh against the number of pokes and against run time, by method."""
+    rows = [row for row in result["tool"] if row["mesh"] and row["landmarks"] in (0, GOAL_LANDMARKS) and not row["mistake"]]
     panels = figure.subplots(2, len(rows), sharey=True, squeeze=False)
     for column, row in enumerate(rows):
         case = ToolCase(row["rig"], row["known"], row["landmarks"], row["mesh"], row["mistake"])
