@@ -1,7 +1,7 @@
 """Make the pictures of README and `docs/` again: `python -m tools.pictures`; words after it choose some (`window part`).
 
-- `window`, `errors`, `rig`, `robot`, `fingertip`: the window on seeded simulated sessions, without a display, in about fifteen
-  minutes. Devices send in real time, so that pictures differ slightly from run to run: check each.
+- `window`, `errors`, `rig`, `robot`, `cobot`, `fingertip`: the window on seeded simulated sessions, without a display, in about
+  fifteen minutes. Devices send in real time, so that pictures differ slightly from run to run: check each.
 - `part`: the steps of the tutorial `docs/first-part.md`; needs the package icub-models.
 - `headless`: the 3D picture without a display.
 - `studies`: the figures of `NAME.json` in the folder `--measured`. A missing study is run, which takes up to half an hour.
@@ -43,6 +43,7 @@ from PySide6.QtWidgets import (
 from app.headless import SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED
 from app.panels.message_bar import MAX_QUEUED_MESSAGES
 from app.panels.widgets import ElidedLabel
+from app.run import robot_demo
 from app.scene3d.offscreen import picture
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, find_scene, server_command
@@ -52,8 +53,9 @@ from app.window import Theme, Window
 from skincal.cli.simulated_robot import record_robot
 from skincal.interface.scene import Scene
 from skincal.interface.session import simulate
-from skincal.model.scene import load_scene
+from skincal.model.scene import load_scene, resource
 from skincal.part.part import load_scene_surface
+from skincal.part.tool_draft import Rig
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.virtual_session import simulate_session
 from skincal.studies import load_study
@@ -221,6 +223,26 @@ def draw_robot() -> None:
     robot.window.leave()
 
 
+def draw_cobot() -> None:
+    """Write the picture of the three rigs to choose from, and that of the window while a simulated cobot pokes."""
+    page = WindowPhotographer("cobot part", Choice.LIGHT, (1280, 800))
+    page.window.ask_part(resource("scenes/icub-forearm/forearm.obj"))
+    builder = page.window.builder
+    assert builder is not None
+    page.until(lambda: builder.is_settled and builder.view.list_layers() != ())
+    builder.show_step(builder.sensor)
+    builder.sensor.rig.buttons[Rig.ON_TOOL].click()
+    page.until(lambda: builder.is_settled)
+    page.grab("rigs", 0.5)
+    page.window.leave()
+    cobot = SessionPhotographer(robot_demo("tool"), Choice.DARK, "Readings")
+    cobot.until(lambda: cobot.view.state is not None and len(cobot.view.state.snapshot.contacts) >= 14)
+    cobot.until_text("Hold still", "", 0)
+    cobot.dismiss_messages()
+    cobot.grab("cobot")
+    cobot.window.leave()
+
+
 def draw_fingertip() -> None:
     """Write the picture of a fingertip of three axes that a simulated robot calibrated."""
     scene = load_scene(find_scene(Path("fingertip")))
@@ -274,7 +296,7 @@ def main() -> None:
     """Write the chosen pictures."""
     parser = argparse.ArgumentParser(description="Make the pictures of README and docs again.")
     parser.add_argument(
-        "which", nargs="*", help="window, errors, rig, robot, fingertip, part, headless, studies; without any: all"
+        "which", nargs="*", help="window, errors, rig, robot, cobot, fingertip, part, headless, studies; without any: all"
     )
     parser.add_argument("--measured", type=Path, default=Path("studies"), help="folder of the studies' numbers")
     options = parser.parse_args()
@@ -285,6 +307,7 @@ def main() -> None:
         "errors": draw_errors,
         "rig": draw_rig,
         "robot": draw_robot,
+        "cobot": draw_cobot,
         "fingertip": draw_fingertip,
         "part": draw_part,
         "headless": draw_headless,

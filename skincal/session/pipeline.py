@@ -310,6 +310,8 @@ class Pipeline:
             link_from_sensor = self.session.tool.placed_pose(link_from_sensor)
         used = self.session.decisions.corrections
         progress = corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name, used)
+        if self.session.tool is not None:
+            progress = self.session.tool.through_tip(progress, link_from_sensor)
         if not self._has_samples(now_ns):
             progress = replace(progress, phase=PressPhase.NO_DATA)
         times, wrench = self._intake.recent_wrench()

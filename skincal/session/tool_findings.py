@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Outcome
+from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray, crossed, orthonormal_pair
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import Landmark, Scene
@@ -279,6 +279,16 @@ class ToolFindings:
             if isinstance(found, Contact):
                 found = replace(found, tip=None if contacts is None else contacts[row])
             self._placed[outcome.poke] = outcome, self.part, self.tip, found
+
+    def through_tip(self, progress: Progress, link_from_sensor: FloatArray | None) -> Progress:
+        """Move the axis of a press in progress through the tip, as that of a finished poke.
+
+        `link_from_sensor` (4, 4), metres, is as `placed_pose` gives it.
+        """
+        if link_from_sensor is None or not self._tool.has_sensor or not self._is_placed_by_tip or not progress.force.any():
+            return progress
+        tip = self.tip.shift if self.part is None or not self.part.is_known else self.tip.shift + self.part.tip_shift
+        return replace(progress, axis_point=link_from_sensor[:3] @ np.append(tip, 1.0))
 
     def placed_pose(self, link_from_sensor: FloatArray) -> FloatArray:
         """Carry poses of the sensor, (..., 4, 4) float, metres, into the part's frame; themselves while its pose is unknown."""

@@ -198,14 +198,15 @@ def chunks(per_taxel, seed, errors=None, *, on_tool=True, change=None, until_s=1
             yield Chunk(name, round(t * 1e9), text)
 
 
-def calibrate(scene, items, names=("wrench", "skin", "tool")):
+def calibrate(scene, items, names=("wrench", "skin", "tool"), *, ends=True):
     surface = None if scene.surface is None else load_surface(scene.surface)[0]
     pipeline = Pipeline(scene, [LinkSpec(name, f"simulated:{name}", (STREAMS[name],)) for name in names], surface)
     for name in names:
         pipeline.feed(LinkEvent(name, 1, LinkState.OPEN))
     for item in items:
         pipeline.feed(item)
-    pipeline.close()
+    if ends:
+        pipeline.close()
     return pipeline
 
 
@@ -521,3 +522,23 @@ def test_a_wrong_pose_of_the_part_is_named_and_no_correction_of_the_sensor_offer
     assert said.endswith("Correct base_from_link of [tool].")
     assert offered(frame, rig, 8, {}) is None
     assert not (rig.after < 0.5 * rig.before and "would be offered" in rig_sentences(rig, has_arm=True)[0])
+
+
+def test_the_axis_of_a_press_in_progress_passes_a_given_tip_as_that_of_the_finished_poke(tmp_path):
+    scene = scene_of(
+        tmp_path, change=lambda text: text.replace("base_from_link", f"tip_mm = {(TIP * 1e3).tolist()}\nbase_from_link")
+    )
+    # A moment of the sensor that is wrong by 40 N mm moves the axis by 5 mm.
+    crossed = np.array([0.0, 0.0, 0.0, 0.04, 0.0, 0.0])
+    in_press = (1.0 + REST_S + RAMP_S, 1.0 + REST_S + RAMP_S + 0.5 * HOLD_S)
+
+    def disturb(name, t, values):
+        return values + crossed if name == "wrench" and in_press[0] < t else values
+
+    pipeline = calibrate(scene, chunks(1, 3, change=disturb, until_s=in_press[1]), ends=False)
+    live = pipeline.live(0)
+    force = live.progress.force
+    assert np.linalg.norm(force) > 4.0
+    tip = live.link_from_sensor[:3] @ np.append(scene.tool.tip_in_sensor, 1.0)
+    across = np.cross(live.progress.axis_point - tip, force / np.linalg.norm(force))
+    assert np.linalg.norm(across) < 1e-9
