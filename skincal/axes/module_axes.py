@@ -14,6 +14,13 @@ Without (4a) one turn with a small ratio of gains would explain a dome with a po
 The ratio is a property of the taxels, so modules are fitted with that of the taxels if it is better known.
 Each hypothesis has the noise that it finds, from the misses of modules or of taxels. That of a shared turn has a limit.
 
+Without a mesh, z of the taxels of a module lies near one unknown direction also if each has axes of its own: they are glued
+side by side. So the taxels apart have, for each of the scales t of `TILT_SCALES` and for none with equal weights,
+
+    sum of [E + ln(4 pi N(lean of z from the mean z; 0, t^2 + cov))] + ln(share of the sphere left for the mean z).      (4b)
+
+Few pokes on a taxel make the odds of one turn too large: `SHARED_MARGIN` lowers them.
+
 A module's plan has axes, too: x and y of the layout, and z out of the skin. A scene whose axes are right has R close to these
 in the module's pose. If the axes of the readings are close to another signed permutation P of the plan's axes, a plain mistake
 is there. Both are compared with the tolerance `PLAN_TOLERANCE` in each direction, since modules are glued by hand:
@@ -51,6 +58,13 @@ CLEAR_LOG_ODDS = float(np.log(5.0))
 """Of the named mistake over every other one."""
 PUSH_TOLERANCE = float(np.radians(30.0))
 """rad, standard deviation of the mean push on a taxel from its z: pokes lean."""
+TILT_SCALES = tuple(float(np.radians(angle)) for angle in (3.0, 15.0, 45.0))
+"""rad, standard deviation of z of a module's taxels from their mean: a flat board, one that bends, a fingertip."""
+SHARED_MARGIN = 1.5
+"""Subtracted from the log odds of one turn for each taxel without a known turn in the plane. By Laplace's approximation twelve
+taxels with random turns and one poke each have log odds of up to 17."""
+MIN_SHARED_RATIO = 0.15
+"""With a smaller ratio of gains all readings are along z, and any taxels seem to share a turn."""
 AXIS_NAMES = ("x", "y", "z")
 SIGNED_PERMUTATIONS: tuple[FloatArray, ...] = tuple(
     np.array([[sign[column] * (order[column] == row) for column in range(3)] for row in range(3)], dtype=np.float64)
@@ -209,19 +223,19 @@ def module_turn(number: int, turn: Turn, taxels: Mapping[int, Turn], normals: Ma
     single = [taxels[channel] for channel in turn.channels]
     # One hand for all taxels: they are of one kind.
     together = max(fit.log_evidence for fit in turn.fits)
-    apart = max(
-        sum(each.fits[hand].log_evidence + _log_factor_of_normal(each, hand, normals) for each in single) for hand in range(2)
-    )
-    return ModuleTurn(number, turn, together - apart if len(single) > 1 else 0.0, len(single), _spread(turn, single))
+    apart = max(_evidence_apart(single, hand, normals) for hand in range(2))
+    odds = together - apart if len(single) > 1 else 0.0
+    if odds > 0:
+        hand = int(turn.log_odds_mirrored > 0)
+        margin = SHARED_MARGIN * sum(not each.fits[hand].is_in_plane_known for each in single)
+        odds = max(odds - margin, 0.0) if np.exp(turn.fits[hand].log_ratio) > MIN_SHARED_RATIO else 0.0
+    return ModuleTurn(number, turn, odds, len(single), _spread(turn, single))
 
 
 def _log_factor_of_normal(turn: Turn, hand: int, normals: Mapping[int, FloatArray]) -> float:
     """Compute the logarithm of the factor (4a) from the normal of the skin."""
-    normal = normals.get(turn.channels[0])
-    if normal is None:
-        return 0.0
     fit = turn.fits[hand]
-    local = fit.rotation.T @ normal
+    local = fit.rotation.T @ normals[turn.channels[0]]
     # Turns about x and y that bring z to the normal.
     lean = (
         np.array([-local[1], local[0]])
@@ -230,6 +244,39 @@ def _log_factor_of_normal(turn: Turn, hand: int, normals: Mapping[int, FloatArra
     )
     variance = fit.covariance[:2, :2] + PLAN_TOLERANCE**2 * np.eye(2)
     return float(np.log(4.0 * np.pi) - np.log(2.0 * np.pi)) + _log_normal(lean, variance)
+
+
+def _evidence_apart(single: Sequence[Turn], hand: int, normals: Mapping[int, FloatArray]) -> float:
+    """Compute the logarithm of the evidence of one turn for each taxel, with z near the normals (4a) or one direction (4b)."""
+    fits = [turn.fits[hand] for turn in single]
+    evidence = sum(fit.log_evidence for fit in fits)
+    if len(fits) < 2:
+        return evidence
+    if all(turn.channels[0] in normals for turn in single):
+        return evidence + sum(_log_factor_of_normal(turn, hand, normals) for turn in single)
+    leans, covariances = _leans_from_mean(fits)
+    gains = [0.0]
+    for scale in TILT_SCALES:
+        variances = covariances + scale**2 * np.eye(2)
+        _, log_dets = np.linalg.slogdet(variances)
+        squares = np.einsum("ni,nij,nj->n", leans, np.linalg.inv(variances), leans)
+        near = float(np.sum(np.log(2.0) - 0.5 * log_dets - 0.5 * squares))
+        # The common direction is any, and known to this area.
+        area = 2.0 * np.pi / float(np.sum(1.0 / np.sqrt(np.exp(log_dets))))
+        gains.append(near + float(np.log(min(area / (4.0 * np.pi), 1.0))))
+    return evidence + float(np.logaddexp.reduce(gains) - np.log(len(gains)))
+
+
+def _leans_from_mean(fits: Sequence[TurnFit]) -> tuple[FloatArray, FloatArray]:
+    """Compute the leans (n, 2), rad, of z of each fit to their mean, and their covariances (n, 2, 2), in the axes of each."""
+    covariances = np.array([fit.covariance[:2, :2] for fit in fits])
+    weights = 1.0 / (TILT_SCALES[0] ** 2 + 0.5 * np.trace(covariances, axis1=1, axis2=2))
+    mean = weights @ np.array([fit.rotation[:, 2] for fit in fits])
+    mean = mean / max(float(np.linalg.norm(mean)), 1e-12)
+    local = np.array([fit.rotation.T @ mean for fit in fits])
+    sine = np.hypot(local[:, 0], local[:, 1])
+    stretch = np.arctan2(sine, local[:, 2]) / np.maximum(sine, 1e-12)
+    return np.stack([-local[:, 1], local[:, 0]], axis=1) * stretch[:, None], covariances
 
 
 def _spread(turn: Turn, single: Sequence[Turn]) -> float:

@@ -2,7 +2,8 @@
 
 All taxels are of one kind. So the noise of a reading's direction and the usual ratio of gains are found from all of them
 together, and each taxel is then fitted with both. The noise is that of the readings (raw units), or that of their directions
-(rad), whichever makes the misses likelier. Its size is that for which the median miss is the expected one.
+(rad), whichever makes the misses likelier. Its size is that for which the median miss is the expected one; with few pokes at
+least that for which their sum is.
 """
 
 from __future__ import annotations
@@ -37,6 +38,10 @@ UNKNOWNS_OF_TURN = 4
 """Three of the rotation, and the ratio of gains."""
 CERTAIN_LOG_ODDS = float(np.log(20.0))
 """Natural logarithm of the odds that make a finding certain."""
+MAX_FREEDOM_OF_MEAN = 60
+"""Degrees of freedom of the misses below which their sum counts, too."""
+MAX_SQUARE_IN_SUM = 16.0
+"""Squared miss in standard deviations: a larger one is an outlier."""
 MAX_ANGULAR_NOISE = 0.5
 """rad. Readings that scatter by more than half a radian carry no direction."""
 
@@ -178,9 +183,16 @@ def _likelier_noise(groups: Sequence[AxisPokes], fits: Sequence[TurnFit], noise:
     force_part = np.concatenate([fit.variances for fit in fits]) - (noise.reading / size) ** 2 - noise.angle**2
     spare = [(2 * len(fit.misses)) / (2 * len(fit.misses) - UNKNOWNS_OF_TURN) for fit in fits]
     misses = np.concatenate([fit.misses**2 * factor for fit, factor in zip(fits, spare, strict=True)])
+    squares = np.concatenate([fit.misses**2 for fit in fits])
+    freedom = 2 * len(squares) - UNKNOWNS_OF_TURN * len(fits)
     found: list[tuple[float, AxisNoise]] = []
     for shape, name in ((1.0 / size, "reading"), (np.ones(len(size)), "angle")):
         scale = _scale_of(misses, np.maximum(force_part, 0.0), shape)
+        if freedom < MAX_FREEDOM_OF_MEAN:
+            # Fits of few pokes take up single misses, so that the median is too small.
+            # A scale that is itself uncertain: the variance of Student's t.
+            wider = float(np.sqrt(freedom / max(freedom - 2, 1)))
+            scale = max(scale, wider * _scale_of_sum(squares, np.maximum(force_part, 0.0), shape, freedom))
         variances = np.maximum(force_part, 0.0) + (scale * shape) ** 2
         # Of two normal directions each; capped, so that outliers do not decide.
         cost = float(np.sum(np.minimum(misses / variances, 16.0) + 2.0 * np.log(variances)))
@@ -195,6 +207,19 @@ def _scale_of(misses: FloatArray, force_part: FloatArray, shape: FloatArray) -> 
         middle = 0.5 * (low + high)
         variances = force_part + (middle * shape) ** 2
         if np.median(misses / np.maximum(variances, 1e-12)) > CHI2_2DOF_MEDIAN:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _scale_of_sum(squares: FloatArray, force_part: FloatArray, shape: FloatArray, freedom: int) -> float:
+    """Find the scale, as `_scale_of`, for which the sum of the squared misses (n,) is that of the degrees of freedom."""
+    low, high = 0.0, MAX_ANGULAR_NOISE / float(np.median(shape))
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        variances = force_part + (middle * shape) ** 2
+        if np.minimum(squares / np.maximum(variances, 1e-12), MAX_SQUARE_IN_SUM).sum() > freedom:
             low = middle
         else:
             high = middle

@@ -134,6 +134,8 @@ class TurnFit:
     """ln rho, of the gain along the skin over that across it."""
     covariance: FloatArray
     """(4, 4) float: of the turn omega in the axes of the taxel (R exp(S(omega)), rad^2), and of ln rho."""
+    log_det: float
+    """Logarithm of the determinant of the covariance, rad^6; of a turn about the push that is unknown without the cone of z."""
     cost: float
     """The minimum: squared misses in standard deviations, each at most `ZERO_TRUST_SDS` squared, and the prior of rho."""
     trust: FloatArray
@@ -152,7 +154,7 @@ class TurnFit:
         exp(-C/2), with the normal density 1/(2 pi s^2) of each poke's two directions, is integrated over omega, whose volume is
         8 pi^2, and over ln rho with its prior.
         """
-        _, log_volume = np.linalg.slogdet(2.0 * np.pi * self.covariance)
+        log_volume = self.log_det + 4.0 * np.log(2.0 * np.pi)
         prior = np.log(8.0 * np.pi**2) + 0.5 * np.log(2.0 * np.pi * self.log_ratio_sd**2)
         density = -np.log(2.0 * np.pi * self.variances).sum()
         return float(density - 0.5 * self.cost + 0.5 * log_volume - prior)
@@ -211,17 +213,18 @@ def fit_turn(pokes: AxisPokes, noise: AxisNoise, start: TurnFit | None = None) -
         if np.abs(now - trust).max() < 1e-6:
             break
         trust = now
-    covariance = problem.covariance(rotation, log_ratio, trust)
+    covariance, log_det = problem.covariance(rotation, log_ratio, trust)
     if covariance[3, 3] > 0.5 * noise.log_ratio_sd**2:
         held = _Problem(pokes, replace(noise, log_ratio_sd=HELD_LOG_RATIO_SD))
         rotation, log_ratio = held.minimize(rotation, noise.log_ratio, trust)
-        covariance = problem.covariance(rotation, log_ratio, trust)
+        covariance, log_det = problem.covariance(rotation, log_ratio, trust)
     squares, variances = problem.squares(rotation, log_ratio)
     return TurnFit(
         rotation=rotation,
         is_mirrored=False,
         log_ratio=log_ratio,
         covariance=covariance,
+        log_det=log_det,
         cost=float(np.minimum(squares, ZERO_TRUST_SDS**2).sum()) + problem.prior(log_ratio) ** 2,
         trust=trust,
         misses=np.sqrt(squares * variances),
@@ -328,8 +331,8 @@ class _Problem:
         rows = self._rows(rotation @ _SMALL_ROTATIONS, log_ratio + _STEPS_BOTH_WAYS[:, 3], trust)
         return ((rows[:4] - rows[4:]) / (2.0 * SMALL_TURN)).T
 
-    def covariance(self, rotation: FloatArray, log_ratio: float, trust: FloatArray) -> FloatArray:
-        """Compute the covariance (4, 4) of (omega, ln rho); see the module."""
+    def covariance(self, rotation: FloatArray, log_ratio: float, trust: FloatArray) -> tuple[FloatArray, float]:
+        """Compute the covariance (4, 4) of (omega, ln rho), see the module; and `TurnFit.log_det`."""
         jacobian = self._jacobian(rotation, log_ratio, trust)
         information = jacobian.T @ jacobian
         _, variances, m = self._misses(rotation, log_ratio)
@@ -341,9 +344,10 @@ class _Problem:
         information[3, 3] = max(information[3, 3] - known - float(surplus.sum()), 0.0) + known
         values, vectors = np.linalg.eigh(information)
         values = np.maximum(values, UNKNOWN_ANGLE_INFORMATION)
+        log_det = -float(np.log(values).sum())
         about = vectors[:3, 0]
         if values[0] >= 1.0 / IN_PLANE_KNOWN_MAX_SD**2 or abs(about[2]) < 0.5:
-            return (vectors / values) @ vectors.T
+            return (vectors / values) @ vectors.T, log_det
         # Nothing tells the turns about the push apart: z is anywhere on a cone about it.
         found: FloatArray = (vectors[:, 1:] / values[1:]) @ vectors[:, 1:].T
         # Its half angle grows as 1/rho, whose mean square exceeds the square of its median by exp(2 var(ln rho)).
@@ -351,4 +355,4 @@ class _Problem:
         found[:2, :2] += cone * np.eye(2)
         found[2, :] = found[:, 2] = 0.0
         found[2, 2] = UNKNOWN_ANGLE_SD**2
-        return found
+        return found, log_det

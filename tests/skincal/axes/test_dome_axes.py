@@ -32,9 +32,19 @@ def odds(seed, bend_deg, own_turn, pokes, lean, with_normals=True):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_dome_with_one_poke_on_each_taxel_has_no_shared_turn(seed):
-    """Readings along z everywhere are those of one turn with a small ratio of gains, too: the normals tell."""
-    assert odds(seed, 60.0, True, 1, 15.0).is_separate
+    """Readings along z everywhere are those of one turn with a small ratio of gains, too: more pokes tell."""
+    assert not odds(seed, 60.0, True, 1, 15.0).is_shared
     assert not odds(seed, 60.0, True, 2, 15.0).is_shared
+    assert odds(seed, 60.0, True, 3, 15.0).is_separate
+
+
+@pytest.mark.parametrize("with_normals", [True, False])
+def test_few_pokes_on_each_taxel_of_a_flat_module_name_no_wrong_turn(with_normals):
+    """Turns of their own with one poke each: nothing is certain. One turn that all share is, without a mesh, too."""
+    for seed in range(3):
+        assert not odds(seed, 0.0, True, 1, 15.0, with_normals).is_shared
+        assert odds(seed, 0.0, False, 1, 15.0, with_normals).is_shared
+        assert not odds(seed, 60.0, True, 1, 15.0, with_normals).is_shared
 
 
 @pytest.mark.parametrize("seed", range(3))
