@@ -63,7 +63,7 @@ from skincal.taxels.result import Method
 from tools.picture_sentences import PICTURES_FOLDER, STUDY_PICTURES, choose_texts, program_texts, store_sentences
 
 PART_PICTURE_COLOURS = 200
-FINGERTIP_SEED, FINGERTIP_TAXEL = 1, 12
+FINGERTIP_SEED, FINGERTIP_POKES, FINGERTIP_TAXEL = 1, 181, 12
 SHOWN_SENTENCES: dict[str, list[str]] = {}
 """By picture of a window made here, the texts that it shows."""
 
@@ -246,7 +246,7 @@ def draw_cobot() -> None:
 def draw_fingertip() -> None:
     """Write the picture of a fingertip of three axes that a simulated robot calibrated."""
     scene = load_scene(find_scene(Path("fingertip")))
-    record_robot(scene, Path("fingertip"), None, FINGERTIP_SEED, threading.Event(), "all")
+    record_robot(scene, Path("fingertip"), FINGERTIP_POKES, FINGERTIP_SEED, threading.Event(), "all")
     tip = SessionPhotographer(OpenRequest(session=Path("fingertip")), Choice.LIGHT, "Taxel", (1280, 1100))
     tip.view.select_taxel(FINGERTIP_TAXEL)
     # The force axes of 30 pokes would cover the axes of the taxels.
