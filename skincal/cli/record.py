@@ -53,7 +53,7 @@ ORDER_MAX_BYTES = 1 << 16
 SHOWN_ORDER_MAX_BYTES = 200
 MAX_REQUESTED_POKES = 100_000
 """Largest allowed number of pokes: more than twenty for each taxel of a whole body. More is a slip, and would fill the disk."""
-READINGS_TOGETHER_S, READINGS_TOGETHER_WITH_ROBOT_S = 0.05, 0.02
+READINGS_TOGETHER_S, READINGS_TOGETHER_WITH_ROBOT_S = 0.1, 0.02
 """s of readings that are processed together while no poke waits to become final, which takes a longer quiet time. A robot is
 answered as often as the guide looks."""
 SAMPLE_WAIT_MAX_S = 0.02
@@ -215,7 +215,8 @@ def _next_items(pipeline: Pipeline, items: ChunkQueue, *, for_robot: bool) -> li
         if not pipeline.is_frame_waiting:
             items.wait_for_others(pipeline.links_without_skin, SAMPLE_WAIT_MAX_S)
     elif not items.is_full:
-        time.sleep(READINGS_TOGETHER_WITH_ROBOT_S if for_robot else READINGS_TOGETHER_S)
+        quiet_s = pipeline.session.decisions.thresholds.quiet_s
+        time.sleep(READINGS_TOGETHER_WITH_ROBOT_S if for_robot else min(READINGS_TOGETHER_S, quiet_s / 2.0))
     return items.get_many(READING_WAIT_TIMEOUT_S)
 
 
