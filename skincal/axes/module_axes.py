@@ -30,6 +30,9 @@ is there. Both are compared with the tolerance `PLAN_TOLERANCE` in each directio
 The P of the whole skin has the largest sum of scores, each module with at most `MAX_LOG_LOSS` below its own best: a single
 turned module does not speak for the others. It is named if its odds over the scene's axes are certain, and if no other
 mistake is nearly as likely.
+
+On a curved part, taxels with axes of their own still lie near those of the plan. If they agree, the score of their module is
+the sum of theirs, with the tolerance `CURVED_PLAN_TOLERANCE`.
 """
 
 from __future__ import annotations
@@ -43,11 +46,17 @@ import numpy as np
 
 from skincal.axes.skin_turns import CERTAIN_LOG_ODDS, SkinTurns, Turn, find_noise, fit_group, joined
 from skincal.axes.turn_fit import AxisNoise, AxisPokes, TurnFit
-from skincal.contacts.value_order import LOG_PRIOR_OF_WRONG_ORDER, OrderOfValues
+from skincal.contacts.value_order import OrderOfValues
 from skincal.geometry import FloatArray, rotation_vector
 
 PLAN_TOLERANCE = float(np.radians(8.0))
 """rad, standard deviation of a module's turn on the part from that of its plan: boards are glued by hand, and bend."""
+CURVED_PLAN_TOLERANCE = float(np.radians(20.0))
+"""rad, the same of a taxel with axes of its own, on a module that a curved part bends."""
+MIN_JUDGED_TAXELS, MAX_JUDGED_TAXELS = 5, 8
+"""Taxels of this module that are compared, those with the most pokes: 2 ms each. Fewer agree by chance."""
+AGREEING_MIN_SHARE = 0.85
+"""Share of these taxels that agree, from which they have the axes of the plan."""
 LOG_PRIOR_OF_MISTAKE = float(np.log(0.01))
 """A wrong scene is rarer than a right one, by about this much for each kind of mistake."""
 MAX_SHARED_NOISE = 0.12
@@ -182,12 +191,12 @@ def find_axes(
     """
     modules = _module_turns(turns, plans) if modules is None else modules
     log_odds = float(sum(each.log_odds_shared for each in modules))
-    if order is not None and order.log_odds_wrong > LOG_PRIOR_OF_WRONG_ORDER:
+    if order is not None and order.is_open:
         # Readings of other taxels say nothing about axes.
         wrong = (AxisMistake(AxisMistakeKind.ORDER, None, (), float("nan"), order.log_odds_wrong, ()),)
         return AxisFindings(tuple(modules), log_odds, wrong if order.is_wrong else ())
     known = {plan.id: plan.rotation for plan in plans}
-    mistakes = _plan_mistakes(modules, known) if any(each is not None for each in known.values()) else ()
+    mistakes = _plan_mistakes(modules, known, turns.taxels) if any(each is not None for each in known.values()) else ()
     if not mistakes:
         mistakes = _normal_mistakes(turns)
     return AxisFindings(tuple(modules), log_odds, mistakes)
@@ -289,13 +298,18 @@ def _spread(turn: Turn, single: Sequence[Turn]) -> float:
     return float(np.sqrt(max(0.0, np.mean(squares) - np.mean(expected))))
 
 
-def _plan_mistakes(modules: Sequence[ModuleTurn], rotations: Mapping[int, FloatArray | None]) -> tuple[AxisMistake, ...]:
+def _plan_mistakes(
+    modules: Sequence[ModuleTurn], rotations: Mapping[int, FloatArray | None], taxels: Mapping[int, Turn]
+) -> tuple[AxisMistake, ...]:
     """Name mistakes against the plans of modules: the one of the whole skin, and those of single modules."""
     scores: dict[int, FloatArray] = {}
     for module in modules:
         rotation = rotations[module.id]
-        if rotation is not None and not module.is_separate:
-            scores[module.id] = score_permutations(module.turn, rotation)
+        if rotation is None:
+            continue
+        own = _scores_of_taxels(module, rotation, taxels) if module.is_separate else score_permutations(module.turn, rotation)
+        if own is not None:
+            scores[module.id] = own
     if not scores:
         return ()
     losses = [np.maximum(own - own.max(), -MAX_LOG_LOSS) for own in scores.values()]
@@ -321,12 +335,23 @@ def _likeliest(scores: FloatArray, usual: int = 0) -> tuple[int, float]:
     return (first, log_odds) if first != usual and log_odds > CERTAIN_LOG_ODDS and is_clear else (usual, 0.0)
 
 
-def score_permutations(turn: Turn, plan: FloatArray) -> FloatArray:
-    """Compute the scores (48,) of `SIGNED_PERMUTATIONS` of a plan's axes (3, 3), without priors (5)."""
+def _scores_of_taxels(module: ModuleTurn, plan: FloatArray, taxels: Mapping[int, Turn]) -> FloatArray | None:
+    """Sum the scores (48,) of taxels with axes of their own; `None` if they do not agree on a permutation."""
+    judged = sorted(module.turn.channels, key=lambda channel: -taxels[channel].pokes)[:MAX_JUDGED_TAXELS]
+    if len(judged) < MIN_JUDGED_TAXELS:
+        return None
+    each = np.array([score_permutations(taxels[channel], plan, CURVED_PLAN_TOLERANCE) for channel in judged])
+    scores = each.sum(axis=0)
+    agree = each[:, scores.argmax()] > each.max(axis=1) - CERTAIN_LOG_ODDS
+    return scores if agree.mean() >= AGREEING_MIN_SHARE else None
+
+
+def score_permutations(turn: Turn, plan: FloatArray, tolerance: float = PLAN_TOLERANCE) -> FloatArray:
+    """Compute the scores (48,) of `SIGNED_PERMUTATIONS` of a plan's axes (3, 3), without priors (5); `tolerance` in rad."""
     scores = np.empty(len(SIGNED_PERMUTATIONS))
     for place, permutation in enumerate(SIGNED_PERMUTATIONS):
         fit = turn.fits[int(np.linalg.det(permutation) < 0)]
-        variance = fit.covariance[:3, :3] + PLAN_TOLERANCE**2 * np.eye(3)
+        variance = fit.covariance[:3, :3] + tolerance**2 * np.eye(3)
         scores[place] = fit.log_evidence + _log_normal(_turn_between(plan @ permutation, fit), variance)
     return scores
 

@@ -63,7 +63,7 @@ def new_scene(
             "of a file that the URDF names, as the URDF scales it."
         ),
     ] = None,
-    channels: Annotated[int | None, typer.Option(min=1, help="Values of a skin frame; default: those of the layout.")] = None,
+    channels: Annotated[int | None, typer.Option(min=1, help="Number of taxels; default: those of the layout.")] = None,
     polarity: Annotated[Literal["up", "down"], typer.Option(help="Values rise or fall under pressure.")] = "up",
     layout: Annotated[
         Path | None, typer.Option(help="Layout: a file of skincal (*.toml), an iCub .ini, or a table of positions.")

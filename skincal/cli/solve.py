@@ -263,7 +263,9 @@ def _turn_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
 
     method = results.choose_method(None)
     findings, frames = found.findings(method), found.frames(method)
-    words = [turn_summary([*frames.values()]), *filter(None, [shared_sentence(findings)])]
+    # Readings of other taxels say nothing about turns.
+    own_sentence = "" if findings.is_value_order_wrong else shared_sentence(findings)
+    words = [turn_summary([*frames.values()]), *filter(None, [own_sentence])]
     states = Counter(frame.state.value for frame in frames.values())
     summary: dict[str, Any] = {
         "method": method.value,

@@ -160,7 +160,9 @@ class SkinWatch:
             self._same_highest += 1
             at = np.flatnonzero(values == highest)
             # Ties are no normalised noise.
-            self._other_holders += len(at) == 1 and self._holder not in (-1, int(at[0]))
+            is_other = len(at) == 1 and self._holder not in (-1, int(at[0]))
+            # Coarse steps at rest have two values in a frame, too.
+            self._other_holders += is_other and bool(((values > lowest) & (values < highest)).any())
             self._holder = int(at[0]) if len(at) == 1 else -1
         else:
             self._holder = -1

@@ -20,6 +20,9 @@ if TYPE_CHECKING:  # a skin of one axis loads no such module
 
 SHARE_ON_Z = 0.95
 """Share of pokes with a z as the strongest value. The rest lean by more than 45 degrees, or miss the taxels."""
+OPEN_MIN_SHARE_ON_Z = 0.5
+"""Least share in the other order that makes it likely: by chance a third of the pokes are on z."""
+MIN_POKES_WITHOUT_Z = 6
 LOG_PRIOR_OF_WRONG_ORDER = float(np.log(0.01))
 CERTAIN_LOG_ODDS = float(np.log(20.0))
 
@@ -51,6 +54,10 @@ class ValueOrderCounts:
         right, wrong = self.on_z(order), self.on_z(order.other)
         return float((wrong - right) * (gain - loss) + LOG_PRIOR_OF_WRONG_ORDER)
 
+    def has_no_z(self, order: ValueOrder) -> bool:
+        """Whether the strongest value of most pokes is no z: axes or order of the scene are wrong."""
+        return self.pokes >= MIN_POKES_WITHOUT_Z and self.on_z(order) < 0.5 * self.pokes
+
     def is_wrong(self, order: ValueOrder) -> bool:
         """Whether the values have the other order for certain."""
         return self.log_odds_wrong(order) > CERTAIN_LOG_ODDS and self.on_z(order.other) >= 0.75 * self.pokes
@@ -72,6 +79,12 @@ class OrderOfValues:
     def is_wrong(self) -> bool:
         """Whether the values have the other order for certain."""
         return self.counts.is_wrong(self.order)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the other order is likelier. Pokes whose strongest value is no z in either order show exchanged axes."""
+        other = self.counts.on_z(self.order.other)
+        return self.log_odds_wrong > LOG_PRIOR_OF_WRONG_ORDER and other >= OPEN_MIN_SHARE_ON_Z * self.counts.pokes
 
 
 def sum_of_counts(counts: Iterable[ValueOrderCounts]) -> ValueOrderCounts:

@@ -89,8 +89,12 @@ class SessionResults:
 
     @cached_property
     def setup(self) -> SetupDiagnosis | None:
-        """Mistakes of the scene that pokes on the skin show; `None` without a laid layout or with too few pokes."""
+        """Mistakes of the scene that pokes on the skin show; `None` without a laid layout, or with too few pokes."""
         session, part = self.session, self.part
+        order = self.snapshot.value_order
+        if order is not None and order.is_wrong:
+            # The answers are those of other taxels: they say nothing about the scene.
+            return None
         return check_tool_setup(self.snapshot, session.scene, part.laid, session.surface, session.wrench_frames)
 
     @cached_property

@@ -88,6 +88,10 @@ class SetupFollower:
         while self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]:
             self._next += 1
         scene = part.scene
+        if snapshot.value_order is not None and snapshot.value_order.is_wrong:
+            # The answers are those of other taxels: they say nothing about the scene.
+            self._replace_finding((), None)
+            return
 
         def finish(diagnosis: SetupDiagnosis | None) -> None:
             if corrections == self._corrections:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from skincal.contacts.crowding import CrowdKind, find_crowd
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.words.poke_words import answered_inversely
 from skincal.words.units import count
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ CLEAR_ANSWER_MIN_THRESHOLDS = 2.0
 CLIPPED_MIN_SHARE_OF_POKES = 0.02
 ANSWER_SHARE_FOR_THRESHOLD = 0.1
 """Proposed `response_min` over the median answer."""
+MIN_INVERSE_POKES = 2
+"""One alone may be a zero that was taken while something pressed."""
 
 
 def skin_sentences(condition: SkinCondition, outcomes: Sequence[Outcome], scene: Scene, used: ContactSettings) -> list[str]:
@@ -37,9 +40,31 @@ def skin_sentences(condition: SkinCondition, outcomes: Sequence[Outcome], scene:
     outcomes : of all pokes but those at landmarks
     used : thresholds now
     """
-    found = [_normalised(condition) or _noisy(condition, outcomes, used) or _small(condition, outcomes, used)]
-    found += [_drifting(condition), _clipped(condition), _crowded(find_crowd(outcomes, scene))]
+    unit, axes = "raw units", scene.skin.axes
+    if axes is not None:
+        unit = "N" if axes.unit == "N" else unit
+    # In the wrong order, or against the polarity, small answers say nothing about the threshold.
+    order = None if axes is None else condition.value_order
+    has_mistake = axes is not None and order is not None and order.has_no_z(axes.order)
+    found = [_inverse(outcomes, scene) or _normalised(condition)]
+    if not (has_mistake or found[0]):
+        found = [_noisy(condition, outcomes, used, unit) or _small(condition, outcomes, used, unit)]
+    found += [_drifting(condition, unit), _clipped(condition), _crowded(find_crowd(outcomes, scene))]
     return [f"skin: {sentence}" for sentence in found if sentence]
+
+
+def _inverse(outcomes: Sequence[Outcome], scene: Scene) -> str:
+    """Name the polarity if no more pokes were answered than changed the other way."""
+    inverse = sum(isinstance(each, Rejection) and answered_inversely(each) for each in outcomes)
+    if inverse < MIN_INVERSE_POKES or sum(isinstance(each, Contact) for each in outcomes) > inverse:
+        return ""
+    way, other = ("rise", "down") if scene.skin.polarity > 0 else ("fall", "up")
+    values = "values" if scene.skin.axes is None else "values of z"
+    return (
+        f"taxels changed against the polarity in {inverse} of {count(len(outcomes), 'poke')}: by the scene their {values} "
+        f'{way} under a push. Write polarity = "{other}" in [skin] of the scene and read the recording again. If it is right, '
+        "keep hands off for half a second before each poke."
+    )
 
 
 def _normalised(at: SkinCondition) -> str:
@@ -60,12 +85,12 @@ def _unanswered(outcomes: Sequence[Outcome]) -> bool:
     return silent >= max(MIN_POKES_TO_JUDGE_SKIN, MIN_SHARE_OF_UNANSWERED_POKES * len(outcomes))
 
 
-def _noisy(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSettings) -> str:
+def _noisy(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSettings, unit: str) -> str:
     is_small = at.pokes >= MIN_POKES_TO_JUDGE_SKIN and at.answer_over_noise < used.response_noises
     if not (is_small and _unanswered(outcomes)) or _clear_pokes(at, outcomes, used) >= MIN_CLEAR_POKES_OF_A_GOOD_SKIN:
         return ""
     return (
-        f"its noise at rest is as large as its answers: the strongest answer of a poke is {at.answer:.3g} raw units (median), "
+        f"its noise at rest is as large as its answers: the strongest answer of a poke is {at.answer:.3g} {unit} (median), "
         f"{at.answer_over_noise:.1f} times the noise of that taxel; expected {used.response_noises:g} times or more. Check "
         "that raw values are recorded, and the supply, ground and shield of the skin. If its foam is thick, press harder."
     )
@@ -77,24 +102,24 @@ def _clear_pokes(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSe
     return sum(isinstance(each, Contact) and bool((each.responses >= clear).any()) for each in outcomes)
 
 
-def _small(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSettings) -> str:
-    """Name a lower threshold if answers are clear, but below the threshold in raw units."""
+def _small(at: SkinCondition, outcomes: Sequence[Outcome], used: ContactSettings, unit: str) -> str:
+    """Name a lower threshold if answers are clear, but below the threshold."""
     is_clear = at.answer_over_noise >= CLEAR_ANSWER_MIN_THRESHOLDS * used.response_noises or (at.answer > 0 and at.noise == 0)
     if not (_unanswered(outcomes) and at.pokes >= MIN_POKES_TO_JUDGE_SKIN and is_clear and at.answer < used.response_min):
         return ""
     return (
-        f"its answers are clear but small: the strongest answer of a poke is {at.answer:.3g} raw units (median), and a taxel "
+        f"its answers are clear but small: the strongest answer of a poke is {at.answer:.3g} {unit} (median), and a taxel "
         f"answers from {used.response_min:g} on. Write response_min = {ANSWER_SHARE_FOR_THRESHOLD * at.answer:.2g} in "
         "[contacts] of the scene and read the recording again, or press again."
     )
 
 
-def _drifting(at: SkinCondition) -> str:
+def _drifting(at: SkinCondition, unit: str) -> str:
     if at.drifting < MIN_DRIFTING_POKES:
         return ""
     way = "rise" if at.drift > 0 else "fall"
     return (
-        f"its values at rest {way} by {abs(at.drift):.3g} raw units a second (median of {count(at.drifting, 'poke')}). "
+        f"its values at rest {way} by {abs(at.drift):.3g} {unit} a second (median of {count(at.drifting, 'poke')}). "
         "Answers of these pokes are measured from the line between the rest before and after them, so they count. To end the "
         "drift, let the skin and its board warm up, and check their supply and reference voltage."
     )

@@ -48,6 +48,12 @@ def test_a_frame_without_a_change_counts_for_nothing():
     assert count_strongest(axes, np.zeros(9)) == count_strongest(axes, np.full(9, np.nan)) == ValueOrderCounts()
 
 
+def test_pokes_without_a_z_in_the_order_of_the_scene_are_counted():
+    assert ValueOrderCounts(6, 2, 2).has_no_z(ValueOrder.BY_TAXEL)
+    assert not ValueOrderCounts(5, 0, 5).has_no_z(ValueOrder.BY_TAXEL)
+    assert not ValueOrderCounts(6, 3, 0).has_no_z(ValueOrder.BY_TAXEL)
+
+
 def test_counts_add_up():
     assert ValueOrderCounts(3, 2, 1).plus(ValueOrderCounts(4, 0, 4)) == ValueOrderCounts(7, 2, 5)
 
