@@ -26,6 +26,11 @@ HELP = ("-h", "--help", "--version")
 DEMO_COMMAND = "demo"
 ROBOT_DEMO = "robot"  # `skincal demo robot`: the window with a simulated robot that pokes
 SENSORS_OF_DEMO = ("below", "tool", "none")  # `--sensor`: below the part, in a cobot's wrist, or none; the first is the default
+DEMO_HELP = f"""usage: skincal {DEMO_COMMAND} {ROBOT_DEMO} [--sensor {"|".join(SENSORS_OF_DEMO)}]
+
+Open the window while a simulated robot arm calibrates a part. S stops the arm.
+--sensor is where the force/torque sensor is: below the part (default), in the arm's wrist, or none.
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -78,6 +83,9 @@ def _command(arguments: list[str]) -> int:
 
 
 def _run_demo(words: Sequence[str]) -> int:
+    if set(words) & set(HELP[:2]):
+        sys.stdout.write(DEMO_HELP)
+        return 0
     sensor = words[2] if len(words) == 3 and words[1] == "--sensor" else SENSORS_OF_DEMO[0] if len(words) == 1 else ""
     if list(words[:1]) != [ROBOT_DEMO] or sensor not in SENSORS_OF_DEMO:
         named, known = " ".join([DEMO_COMMAND, *words]), ", ".join(SENSORS_OF_DEMO)

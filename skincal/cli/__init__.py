@@ -6,6 +6,7 @@ Results go to stdout, as text or with `--json` as one JSON value; everything els
 
 from __future__ import annotations
 
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -61,18 +62,23 @@ COMMAND_MODULES = (
     "study",
 )
 """Modules of this package with commands, in the order of the help. Each has `add_to(app)`."""
+BRACKETS = re.compile(r"(\[[a-z])")
+"""What rich takes for the beginning of markup."""
 
 
-def _hide_flag_types(command: Any) -> None:
-    """Leave the type of flags out of the help: `--serve <bool>` looks as if a value followed.
+def _prepare_help(command: Any) -> None:
+    """Leave the type of flags out of the help, and keep words in brackets such as `[tool]`.
 
+    `--serve <bool>` looks as if a value followed. Rich takes words in brackets for markup and drops them.
     `command` is a command or group of click, or of the copy of click inside newer versions of typer.
     """
     for parameter in command.params:
         if getattr(parameter, "is_flag", False):
             parameter.metavar = ""
+        if app.rich_markup_mode == "rich" and getattr(parameter, "help", None):
+            parameter.help = BRACKETS.sub(r"\\\1", parameter.help)
     for each in getattr(command, "commands", {}).values():
-        _hide_flag_types(each)
+        _prepare_help(each)
 
 
 @cache
@@ -81,7 +87,7 @@ def _commands() -> Any:
     for name in COMMAND_MODULES:
         import_module(f"skincal.cli.{name}").add_to(app)
     commands = typer.main.get_command(app)
-    _hide_flag_types(commands)
+    _prepare_help(commands)
     return commands
 
 

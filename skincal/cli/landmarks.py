@@ -282,7 +282,8 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
         if isinstance(action, AddLandmark):
             lines.append(f"wrote landmark {action.name}")
         else:
-            passed = f", which its axis passes at {millimetres(misses[action.poke])}" if action.poke in misses else ""
+            miss = millimetres(misses.get(action.poke, 0.0))
+            passed = f", {_miss_words(miss, has_axis=session.scene.has_sensor)}" if action.poke in misses else ""
             lines.append(f"wrote poke {action.poke} at {action.name or 'no landmark'}{passed}")
     nothing = ["nothing new, nothing was written"] if session.decisions.landmarks else [_landmark_line(session)]
     points = max(MIN_LANDMARKS - len(set(pokes.name.tolist())), 0)
@@ -392,8 +393,14 @@ def _landmark_line(session: Session) -> str:
     return f"landmarks, mm: {'; '.join(places)}" if places else "the scene has no landmarks; --add NAME X Y Z names one"
 
 
+def _miss_words(miss: str, *, has_axis: bool) -> str:
+    """Describe the distance of a poke from its landmark; without a force sensor it has no axis, and is the place of the tip."""
+    return f"which its axis passes at {miss}" if has_axis else f"{miss} from it"
+
+
 def _row_line(row: dict[str, Any]) -> str:
     from skincal.contacts.outcome import Reason
+    from skincal.model.tool_rig import TIP_ARM_POSE
     from skincal.words.poke_words import words_of_reason
 
     reason = None if row["outcome"] == "accepted" else Reason(row["outcome"])
@@ -401,7 +408,8 @@ def _row_line(row: dict[str, Any]) -> str:
     pose = f", pose {row['pose']}" if row["pose"] else ""
     words = f"poke {row['poke']}, {row['start_s']:.1f} s{pose}: {outcome}"
     if row["landmark"]:
-        return f"{words}; at {row['landmark']}, which its axis passes at {row['miss_mm']:.1f} mm"
+        passed = _miss_words(f"{row['miss_mm']:.1f} mm", has_axis=row["pose"] != TIP_ARM_POSE)
+        return f"{words}; at {row['landmark']}, {passed}"
     near = row["nearest"]
     if reason is Reason.NO_TAXEL and near is not None:
         return f"{words}; nearest is {near['landmark']}, at {near['miss_mm']:.0f} mm"

@@ -81,6 +81,13 @@ def method_summaries(
     return {method.value + kind: method_summary(found, reference, layout, part_size) for method, found in estimates.items()}
 
 
+def uncompared_findings(snapshot: Snapshot, reference: Mapping[int, FloatArray] | None) -> list[str]:
+    """Say why a given reference is not compared: its positions are in the part's frame, those found are in the base."""
+    if reference is None or snapshot.is_placed:
+        return []
+    return ["The reference is not compared: the positions are in the base until the part's pose is known."]
+
+
 def method_summary(
     estimates: tuple[Estimate, ...], reference: Mapping[int, FloatArray] | None, layout: Layout | None, part_size: float
 ) -> dict[str, Any]:

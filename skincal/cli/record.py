@@ -345,10 +345,13 @@ def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
         from skincal.contacts.outcome import Contact
         from skincal.words.poke_words import missed_words, rejection_words
 
+        landmark = session.decisions.landmark_of_poke.get(outcome.poke)
+        there = f"at landmark {landmark}" if landmark else ""
         if isinstance(outcome, Contact):
-            say(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
+            words = f"accepted, channels {', '.join(map(str, outcome.channels))}" + (f"; {there}" if there else "")
         else:
-            say(f"poke {outcome.poke}: rejected, {rejection_words(outcome)}", err=True)
+            words = there or f"rejected, {rejection_words(outcome)}"
+        say(f"poke {outcome.poke}: {words}", err=True)
         missed = session.decisions.missed_landmarks
         if outcome.poke in missed:
             say(f"poke {outcome.poke}: {missed_words(missed[outcome.poke])}", err=True)
@@ -388,13 +391,15 @@ def finish(
     counts = output.poke_counts(snapshot)
     live = pipeline.live(0)
     losses = output.loss_counts(live.links, live.losses_unpaired)
-    methods = output.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout, snapshot.part_size)
+    uncompared = output.uncompared_findings(snapshot, reference)
+    known = None if uncompared else reference
+    methods = output.method_summaries(snapshot.estimates, known, pipeline.scene.skin.layout, snapshot.part_size)
     silent = silent_links(live.links)
     unpoked: list[str] = []
     if not (snapshot.pokes or silent):
         unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds, live.links)]
     frames = frame_sentences(pipeline.session.wrench_frames, snapshot.contacts)
-    found = [*frames, *unpoked, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
+    found = [*frames, *unpoked, *uncompared, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
     results = SessionResults(pipeline)
     setup = (*results.tool, *setup_sentences(results.setup))
     text = [

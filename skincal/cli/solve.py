@@ -123,7 +123,8 @@ def solve(
     results = Session.load(session, layout=layout, replayed=replay, correct=correct).results
     pipeline, snapshot = results.pipeline, results.snapshot
     counts = output.poke_counts(snapshot)
-    methods = _method_summaries(results, known, per_pose=per_pose)
+    uncompared = output.uncompared_findings(snapshot, known)
+    methods = _method_summaries(results, None if uncompared else known, per_pose=per_pose)
     rig, rig_lines = _rig_result(results)
     setup = (*frame_sentences(results.session.wrench_frames, snapshot.contacts), *setup_sentences(results.setup))
     tip, tip_lines = _tip_result(snapshot.tip_frame) if pipeline.scene.tool is None else _tool_result(results)
@@ -135,7 +136,7 @@ def solve(
     modules, module_lines = _layout_result(results, layout, layout_out)
     files, written = ([], []) if out is None else _write_all(results, out, ExportOptions(part=part, prefix=prefix))
     sheets = sheet_findings(pipeline.scene.skin.layout, is_on_mesh=pipeline.session.surface is not None)
-    findings = [*pipeline.findings, *sheets, *written]
+    findings = [*uncompared, *pipeline.findings, *sheets, *written]
     totals = pipeline.totals()
     losses = output.loss_counts(totals.links, totals.unpaired)
     result = {

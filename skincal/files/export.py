@@ -625,7 +625,9 @@ def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[MeshFinding,
 
 
 def _expected_surface(calibration: Calibration, method: Method, shape: _Shape) -> ExpectedSurface | None:
-    """Choose the expected surface: the mesh, or else the planned layout."""
+    """Choose the expected surface: the mesh, or else the planned layout; none while positions are in another frame."""
+    if calibration.part_pose is not None and not calibration.part_pose.is_known:
+        return None
     taxels = placed_taxels(calibration.estimates_by(method))
     finite = np.isfinite(taxels.positions).all(axis=1)
     if shape.surface is not None:

@@ -107,8 +107,8 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
         "correct tip_mm of [tool], or the tool centre point of the robot",
     ),
     MistakeKind.TOOL_MIRRORED: (
-        "{names[0]} of the tool's poses are exchanged, so that its base is left-handed",
-        "turn the axes in the tracker's program or its driver, and exchange none",
+        "{names[0]} of the tool's poses are exchanged, or one of its axes points backwards: its base is left-handed",
+        "turn the axes in the tracker's program or its driver, exchange none, and reverse none",
     ),
     MistakeKind.TOOL_PART_MOVED: (
         "the part or the base of the tool's poses moved by about {names[1]} mm before poke {names[0]}",

@@ -12,7 +12,7 @@ from skincal.model.readings import LinkHealth, Loss, Stream
 from skincal.model.scene import ContactSettings
 from skincal.model.tool_rig import TIP_ARM_POSE, TOOL_ARM_POSE
 from skincal.words.link_words import link_name
-from skincal.words.units import count, grouped, millimetres, number, quantity
+from skincal.words.units import UNITS, count, grouped, millimetres, number, quantity
 
 REASON_WORDS: Mapping[Reason, str] = {
     Reason.TOO_SOFT: "too soft",
@@ -46,6 +46,8 @@ REJECTION_ADVICE: Mapping[Reason, str] = {
     Reason.NO_POSE: "Choose the arm pose, or connect its joints.",
     Reason.ARM_MOVED: "Keep the arm still during a poke.",
 }
+MOST_ADDED_DECIMALS = 3
+"""Decimals beyond those of a unit that tell a value from its limit."""
 GAPS_MIN_SHARE = 0.2
 """Share of the time in quiet windows that gaps end, from which these are why no window was quiet."""
 POLARITY_ADVICE = (
@@ -145,7 +147,18 @@ def rejection_words(rejection: Rejection) -> str:
     colon = "" if reason is Reason.SLID else ":"
     if rejection.unit == "1":
         return f"{words}{colon} {number(100.0 * value, 1)} % ({bound} {number(100.0 * limit, 1)} %)"
-    return f"{words}{colon} {quantity(value, rejection.unit)} ({bound} {quantity(limit, rejection.unit)})"
+    decimals = _decimals_apart(value, limit, rejection.unit)
+    return f"{words}{colon} {quantity(value, rejection.unit, decimals)} ({bound} {quantity(limit, rejection.unit, decimals)})"
+
+
+def _decimals_apart(value: float, limit: float, unit: str) -> int | None:
+    """Choose the decimals that keep value and limit apart: *1° (limit 1°)* contradicts itself; `None` if the unit's do."""
+    known = UNITS.get(unit)
+    if known is None or quantity(value, unit) != quantity(limit, unit):
+        return None
+    decimals = range(known.decimals + 1, known.decimals + MOST_ADDED_DECIMALS + 1)
+    apart = (each for each in decimals if quantity(value, unit, each) != quantity(limit, unit, each))
+    return next(apart, None)
 
 
 def answered_inversely(rejection: Rejection) -> bool:

@@ -146,13 +146,13 @@ def pose_stream_faults(delays: PoseDelays | None) -> tuple[str, ...]:
     if leading is not None and leading.is_late:
         side = "late" if leading.delay_s > 0.0 else "early"
         found.append(
-            f"tool: its poses are {abs(leading.delay_s) * 1e3:.0f} ms {side}. This is corrected, except in the first "
+            f"Poses of the tool are {abs(leading.delay_s) * 1e3:.0f} ms {side}. This is corrected, except in the first "
             f"{DELAY_MIN_PRESSES} presses. Check the program that sends the poses: a buffer, a slow network, or stamps of "
             "another clock."
         )
     if delays is not None and delays.repeats:
         found.append(
-            f"tool: while it moves, its pose changes only every {delays.repeated_s:.2f} s: the stream is slow, or it repeats "
+            f"While the tool moves, its pose changes only every {delays.repeated_s:.2f} s: the stream is slow, or it repeats "
             "its values. Places between them are guessed. Send 50 poses a second, each of them measured."
         )
     return tuple(found)

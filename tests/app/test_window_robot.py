@@ -89,3 +89,8 @@ def test_stop_is_sent_at_once_and_again_to_a_robot_that_comes_back(bench):
 def test_another_demonstration_is_refused(words, capsys):
     assert main(words) == 2
     assert "expected demo robot" in capsys.readouterr().err
+
+
+def test_the_demonstration_has_help(capsys):
+    assert main(["demo", "robot", "--help"]) == 0
+    assert "--sensor below|tool|none" in capsys.readouterr().out

@@ -17,13 +17,25 @@ def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, ru
     code, out, _ = run("record", *options, "--scene", tmp_path / "scene.toml", "--out", tmp_path / "s")
     assert (code, "2 accepted" in out) == (0, True)
     assert "Part: its pose in the base is not known yet" in out
+    truth = tmp_path / "truth.json"
+    truth.write_text(json.dumps({"taxels": [{"channel": channel, "position_m": [0, 0, 0]} for channel in range(9)]}))
+    code, out, _ = run("solve", tmp_path / "s", "--reference", truth, "--out", tmp_path / "r")
+    assert (code, "The reference is not compared" in out, "outside the box" in out) == (0, True, False), "two frames"
+    assert "error against the reference" not in out
     marks = [word for row in range(4) for word in ("--at", f"{row + 1}=m{row}")]
     code, out, _ = run("landmarks", tmp_path / "s", *marks)
-    assert (code, "they show the part's pose" in out) == (0, True)
-    code, out, _ = run("solve", tmp_path / "s", "--json")
-    assert (code, json.loads(out)["tip"]["part"]["state"]) == (0, "known")
+    assert (code, "they show the part's pose" in out, "its axis" in out) == (0, True, False), "a tip has no axis"
+    code, out, _ = run("solve", tmp_path / "s", "--reference", truth, "--json")
+    solved = json.loads(out)
+    assert (code, solved["tip"]["part"]["state"]) == (0, "known")
+    assert all(each["error_mm"] for each in solved["methods"].values()), "compared in one frame"
     code, _, err = run("record", options[0], "--scene", tmp_path / "scene.toml", "--out", tmp_path / "t")
     assert (code, "or --tool" in err) == (2, True)
+
+
+def test_the_help_keeps_words_in_brackets(run):
+    for words in (("record",), ("import", "csv")):
+        assert "[tool]" in run(*words, "--help")[1], "rich takes [tool] for markup"
 
 
 def test_scene_show_names_the_tool_and_no_fixed_pose_of_a_sensor(tmp_path, run):

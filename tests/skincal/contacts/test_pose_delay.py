@@ -70,7 +70,7 @@ def test_late_and_repeated_poses_are_named_with_the_remedy_and_usual_ones_are_no
     assert pose_stream_faults(usual) == () == pose_stream_faults(None)
     assert pose_delay_sentence(usual).startswith("Poses of the tool come 30 ms later than the wrench and 30 ms later than")
     (said,) = pose_stream_faults(late)
-    assert said.startswith("tool: its poses are 200 ms late.")
+    assert said.startswith("Poses of the tool are 200 ms late.")
     assert "buffer" in said
     (said,) = pose_stream_faults(PoseDelays(repeated_s=0.2))
     assert "changes only every 0.20 s" in said

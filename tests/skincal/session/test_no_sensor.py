@@ -397,7 +397,7 @@ def test_late_poses_are_measured_named_and_corrected(tmp_path):
     assert abs(found.delay_s - 0.16) < 2.0 * found.sd_s
     results = SessionResults(pipeline)
     assert any(each.startswith("Poses of the tool come 1") for each in results.tool)
-    (said,) = [each for each in results.skin if each.startswith("tool: its poses are 1")]
+    (said,) = [each for each in results.skin if each.startswith("Poses of the tool are 1")]
     assert "buffer" in said
     (warned,) = [link.warning for link in pipeline.live(0).links if link.warning]
     assert warned == said
