@@ -17,7 +17,12 @@ from hypothesis import HealthCheck, settings
 
 # No deadline: a shared machine pauses a process for longer than any test takes.
 settings.register_profile(
-    "repeatable", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
+    "repeatable",
+    max_examples=60,
+    derandomize=True,
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.register_profile("search", settings.get_profile("repeatable"), derandomize=False, max_examples=2000, print_blob=True)
 settings.load_profile("repeatable")
