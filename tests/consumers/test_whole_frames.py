@@ -1,11 +1,13 @@
 """Libraries read the whole frame of taxels of three axes: yourdfpy and pinocchio from URDF, MuJoCo from MJCF."""
 
 import re
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 import yaml
 import yourdfpy
+from scipy.spatial.transform import Rotation
 
 from skincal.axes.taxel_frames import FrameState
 from skincal.files.export import write_calibration
@@ -66,6 +68,25 @@ def test_mujoco_reads_the_whole_frame_of_a_site(turned, tmp_path, monkeypatch):
         pose[:3, :3], pose[:3, 3] = data.site_xmat[number].reshape(3, 3), data.site_xpos[number]
         found[model.site(number).name] = pose
     assert_frames_are_right(found, turned)
+
+
+def pose_of(numbers):
+    pose = np.eye(4)
+    pose[:3, 3], pose[:3, :3] = numbers[:3], Rotation.from_euler("xyz", numbers[3:]).as_matrix()
+    return pose
+
+
+def test_frames_of_sdf_and_a_tactile_sensor_are_whole_by_their_own_references(turned, tmp_path):
+    """Both have roll, pitch and yaw about fixed axes: sdformat.org/spec (pose), and URDF's origin."""
+    sdf = ET.parse(write(turned, "sdf", tmp_path)[0]).getroot()
+    found = {each.get("name"): [float(word) for word in each.find("pose").text.split()] for each in sdf.iter("frame")}
+    assert_frames_are_right({name: pose_of(numbers) for name, numbers in found.items()}, turned)
+    sensor = ET.parse(write(turned, "tactile-urdf", tmp_path)[0]).getroot()
+    found = {
+        f"{LINK}_taxel_{each.get('idx')}": [float(word) for word in f"{each.get('xyz')} {each.get('rpy')}".split()]
+        for each in sensor.iter("taxel")
+    }
+    assert_frames_are_right({name: pose_of(numbers) for name, numbers in found.items()}, turned)
 
 
 @pytest.mark.parametrize("format_", ["urdf", "sdf", "mjcf", "tactile-urdf"])

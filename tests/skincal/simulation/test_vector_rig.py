@@ -9,10 +9,13 @@ import pytest
 from skincal.axes.module_axes import AxisMistakeKind
 from skincal.axes.taxel_frames import FrameState
 from skincal.files.reference import find_truth
+from skincal.following.background import run_at_once
+from skincal.following.setup_follower import SetupFollower
 from skincal.geometry import rotation_vector
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
 from skincal.model.skin_axes import ValueOrder
+from skincal.part.part import lay_part
 from skincal.simulation.device import DeviceSettings
 from skincal.simulation.operator import Habits
 from skincal.simulation.rig_errors import RigErrors
@@ -67,6 +70,13 @@ def test_a_wrong_scene_of_the_axes_is_named_and_gives_no_frame(changes, expected
     pipeline = simulate(tmp_path / "s", seen_as=with_axes(**changes))
     assert mistakes(pipeline) == [expected]
     assert not any(frame.is_known for frame in pipeline.session.axis_results().frames(Method.MODULES).values())
+    # The operator hears of it while the session goes on, once.
+    follower, snapshot = SetupFollower(lay_part(pipeline.scene, None, ()), run_at_once), pipeline.snapshot()
+    follower.check_skin(snapshot, pipeline.totals)
+    (news,) = (each for each in follower.take_news() if "axes of the readings" in each or "no z" in each)
+    assert "in [skin]" in news
+    follower.check_skin(snapshot, pipeline.totals)
+    assert follower.take_news() == []
 
 
 def test_a_rig_of_one_axis_refuses_three_and_a_raw_skin_rests_in_the_middle_of_its_range():
