@@ -453,7 +453,9 @@ class NewSessionDialog(Dialog):
                 self.pose.addItem(plain_text(name), name)
         has_tool = scene is not None and scene.tool is not None
         self.rows[Stream.TOOL].set_used(has_tool)
-        self.rows[Stream.WRENCH].set_used(scene is None or scene.has_sensor)
+        has_wrench = scene is None or scene.has_sensor
+        self.rows[Stream.WRENCH].set_used(has_wrench)
+        self.swap.setVisible(has_wrench)
         for stream in (Stream.JOINTS, Stream.TIP):
             self.rows[stream].set_used(not has_tool)
         self._show_pose()
@@ -486,6 +488,8 @@ class NewSessionDialog(Dialog):
                 row.show_preview(None, _address_problem(row.named) if row.named else "")
 
     def swap_addresses(self) -> None:
+        if not self.rows[Stream.WRENCH].is_used:
+            return
         wrench, skin = self.rows[Stream.WRENCH], self.rows[Stream.SKIN]
         for row in (wrench, skin):
             row.agree_if_typed()

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QBoxLayout, QWidget
 from app.panels.layouts import make_column
 from app.panels.panel import Panel
 from app.panels.plot import StillPlot
-from app.panels.widgets import rich_label, theme_colours
+from app.panels.widgets import rich_label, secondary_label, theme_colours
 from app.state.policies import curve_range
 from app.state.view_state import ViewState
 from app.text_size import scaled
@@ -35,6 +35,7 @@ CURVES_REDRAW_PERIOD_S = 0.09
 """Six curves cost as much as a picture of the 3D view, which is drawn three times as often."""
 NUMBERS_UPDATE_PERIOD_S = 0.2  # Faster numbers cannot be read
 READINGS_PER_SHOWN_MEAN = 100  # Readings in the mean that is shown: a tenth of a second at 1 kHz
+NO_SENSOR = "This rig has no force/torque sensor: a poke is the place of the tip. The tab Devices shows the tool's poses."
 MIN_PLOT_HEIGHT_PX = 160  # Height of a plot at 100 %; below it the two plots are side by side
 
 
@@ -136,7 +137,9 @@ class ReadingsPanel(Panel):
         super().__init__()
         self.force, self.moment = Curves("Force", "N", 1.0, 2), Curves("Moment", "N m", 50.0, 0)
         self._newest_s = self._numbers_s = -np.inf
-        self._both = self.fill((self.force, 1), (self.moment, 1), margins=(0, WIDGET_GAP_PX // 2, 0, 0), gap=0)
+        self.no_sensor = secondary_label(NO_SENSOR, wrap=True)
+        self.no_sensor.hide()
+        self._both = self.fill(self.no_sensor, (self.force, 1), (self.moment, 1), margins=(0, WIDGET_GAP_PX // 2, 0, 0), gap=0)
         self.setWhatsThis(
             "The last ten seconds of the force/torque sensor, in its own frame and as it sends them. Offset and drift are "
             "removed around each poke, not here."
@@ -155,6 +158,11 @@ class ReadingsPanel(Panel):
 
     def update_view(self, state: ViewState) -> None:
         """Draw the newest readings, unless the last drawing is recent."""
+        if not state.scene.has_sensor:
+            self.no_sensor.show()
+            for curves in (self.force, self.moment):
+                curves.hide()
+            return
         times, wrench = state.live.wrench_s, state.live.wrench
         # A time before the last one is of another session.
         if not len(times) or 0.0 <= times[-1] - self._newest_s < CURVES_REDRAW_PERIOD_S:

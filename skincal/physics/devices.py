@@ -44,8 +44,6 @@ class RobotDevices:
         }
         top = (scene.skin.range or (0.0, 255.0))[1] if scene.skin.axes is None else np.inf
         self._headers = board_headers(scene, rates, top, rises=scene.skin.polarity > 0)
-        if not robot.has_sensor:
-            del self._headers[Stream.WRENCH]
         self._encoders = {
             stream: board_encoder("skb", stream, top if stream is Stream.SKIN else 255.0, header.width)
             for stream, header in self._headers.items()

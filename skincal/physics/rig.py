@@ -206,11 +206,6 @@ class SimulatedRobot:
 
     # ---- for devices and tests
 
-    @property
-    def has_sensor(self) -> bool:
-        """Whether the readings of the force/torque sensor are streamed."""
-        return True
-
     def locate_part(self, base_from_link: FloatArray) -> None:
         """Take the pose of the part as skincal found it; an arm that pokes a part on its sensor knows it."""
 

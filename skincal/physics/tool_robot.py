@@ -76,11 +76,6 @@ class ToolRobot(SimulatedRobot):
         self._poses: deque[FloatArray] = deque(maxlen=1 + round(effects.late / PERIOD_S))
         self.add_listener(lambda: self._poses.append(self._read_pose()))
 
-    @property
-    def has_sensor(self) -> bool:
-        """Whether the sensor's readings are streamed; without it the arm feels its motors."""
-        return self._tool.has_sensor
-
     def base_from_part(self) -> FloatArray:
         """Compute the true pose (4, 4) of the part in the base of the arm as its joints know it, metres."""
         return inverse_pose(self._world_from_base) @ self.engine.part_in_arm()

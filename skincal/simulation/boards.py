@@ -30,7 +30,7 @@ class BoardHeader:
 
 
 def board_headers(scene: Scene, hz: Mapping[Stream, float], top: float, *, rises: bool) -> dict[Stream, BoardHeader]:
-    """Make the headers of a scene's boards; joints have one if the scene has an arm, poses if it has a tool.
+    """Make the headers of a scene's boards: wrench with a sensor, joints with an arm, poses with a tool.
 
     Parameters
     ----------
@@ -49,6 +49,8 @@ def board_headers(scene: Scene, hz: Mapping[Stream, float], top: float, *, rises
         Stream.WRENCH: BoardHeader(f"board=ft,rate={hz[Stream.WRENCH]:g},unit=N,kind=ft,fw=1", 6),
         Stream.SKIN: BoardHeader(f"{of_skin},kind=taxel,polarity={polarity},fw=1", skin.frame_width),
     }
+    if not scene.has_sensor:
+        del headers[Stream.WRENCH]
     if arm is not None:
         fields = f"board=arm,rate={hz[Stream.JOINTS]:g},unit=deg,kind=joints,fw=1"
         headers[Stream.JOINTS] = BoardHeader(fields, max(arm.arm.joints, default=-1) + 1)

@@ -48,6 +48,9 @@ def test_a_rig_without_a_sensor_asks_for_tool_and_skin_and_names_what_is_missing
     dialog = dialog_of(qtbot, tmp_path / "scene.toml", tmp_path)
     assert shown_rows(dialog) == {Stream.SKIN, Stream.TOOL}
     dialog.rows[Stream.SKIN].set_address("file:skin", agreed=False)
+    assert not dialog.swap.isVisibleTo(dialog), "there is no sensor to exchange the skin with"
+    dialog.swap_addresses()
+    assert dialog.rows[Stream.SKIN].address == "file:skin"
     with pytest.raises(InputError, match="no force/torque sensor; expected the link of the tool's poses"):
         dialog.addresses()
     dialog.rows[Stream.TOOL].set_address("file:poses", agreed=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from PySide6.QtCore import QSettings, Qt
@@ -285,6 +287,15 @@ def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):
 
 
 # Readings
+
+
+def test_a_rig_without_a_sensor_shows_no_empty_curves(qtbot):
+    panel = shown(qtbot, ReadingsPanel(), (420, 360))
+    scene = SimpleNamespace(has_sensor=False)
+    panel.update_view(SimpleNamespace(scene=scene))
+    assert panel.no_sensor.isVisible()
+    assert not panel.force.isVisible()
+    assert not panel.moment.isVisible()
 
 
 def test_curves_draw_every_axis_and_stop_with_the_stream(qtbot):

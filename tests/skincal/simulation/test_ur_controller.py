@@ -14,6 +14,7 @@ from skincal.mesh.load import load_surface
 from skincal.model.readings import SESSION_START_TIME_NS, Batch, Chunk, LinkEvent, LinkState, Stream
 from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
+from skincal.simulation.boards import board_headers
 from skincal.simulation.device import DeviceSettings, DeviceTimeline
 from skincal.simulation.emulated_devices import ControllerTalk, RtdeController
 from skincal.simulation.operator import AutoOperator, Habits
@@ -115,3 +116,11 @@ def test_the_command_gives_the_robot_what_the_scene_has():
     none = load_scene(resource("scenes/cobot-tip/scene.toml"))
     assert _speakers("rtde", none) == {Stream.TOOL: "rtde"}
     assert _speakers("rtde", load_scene(resource("scenes/flat-patch/scene.toml"))) == {Stream.WRENCH: "rtde"}
+
+
+def test_a_rig_without_a_sensor_has_no_device_for_it():
+    none = load_scene(resource("scenes/cobot-tip/scene.toml"))
+    rates = dict.fromkeys(Stream, 100.0)
+    assert set(board_headers(none, rates, 255.0, rises=True)) == {Stream.SKIN, Stream.TOOL}
+    below = load_scene(resource("scenes/flat-patch/scene.toml"))
+    assert set(board_headers(below, rates, 255.0, rises=True)) == {Stream.WRENCH, Stream.SKIN}
