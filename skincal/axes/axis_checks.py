@@ -10,11 +10,13 @@ of the whole skin, so a miss of `ZERO_TRUST_SDS` is rare (1 in 1400), and materi
 
 **z off the mesh.** A taxel has its z across its own surface, so it lies near the normal of the mesh. Taxels that report in the
 axes of a housing do not: they are left out.
+
+**Unit.** Taxels in newtons that push more together than the force are in another unit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +24,7 @@ import numpy as np
 from skincal.axes.module_axes import AXIS_NAMES
 from skincal.axes.skin_turns import SkinTurns
 from skincal.axes.turn_fit import AxisPokes
+from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.solver.tables import ZERO_TRUST_SDS
 
@@ -33,6 +36,9 @@ WEAK_MAX_SHARE = 0.15
 EXPECTED_MIN_NOISES = 4.0
 EXPECTED_MIN_SHARE = 0.05
 """Of a reading. Pokes that lean less say nothing about x and y."""
+MIN_POKES_OF_UNIT = 6
+MAX_SHARE_OF_FORCE = 2.0
+"""Push of all taxels over the force: calibrations of single taxels are off by some tens of percent."""
 MIN_SHEAR_MISS = float(np.radians(12.0))
 """rad, between a reading and the force. Bulging material and crosstalk turn readings by some degrees."""
 MIN_OTHER_POKES_OF_MISS = 4
@@ -109,6 +115,16 @@ def _least_shear(forces: FloatArray) -> float:
     across = forces - np.outer(forces @ mean, mean)
     # The third singular value is that along the mean: zero.
     return float(np.linalg.svd(across / np.sqrt(len(forces)), compute_uv=False)[1])
+
+
+def find_unit_excess(contacts: Sequence[Contact]) -> float:
+    """Compute how many times the force, N, the taxels of a poke push together, if they cannot be newtons; 0 otherwise.
+
+    The taxels carry at most the whole force, so the median over the pokes is at most 1, if readings are in newtons.
+    """
+    shares = [float(each.responses.sum() / np.linalg.norm(each.force)) for each in contacts]
+    excess = float(np.median(shares)) if len(shares) >= MIN_POKES_OF_UNIT else 0.0
+    return excess if excess > MAX_SHARE_OF_FORCE else 0.0
 
 
 def find_shear_misses(turns: SkinTurns) -> tuple[ShearMiss, ...]:

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from skincal.axes.axis_checks import find_dead_axes, find_mesh_lean, find_shear_misses
+from skincal.axes.axis_checks import find_dead_axes, find_mesh_lean, find_shear_misses, find_unit_excess
 from skincal.axes.taxel_frames import FrameState
 from skincal.methods import leading_method
-from skincal.words.axis_words import axis_mistake_sentences, dead_axis_sentence, mesh_lean_sentence, shear_miss_sentence
+from skincal.model.skin_axes import ResponseRule
+from skincal.words.axis_words import (
+    axis_mistake_sentences,
+    dead_axis_sentence,
+    mesh_lean_sentence,
+    shear_miss_sentence,
+    unit_excess_sentence,
+)
 
 if TYPE_CHECKING:
     from skincal.model.scene import Scene
@@ -26,6 +33,8 @@ def session_axis_sentences(snapshot: Snapshot, scene: Scene) -> tuple[str, ...]:
     if findings.is_value_order_wrong:
         # Its readings are those of other taxels.
         return tuple(sentences)
+    if axes.unit == "N" and axes.rule is ResponseRule.PUSH and scene.has_sensor:
+        sentences.append(unit_excess_sentence(find_unit_excess(snapshot.contacts)))
     sentences.append(dead_axis_sentence(find_dead_axes(turns)))
     sentences.append(shear_miss_sentence(find_shear_misses(turns)))
     shared = [channel for channel, frame in results.frames(method).items() if frame.state is FrameState.BY_MODULE]

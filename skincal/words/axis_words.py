@@ -211,6 +211,16 @@ def shear_miss_sentence(found: Sequence[ShearMiss]) -> str:
     )
 
 
+def unit_excess_sentence(excess: float) -> str:
+    """Name readings that are no newtons; empty if `excess`, their sum over the force, is 0."""
+    if not excess:
+        return ""
+    return (
+        f"The taxels of a poke push together {excess:.3g} times its force (median), so their values are no newtons. Write "
+        'unit = "raw" in [skin] of the scene, or check the scale that the device is set to. Positions and turns do not need it.'
+    )
+
+
 def mesh_lean_sentence(found: MeshLean | None) -> str:
     """Name taxels whose z is not along the normal of the mesh; empty without one."""
     if found is None:

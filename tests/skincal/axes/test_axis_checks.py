@@ -1,16 +1,19 @@
 """Dead axes, pokes with another shear, and z off the mesh: named if they are there, and only then."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from skincal.axes.axis_checks import find_dead_axes, find_mesh_lean, find_shear_misses
+from skincal.axes.axis_checks import MAX_SHARE_OF_FORCE, find_dead_axes, find_mesh_lean, find_shear_misses, find_unit_excess
 from skincal.axes.module_axes import AxisFindings
 from skincal.axes.skin_turns import find_turns
 from skincal.axes.taxel_frames import FrameState, frames_of_taxels
 from skincal.axes.turn_fit import AxisPokes
 from skincal.geometry import rotation_by
-from skincal.words.axis_words import dead_axis_sentence, mesh_lean_sentence, shear_miss_sentence
+from skincal.words.axis_words import dead_axis_sentence, mesh_lean_sentence, shear_miss_sentence, unit_excess_sentence
 from tests.skincal.axes.axis_support import FORCE_NOISE_N, make_pokes, random_rotation
+from tests.skincal.contacts.test_three_axes import axes_with, press_once
 
 TAXELS = 4
 
@@ -87,3 +90,14 @@ def test_z_is_compared_with_the_normal_of_the_mesh():
     assert "z of 1 of 4 taxels leans 25" in mesh_lean_sentence(found)
     # Taxels in the axes of their module need not be across the skin.
     assert find_mesh_lean(turns, aside, (2,)) is None
+
+
+def test_taxels_that_push_more_than_the_force_are_not_in_newtons():
+    contact = press_once(axes_with())
+    force = float(np.linalg.norm(contact.force))
+    tenfold = replace(contact, responses=np.array([8.0, 2.0]) * force, channels=np.array([1, 2]))
+    assert find_unit_excess([tenfold] * 6) == pytest.approx(10.0)
+    assert "10 times its force" in unit_excess_sentence(find_unit_excess([tenfold] * 6))
+    few, usual = [tenfold] * 5, [replace(tenfold, responses=np.array([0.5, 0.4]) * MAX_SHARE_OF_FORCE * force)] * 6
+    assert find_unit_excess(few) == find_unit_excess(usual) == 0.0
+    assert unit_excess_sentence(0.0) == ""
