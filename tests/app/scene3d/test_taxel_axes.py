@@ -56,6 +56,10 @@ def test_axes_are_drawn_at_near_taxels_whose_turn_is_known(plotter):
     longer = layer.lines.mesh.points.reshape(-1, 2, 3)
     lengths = np.linalg.norm(longer[:, 1] - longer[:, 0], axis=1) / layer.length
     assert lengths == pytest.approx([SELECTED_OVER_OTHERS] * 3 + [1.0] * 4, rel=1e-4)
+    renderer.hide(frozenset({"turns"}))
+    assert not layer.lines.actor.visibility
+    renderer.hide(frozenset())
+    assert layer.lines.actor.visibility
     # From below nothing is near; beside compared sets nothing is drawn.
     renderer.estimates.near = np.zeros(4, dtype=bool)
     layer.draw()

@@ -283,7 +283,8 @@ def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
     np.testing.assert_allclose(miss, 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", LAYER_NAMES)
+# Axes of taxels are of skins of three axes alone: `test_taxel_axes.py`.
+@pytest.mark.parametrize("name", [name for name in LAYER_NAMES if name != "turns"])
 def test_a_layer_that_is_switched_off_is_gone_and_comes_back_as_it_was(view, name):
     known = {c: estimate(c, (*PLAN.places[c], 0.0), sd=3e-3) for c in range(12)}
     poked = snapshot(1, known, pokes=[contact(1, 3, (*PLAN.places[3], 0.0))])
