@@ -245,6 +245,8 @@ def _write(folder: Path, session: Session, pairs: Iterable[Pair], *, find: bool,
             for poke in _unanswered(session)
             if poke not in {**names, **before}
         ]
+        if not session.snapshot().is_placed:
+            unsure = ["The part's pose is not known yet, so --find finds no landmark: name three by --at or --order first."]
     for poke, name in sorted(names.items()):
         if before.get(poke, "") != name:
             actions.append(AtLandmark(poke, name))
@@ -276,7 +278,8 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
     from skincal.words.units import millimetres
 
     pokes = session.landmark_pokes
-    misses: dict[int, float] = dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True))
+    is_placed = session.snapshot().is_placed
+    misses: dict[int, float] = dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True)) if is_placed else {}
     lines: list[str] = []
     for action in actions:
         if isinstance(action, AddLandmark):
@@ -292,7 +295,8 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
     use = f"a correction of the rig needs {MIN_LANDMARK_POKES} at {MIN_LANDMARKS} landmarks: {more} more{others}"
     use = use if more else f"`skincal solve {folder} --correct` uses them"
     if not session.scene.has_sensor:
-        use = "they show the part's pose in the base of the tool's poses"
+        shown = "they show" if is_placed else "they do not show yet"
+        use = f"{shown} the part's pose in the base of the tool's poses"
     return [*(lines or nothing), f"{plural(len(pokes), 'poke')} at landmarks; {use}"]
 
 
@@ -352,7 +356,7 @@ def _rows(session: Session, begin_s: float) -> list[dict[str, Any]]:
     from skincal.contacts.outcome import Contact
 
     nearest, names = _nearest(session), session.snapshot().at_landmarks
-    pokes = session.landmark_pokes
+    pokes = session.landmark_pokes if session.snapshot().is_placed else session.landmark_pokes[:0]
     misses = dict(zip(pokes.number.tolist(), (pokes.landmark_miss * 1e3).tolist(), strict=True))
     return [
         {
@@ -407,6 +411,8 @@ def _row_line(row: dict[str, Any]) -> str:
     outcome = "accepted" if reason is None else words_of_reason(reason, row["pose"])
     pose = f", pose {row['pose']}" if row["pose"] else ""
     words = f"poke {row['poke']}, {row['start_s']:.1f} s{pose}: {outcome}"
+    if row["landmark"] and row["miss_mm"] is None:
+        return f"{words}; at {row['landmark']}"
     if row["landmark"]:
         passed = _miss_words(f"{row['miss_mm']:.1f} mm", has_axis=row["pose"] != TIP_ARM_POSE)
         return f"{words}; at {row['landmark']}, {passed}"

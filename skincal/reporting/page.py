@@ -19,6 +19,7 @@ from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
 from skincal.following.error_history import MAX, MEAN, P95, TAXELS
 from skincal.guide.progress import GuideSettings
 from skincal.model.errors import list_channels, plural
+from skincal.model.tool_rig import BASE_LINK
 from skincal.reporting.drawings import VIEW_NAMES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts
 from skincal.taxels.gains import TaxelGain
@@ -207,6 +208,8 @@ def _module_evidence(facts: SessionFacts) -> tuple[str, str]:
 
 
 def _part(facts: SessionFacts) -> ReportSection:
+    if not facts.results.snapshot.is_placed:
+        return ReportSection("The part", ("Positions are in the base until the part's pose is known: no picture shows them.",))
     words = f"The part from four sides ({', '.join(VIEW_NAMES)}), its taxels coloured by {error_name(facts)}."
     note = f"Each view shows the taxels of its side. {COLOUR_NOTE}"
     return ReportSection("The part", (note,), (_picture(draw_sides(facts), "png", words),))
@@ -279,10 +282,15 @@ def _taxels(facts: SessionFacts) -> ReportSection:
         caption = f"{plural(len(unknown), 'taxel')} without a position"
         tables.append(ReportTable(("State and reason", "Number", "Taxels"), why, caption))
     note = (
-        "Positions are in the link's frame. The sd is along the least certain direction. The gain is the response over "
-        "the force along the normal, with its sd over the pokes in which the taxel answered most."
+        f"Positions are in the frame {_frame(facts)}. The sd is along the least certain direction. The gain is the response "
+        "over the force along the normal, with its sd over the pokes in which the taxel answered most."
     )
     return ReportSection("Taxels", (note,), tables=tables)
+
+
+def _frame(facts: SessionFacts) -> str:
+    """Name the frame of all positions: the part's link, or the base while the part's pose is unknown."""
+    return facts.results.pipeline.scene.link if facts.results.snapshot.is_placed else BASE_LINK
 
 
 def _state_words(estimate: Estimate) -> str:
@@ -384,7 +392,7 @@ def _settings(facts: SessionFacts) -> ReportSection:
         arm = ("Tool", "streamed poses, sensor on the tool" if scene.tool.has_sensor else "streamed poses, no sensor")
     surface, layout = facts.results.part.surface, scene.skin.layout
     what = [
-        ("Scene", scene.name), ("Scene file", scene.path.name), ("Frame of all positions", scene.link),
+        ("Scene", scene.name), ("Scene file", scene.path.name), ("Frame of all positions", _frame(facts)),
         ("Channels of a skin frame", str(scene.skin.channels)),
         ("Modules", "no layout" if layout is None else str(len(layout.modules))), arm,
         ("Mesh", "none" if scene.surface is None else scene.surface.path.name),

@@ -96,6 +96,8 @@ class SessionFacts:
 def gather_facts(results: SessionResults, name: str, truth: TaxelPositions | None, method: Method) -> SessionFacts:
     """Gather everything that a report shows; the parameters are fields of `SessionFacts`."""
     session, snapshot, pokes = results.session, results.snapshot, results.session.landmark_pokes
+    if not snapshot.is_placed:  # positions are in the base, truth and landmarks in the part's frame
+        truth, pokes = None, pokes[:0]
     calibration, errors = session.calibration(), errors_of(snapshot.estimates[method], truth, snapshot.part_size)
     names = [mark.name for mark in session.decisions.landmarks]
     return SessionFacts(

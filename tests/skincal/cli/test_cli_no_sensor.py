@@ -22,6 +22,15 @@ def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, ru
     code, out, _ = run("solve", tmp_path / "s", "--reference", truth, "--out", tmp_path / "r")
     assert (code, "The reference is not compared" in out, "outside the box" in out) == (0, True, False), "two frames"
     assert "error against the reference" not in out
+    code, out, _ = run("landmarks", tmp_path / "s", "--find")
+    assert (code, "--find finds no landmark: name three" in out) == (0, True)
+    code, out, _ = run("landmarks", tmp_path / "s", "--at", "1=m0")
+    assert (code, "wrote poke 1 at m0\n" in out, "do not show yet" in out) == (0, True, True), "no distance between frames"
+    assert "mm from it" not in run("landmarks", tmp_path / "s")[1]
+    (tmp_path / "s" / "truth.json").write_text(truth.read_text())
+    run("report", tmp_path / "s", "--out", tmp_path / "r.html")
+    page = (tmp_path / "r.html").read_text()
+    assert ("Positions are in the frame base" in page, "against the truth" in page) == (True, False)
     marks = [word for row in range(4) for word in ("--at", f"{row + 1}=m{row}")]
     code, out, _ = run("landmarks", tmp_path / "s", *marks)
     assert (code, "they show the part's pose" in out, "its axis" in out) == (0, True, False), "a tip has no axis"
