@@ -95,7 +95,7 @@ def record(
     ] = None,
     tool: Annotated[
         str | None,
-        typer.Option(help="Link of the tool's poses, if the scene has \\[tool]: a sensor on it, or none (docs/tool.md)."),
+        typer.Option(help="Link of the tool's poses, if the scene has [tool]: a sensor on it, or none (docs/tool.md)."),
     ] = None,
     pose: Annotated[str | None, typer.Option(help="Name of the arm pose, if joints are not streamed.")] = None,
     seconds: Annotated[

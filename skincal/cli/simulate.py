@@ -128,7 +128,7 @@ def simulate(
         str,
         typer.Option(
             help="With --physics: imperfections of the robot and the rig, by name, separated by commas: noise, vibration, "
-            "weight, friction, patch, overshoot, sag, low_pass, base, and of a cobot with \\[tool] scale, warp, tcp, late, "
+            "weight, friction, patch, overshoot, sag, low_pass, base, and of a cobot with [tool] scale, warp, tcp, late, "
             "bend; or all, or none (docs/robot.md)."
         ),
     ] = "all",

@@ -11,6 +11,7 @@ from skincal.geometry import FloatArray
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
 from skincal.model.skin import Layout
+from skincal.model.tool_rig import BASE_LINK
 from skincal.part.part import lay_part
 from skincal.part.robot_places import robot_places
 from skincal.session.pipeline import Pipeline
@@ -97,10 +98,8 @@ def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[TaxelPositions, ...]:
         for method, found in estimates.items()
     }
     order = sorted(filter(known.__getitem__, known), key=lambda method: method is not leads)
-    axes = _axes_of(pipeline.snapshot())
-    return tuple(
-        TaxelPositions(f"{name}, {each.value} method", scene.link, known[each], modules, each, axes=axes) for each in order
-    )
+    axes, link = _axes_of(pipeline.snapshot()), scene.link if pipeline.snapshot().is_placed else BASE_LINK
+    return tuple(TaxelPositions(f"{name}, {each.value} method", link, known[each], modules, each, axes=axes) for each in order)
 
 
 def _axes_of(snapshot: Snapshot) -> Mapping[int, FloatArray]:

@@ -145,9 +145,9 @@ class Session:
             The scene lacks what the method needs.
         """
         chosen, snapshot = self._method(method), self.results.snapshot
-        # The normals of the smooth part, as in files.
-        estimates = self.results.session.calibration().estimates[chosen]
-        return taxels_of(estimates, self.results.session.scene, chosen, snapshot.part_size, snapshot.on_part.turns)
+        # The normals of the smooth part and the frame of the positions, as in files.
+        calibration = self.results.session.calibration()
+        return taxels_of(calibration.estimates[chosen], calibration.scene, chosen, snapshot.part_size, snapshot.on_part.turns)
 
     def turns(self, method: str | None = None) -> tuple[SkinTurns, AxisFindings]:
         """Find the turns of taxels of three axes, and what they say of modules and of the scene (`docs/three-axes.md`).

@@ -290,7 +290,7 @@ def _taxels(facts: SessionFacts) -> ReportSection:
 
 def _frame(facts: SessionFacts) -> str:
     """Name the frame of all positions: the part's link, or the base while the part's pose is unknown."""
-    return facts.results.pipeline.scene.link if facts.results.snapshot.is_placed else BASE_LINK
+    return facts.results.part.scene.link if facts.results.snapshot.is_placed else BASE_LINK
 
 
 def _state_words(estimate: Estimate) -> str:

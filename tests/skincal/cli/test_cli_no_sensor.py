@@ -2,6 +2,8 @@
 
 import json
 
+import skincal
+from skincal.model.scene import load_scene
 from skincal.words.units import millimetres, point_mm
 from tests.skincal.session.test_no_sensor import EVERY, RADIUS, TIP, chunks, scene_of, scene_text
 
@@ -28,6 +30,11 @@ def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, ru
     assert (code, "wrote poke 1 at m0\n" in out, "do not show yet" in out) == (0, True, True), "no distance between frames"
     assert "mm from it" not in run("landmarks", tmp_path / "s")[1]
     (tmp_path / "s" / "truth.json").write_text(truth.read_text())
+    link = load_scene(tmp_path / "scene.toml").link
+    truth.write_text(json.dumps({"link": link, **json.loads(truth.read_text())}))
+    code, _, err = run("compare", f"{tmp_path / 's'}:free", truth)
+    assert (code, "is in the frame of 'base'" in err) == (2, True), err
+    assert skincal.Session.load(tmp_path / "s").taxels("free").link == "base"
     run("report", tmp_path / "s", "--out", tmp_path / "r.html")
     page = (tmp_path / "r.html").read_text()
     assert ("Positions are in the frame base" in page, "against the truth" in page) == (True, False)
