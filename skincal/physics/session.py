@@ -26,6 +26,10 @@ ARRIVED_WITHIN_WITH_CARRIED_PART_M = 0.0003
 """Corners are rounded less: a jolt of the part looks like a press, too."""
 
 
+HELD_WAIT_WITHOUT_SENSOR_S = 0.3
+"""s. The way to the place must lie within the last seconds when the tip turns back (`contacts/touch_detector.py`)."""
+
+
 class TargetQueue:
     """Lines between guide and robot without a port: `Targets` for the guide, and two methods for the robot."""
 
@@ -121,6 +125,9 @@ def make_client(
             retreat_speed=TRAVEL_SPEED_WITH_CARRIED_PART_M_PER_S,
             arrive=ARRIVED_WITHIN_WITH_CARRIED_PART_M,
         )
+    if not robot.scene.has_sensor:
+        # A touch of a landmark is known once the tip has turned back: nothing says `held` before.
+        settings = replace(settings, held_wait_s=HELD_WAIT_WITHOUT_SENSOR_S)
     client = PokingClient(robot, surface, answer, settings)
     client.locate_part = robot.locate_part if has_tool else None
     return client
