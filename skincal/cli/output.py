@@ -185,3 +185,32 @@ def link_notes(links: Sequence[LinkHealth]) -> list[str]:
     notes = [(link.link, link.text) for link in links if link.state is LinkState.OPEN]
     notes += [(link.link, link.warning) for link in links]
     return [f"{name}: {text}" for name, text in notes if text]
+
+
+def turn_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
+    """Summarize the turns of taxels of three axes, as JSON and in lines; both empty for other skins."""
+    found = results.session.axis_results()
+    if found is None:
+        return {}, []
+    from skincal.words.axis_words import shared_sentence, turn_summary
+
+    method = results.choose_method(None)
+    findings, frames = found.findings(method), found.frames(method)
+    # Readings of other taxels say nothing about turns.
+    own_sentence = "" if findings.is_value_order_wrong else shared_sentence(findings)
+    words = [turn_summary([*frames.values()]), *filter(None, [own_sentence])]
+    states = Counter(frame.state.value for frame in frames.values())
+    summary: dict[str, Any] = {
+        "method": method.value,
+        "states": dict(states),
+        "log_odds_shared": findings.log_odds_shared,
+        "taxels": {
+            str(channel): {
+                "z_sd_deg": math.degrees(frame.normal_sd), "in_plane_sd_deg": math.degrees(frame.in_plane_sd),
+            }
+            for channel, frame in frames.items()
+            if frame.is_known
+        },
+        "words": words,
+    }  # fmt: skip
+    return summary, words

@@ -407,7 +407,8 @@ def finish(
         *output.poke_lines(counts, pipeline.scene),
         *(output.method_line(name, summary) for name, summary in methods.items()),
     ]
-    text += setup
+    turns, turn_lines = output.turn_result(results) if snapshot.pokes else ({}, [])
+    text += [*setup, *turn_lines]
     # Without a byte of one of its devices no poke can ever be found in a recording.
     no_result = not counts["accepted"] if imported else not snapshot.pokes
     mixed = imported and any(link.is_mixture for link in live.links)
@@ -419,6 +420,7 @@ def finish(
         **counts,
         "methods": methods,
         **losses,
+        **({"turns": turns} if turns else {}),
         "findings": found,
     }
     output.print_result(result, text, as_json)

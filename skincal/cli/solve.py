@@ -6,7 +6,6 @@ Slow imports are inside the functions that need them: `--help` must answer at on
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -128,7 +127,7 @@ def solve(
     rig, rig_lines = _rig_result(results)
     setup = (*frame_sentences(results.session.wrench_frames, snapshot.contacts), *setup_sentences(results.setup))
     tip, tip_lines = _tip_result(snapshot.tip_frame) if pipeline.scene.tool is None else _tool_result(results)
-    turns, turn_lines = _turn_result(results)
+    turns, turn_lines = output.turn_result(results)
     leads = None if results.leading is None else results.leading.value
     verdict = None if results.leading is None else output.verdict_words(results.verdict(results.leading))
     unchecked = results.verdict(results.choose_method(None)).unchecked
@@ -253,35 +252,6 @@ def _session_lines(results: SessionResults) -> list[str]:
     closings = closings_of(results.snapshot, results.session.scene.noise)
     final = [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
     return [*distance_sentences(results.snapshot.tried_distances), *final]
-
-
-def _turn_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
-    """Summarise the turns of taxels of three axes, as JSON and in lines; both empty for other skins."""
-    found = results.session.axis_results()
-    if found is None:
-        return {}, []
-    from skincal.words.axis_words import shared_sentence, turn_summary
-
-    method = results.choose_method(None)
-    findings, frames = found.findings(method), found.frames(method)
-    # Readings of other taxels say nothing about turns.
-    own_sentence = "" if findings.is_value_order_wrong else shared_sentence(findings)
-    words = [turn_summary([*frames.values()]), *filter(None, [own_sentence])]
-    states = Counter(frame.state.value for frame in frames.values())
-    summary: dict[str, Any] = {
-        "method": method.value,
-        "states": dict(states),
-        "log_odds_shared": findings.log_odds_shared,
-        "taxels": {
-            str(channel): {
-                "z_sd_deg": math.degrees(frame.normal_sd), "in_plane_sd_deg": math.degrees(frame.in_plane_sd),
-            }
-            for channel, frame in frames.items()
-            if frame.is_known
-        },
-        "words": words,
-    }  # fmt: skip
-    return summary, words
 
 
 def _tip_result(frame: TipFrame | None) -> tuple[dict[str, Any], list[str]]:

@@ -2,6 +2,10 @@
 
 import pytest
 
+import skincal
+from skincal.cli.record import finish
+from skincal.session.importing import KeptError
+
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
@@ -21,6 +25,13 @@ def test_solve_summarizes_the_turns(session, run, answered):
     text = run("solve", session)[1]
     assert "turns: 24 of 24 taxels known, expected error " in text
     assert "All taxels of a module report in the module's axes (odds " in text
+
+
+def test_the_end_of_a_recording_summarizes_the_turns(session, capsys):
+    pipeline = skincal.Session.load(session).results.pipeline
+    with pytest.raises(KeptError, match="not opened yet"):  # its devices are not connected
+        finish(pipeline, session, False)
+    assert "turns: 24 of 24 taxels known, expected error " in capsys.readouterr().out
 
 
 def test_compare_gives_the_turns_also_of_files_that_were_exported(session, run, answered, tmp_path):
