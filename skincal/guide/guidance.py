@@ -150,9 +150,9 @@ class Target:
     """m, the same after the poke."""
     landmark: str = ""
     """Name of the landmark; empty for a poke on the skin."""
-    turn_now: float = float("nan")
+    turn_now: float = np.nan
     """rad, predicted sd of the taxel's turn in the plane, infinite while unknown; NaN if it needs none, and for one axis."""
-    turn_after: float = float("nan")
+    turn_after: float = np.nan
     """rad, the same after the poke; NaN before any turn is known."""
 
 

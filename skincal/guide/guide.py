@@ -524,8 +524,7 @@ class Guide:
         else:
             before, after = choice.predict_error(row, push)
         cosine = -float(direction @ choice.normals[row])
-        nan = float("nan")
-        turn_now, turn_after = (nan, nan) if self.turns is None else self.turns.gain(row, choice.normals[row], direction)
+        turn_now, turn_after = (np.nan, np.nan) if self.turns is None else self.turns.gain(row, choice.normals[row], direction)
         return Target(
             channel=int(self.plan.channels[row]),
             place=self._aim(row, direction, self._needs[row]),
