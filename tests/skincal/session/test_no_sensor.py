@@ -212,7 +212,7 @@ def test_a_tip_that_moves_while_it_presses_is_rejected_with_its_way(tmp_path):
     (outcome,) = outcomes_of(pipeline)
     assert outcome.reason is Reason.SLID
     assert rejection_words(outcome).startswith("tip moved ")
-    assert rejection_words(outcome).endswith("mm (limit 1.5 mm)")
+    assert rejection_words(outcome).endswith("mm (limit 1.50 mm)")
     assert "hold the tip still" in rejection_advice(outcome)
 
 
