@@ -154,8 +154,18 @@ def find_turns(pokes: Mapping[int, AxisPokes], force_noise: float) -> SkinTurns:
 
 
 def fit_group(channels: tuple[int, ...], pokes: AxisPokes, noise: AxisNoise) -> Turn:
-    """Fit one turn to the pokes of taxels that share their axes."""
-    return Turn(channels, fit_both_hands(pokes, noise))
+    """Fit one turn to the pokes of taxels that share their axes.
+
+    Taxels that one poke presses share the error of its force, so the covariance is that of the pokes, and not of the readings.
+    """
+    right, mirrored = fit_both_hands(pokes, noise)
+    readings_per_poke = len(pokes) / len(np.unique(pokes.pokes))
+    return Turn(channels, (_widened(right, readings_per_poke), _widened(mirrored, readings_per_poke)))
+
+
+def _widened(fit: TurnFit, factor: float) -> TurnFit:
+    """Multiply the covariance of a known turn by a factor."""
+    return replace(fit, covariance=fit.covariance * factor) if factor > 1.0 and fit.is_in_plane_known else fit
 
 
 def find_noise(groups: Sequence[AxisPokes], force_noise: float) -> AxisNoise:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from skincal.axes.module_axes import SIGNED_PERMUTATIONS, ModulePlan, describe_permutation, find_axes
-from skincal.axes.skin_turns import find_turns
+from skincal.axes.skin_turns import find_turns, fit_group, joined
 from skincal.axes.taxel_frames import FrameState, frames_of_taxels
 from skincal.geometry import rotation_by
-from tests.skincal.axes.axis_support import FORCE_NOISE_N, make_pokes, random_rotation, turn_between
+from tests.skincal.axes.axis_support import FORCE_NOISE_N, NOISE, make_pokes, random_rotation, turn_between
 
 POKED, CHANNELS = (0, 1, 2, 3, 4), range(7)
 """Taxels with pokes; taxel 5 of the module has none, and taxel 6 is of no module."""
@@ -22,7 +22,8 @@ def frames(lean=15.0, *, own_axes=False, change=None, pokes=8):
     for channel in POKED:
         true[channel] = shared @ rotation_by(np.array([0.0, 0.0, rng.uniform(-3, 3)])) if own_axes else shared
         own = make_pokes(rng, true[channel], pokes, lean)
-        made[channel] = own if change is None else type(own)(own.forces, own.readings @ change.T, own.pokes)
+        readings = own.readings if change is None else own.readings @ change.T
+        made[channel] = type(own)(own.forces, readings, own.pokes + 100 * channel)
     turns = find_turns(made, FORCE_NOISE_N)
     found = find_axes(turns, [ModulePlan(1, (*POKED, 5), plan)])
     return frames_of_taxels(turns, found, CHANNELS, dict.fromkeys((*POKED, 5), 1)), true, turns
@@ -62,3 +63,11 @@ def test_no_turn_is_invented():
 def test_left_handed_axes_are_those_with_a_negative_determinant():
     for permutation in SIGNED_PERMUTATIONS:
         assert describe_permutation(permutation, None, 0.0).is_mirrored == (np.linalg.det(permutation) < 0)
+
+
+def test_readings_of_one_poke_share_its_error():
+    """Two taxels that the same pokes press know the turn no better than one."""
+    rng = np.random.default_rng(4)
+    pokes = make_pokes(rng, random_rotation(rng), 12, 15.0)
+    one, both = fit_group((0,), pokes, NOISE), fit_group((0, 1), joined([pokes, pokes]), NOISE)
+    np.testing.assert_allclose(both.fit.covariance, one.fit.covariance, rtol=0.15, atol=1e-6)
