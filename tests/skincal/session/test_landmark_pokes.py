@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import queue
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
@@ -35,6 +34,7 @@ from skincal.model.scene import Landmark, load_scene, resource
 from skincal.session.landmark_pokes import VISUAL_REACTION_TIME_S
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
+from skincal.streams.links import ChunkQueue
 from skincal.words.poke_words import missed_words
 from tests.approved import approved
 from tests.build import rejection
@@ -176,7 +176,7 @@ def test_record_and_a_replay_make_the_same_of_the_same_bytes_and_orders(stored, 
     live = fed(stored, items, orders, create_session(folder, stored, LINKS))
     live.close()
     assert live.snapshot().at_landmarks == {1: "head", 3: "tail"}
-    items, plain = queue.SimpleQueue(), Pipeline(stored, LINKS, None)
+    items, plain = ChunkQueue(), Pipeline(stored, LINKS, None)
     for item in SessionLog(folder).items():
         if isinstance(item, Chunk):
             plain.feed(item)
@@ -203,7 +203,7 @@ def test_record_and_a_replay_make_the_same_of_the_same_bytes_and_orders(stored, 
 
 def test_a_poke_far_from_the_landmark_is_a_rejection_with_its_number(scene, capsys):
     items, orders = ask_head_throughout(scene, (POINT, FAR, POINT))
-    queued, pipeline = queue.SimpleQueue(), Pipeline(scene, LINKS, None)
+    queued, pipeline = ChunkQueue(), Pipeline(scene, LINKS, None)
     queued.put(OrderLine(orders[0].host_ns, json.dumps(action_to_json(orders[0].action)).encode()))
     for item in items:
         queued.put(item)
