@@ -224,6 +224,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         "wrench_sign": scene.wrench_sign,
         "mesh": None if scene.surface is None else str(scene.surface.path),
         "channels": scene.skin.channels,
+        "frame_width": scene.skin.frame_width,
         "taxels": None if scene.skin.layout is None else len(scene.skin.layout.channels),
         "kind": None if scene.skin.layout is None else scene.skin.layout.kind.value,
         "findings": findings,
@@ -258,7 +259,7 @@ def _scene_findings(part: Part, pose: FloatArray) -> list[str]:
 
     from skincal.mesh.laid_check import landmark_findings
     from skincal.part.robot_mesh import describe_shapes
-    from skincal.words.layout_words import kind_findings
+    from skincal.words.layout_words import frame_findings, kind_findings
     from skincal.words.tool_words import tool_findings
 
     scene, robot = part.scene, part.scene.robot
@@ -274,6 +275,7 @@ def _scene_findings(part: Part, pose: FloatArray) -> list[str]:
         if scene.surface is None:
             seen = describe_shapes(robot.urdf, scene.link, robot.urdf.sensor_named(robot.sensor, str(scene.path)).joint)
             findings.append(f"no mesh: {seen}. Name the part's mesh by --mesh of scene new, or in [surface]")
+    findings += frame_findings(scene.skin)
     findings += _placement_findings(part, pose[:3, 3] if is_placed else None)
     if scene.skin.layout is None:
         findings.append("no layout: the modules method is not available, and the guide searches for the taxels")

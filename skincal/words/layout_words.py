@@ -13,6 +13,7 @@ from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKi
 from skincal.words.units import count, millimetres
 
 if TYPE_CHECKING:
+    from skincal.model.scene import SkinSpec
     from skincal.modules.distances import TriedDistance
 
 
@@ -40,6 +41,21 @@ SHEET_WITHOUT_MESH = (
     "no mesh: a soft sheet has the shape of its part, so each taxel is placed by its own pokes alone (free method). If the "
     'skin is a rigid board, say so (kind = "board" in the layout, or `scene new --kind board`); else name the part\'s mesh'
 )
+
+
+def frame_findings(skin: SkinSpec) -> list[str]:
+    """Say how many values a frame of three axes has, and whether `channels` counts these values in place of the taxels."""
+    if skin.axes is None:
+        return []
+    unit = "in N" if skin.axes.unit == "N" else "raw values"
+    found = [f"a skin frame has {skin.frame_width} values: x, y and z of {plural(skin.channels, 'taxel')}, {unit}"]
+    taxels = 0 if skin.layout is None else len(skin.layout.channels)
+    if skin.channels == len(skin.axes.places) * taxels:
+        found.append(
+            f"channels counts taxels, and the layout has {taxels}: if a frame of your skin has {skin.channels} values, "
+            f"write channels = {taxels}"
+        )
+    return found
 
 
 def kind_findings(layout: Layout, *, is_on_mesh: bool) -> list[str]:

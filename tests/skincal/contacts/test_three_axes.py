@@ -15,6 +15,7 @@ from skincal.journal.documents import DetectorResult, read_document, result_to_j
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
 from skincal.model.skin_axes import ResponseRule, SkinAxes, ValueOrder
+from skincal.words.layout_words import frame_findings
 from tests.skincal.contacts.three_axis_support import VectorScript
 from tests.skincal.poke_script import outcome_key, small_scene
 
@@ -152,3 +153,15 @@ def test_a_skin_of_one_axis_loads_nothing_of_the_three():
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
     assert found == "[]"
+
+
+def test_the_findings_say_how_many_values_a_frame_has_and_whether_channels_counts_them(tmp_path):
+    assert frame_findings(scene_of(tmp_path, "channels = 4").skin) == []
+    skin = scene_of(tmp_path, f'{SKIN}unit = "N"').skin
+    assert frame_findings(skin) == ["a skin frame has 12 values: x, y and z of 4 taxels, in N"]
+    layout = small_scene().skin.layout
+    assert layout is not None
+    taxels = len(layout.channels)
+    counted = replace(skin, layout=layout, channels=3 * taxels)
+    assert f"write channels = {taxels}" in frame_findings(counted)[1]
+    assert len(frame_findings(replace(counted, channels=3 * taxels + 1))) == 1
