@@ -7,7 +7,7 @@ from PySide6.QtGui import QColor, QFont, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QAbstractButton, QButtonGroup, QSizePolicy, QWidget
 
 from app.panels.layouts import make_row
-from app.panels.widgets import mix, theme_colours
+from app.panels.widgets import escape_tooltip, mix, theme_colours
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX, Colours
 from skincal.part.tool_draft import Rig
@@ -161,7 +161,7 @@ class RigChoice(QWidget):
         for each, button in self.buttons.items():
             is_possible = not why_not or each is Rig.BELOW or each is rig
             button.setEnabled(is_possible)
-            button.setToolTip(RIG_DESCRIPTIONS[each] if is_possible else why_not)
+            button.setToolTip(RIG_DESCRIPTIONS[each] if is_possible else escape_tooltip(why_not))
 
     def _on_toggle(self, button: QAbstractButton, on: bool) -> None:
         # The arrow keys of a group check the next button without a click.

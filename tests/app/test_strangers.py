@@ -70,6 +70,8 @@ def is_plain(text):
     match text:
         case ast.Constant() | ast.Call(func=ast.Name("escape_tooltip" | "link_tooltip")):
             return True
+        case ast.Name(name) | ast.Subscript(value=ast.Name(name)):
+            return name.isupper()  # a constant of a file, or a table of texts
         case ast.IfExp():
             return is_plain(text.body) and is_plain(text.orelse)
     return False

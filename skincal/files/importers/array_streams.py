@@ -488,6 +488,8 @@ def may_be(stream: Stream, array: NamedArray, width: int) -> int | None:
             if width < 2 or _WRENCH_RE.search(name) or (axes and all(axes)):
                 return None
             return 0 if _SKIN_RE.search(name) else 3
+        case Stream.TOOL:
+            return None  # poses of a tool are not read from arrays
         case _:
             return 0 if _JOINTS_RE.search(name) and width <= 32 and not _SKIN_RE.search(name) else None
 

@@ -75,7 +75,7 @@ def guess_tools(bag: Bag, spread: Mapping[str, Sequence[bytes]]) -> list[StreamG
     """
     found: list[tuple[float, StreamGuess]] = []
     for topic in bag.topics.values():
-        if full_type_name(topic.type_name) not in POSE_TYPES or topic.encoding:
+        if topic.encoding or full_type_name(topic.type_name) not in POSE_TYPES:
             continue
         places: dict[tuple[str, str], list[FloatArray]] = {}
         bag.define(topic.name)

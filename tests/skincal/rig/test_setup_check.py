@@ -189,7 +189,7 @@ def test_an_open_session_says_it_once(rig):
     follower = SetupFollower(part, run_at_once)
     said = []
     for count in range(len(wrong) + 1):
-        follower.check_snapshot(SimpleNamespace(contacts=wrong[:count], decisions=Decisions()))
+        follower.check_snapshot(SimpleNamespace(contacts=wrong[:count], decisions=Decisions(), value_order=None))
         said.append(follower.take_news())
     assert [count for count, news in enumerate(said) if news] == [SETUP_CHECK_MIN_POKES]
     assert "about its z axis" in follower.sentences[0]
@@ -202,7 +202,7 @@ def test_a_finding_goes_when_a_correction_begins_and_returns_when_it_ends(rig):
     follower = SetupFollower(part, lambda work, done, *, ended: jobs.append((work, done, ended)))
 
     def follow(seen, corrections):
-        follower.check_snapshot(SimpleNamespace(contacts=seen, decisions=Decisions(corrections=corrections)))
+        follower.check_snapshot(SimpleNamespace(contacts=seen, decisions=Decisions(corrections=corrections), value_order=None))
 
     def work_off():
         while jobs:
@@ -243,7 +243,7 @@ def test_a_check_that_fails_is_made_again_with_more_pokes(rig, monkeypatch):
         raise RuntimeError("of the check")
 
     def follow(count):
-        follower.check_snapshot(SimpleNamespace(contacts=wrong[:count], decisions=Decisions()))
+        follower.check_snapshot(SimpleNamespace(contacts=wrong[:count], decisions=Decisions(), value_order=None))
 
     with monkeypatch.context() as fault:
         fault.setattr("skincal.following.setup_follower.check_setup", broken)

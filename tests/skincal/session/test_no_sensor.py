@@ -184,9 +184,9 @@ def test_landmarks_and_mesh_place_the_part_and_taxels_are_within_their_errors(re
 
 
 def test_the_live_tool_and_press_are_in_the_frame_of_the_part_once_it_is_known(recorded):
+    part = recorded.snapshot().part_pose
     _, in_base = recorded.poses.current
     live = recorded.live(0)
-    part = recorded.snapshot().part_pose
     shift = np.eye(4)
     shift[:3, 3] = part.tip_shift
     assert live.link_from_sensor == pytest.approx(part.link_from_base @ in_base @ shift, abs=1e-12)
