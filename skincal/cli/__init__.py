@@ -62,7 +62,7 @@ COMMAND_MODULES = (
     "study",
 )
 """Modules of this package with commands, in the order of the help. Each has `add_to(app)`."""
-BRACKETS = re.compile(r"(\[[a-z])")
+OPENING_BRACKET_RE = re.compile(r"(\[[a-z])")
 """What rich takes for the beginning of markup."""
 
 
@@ -76,7 +76,7 @@ def _prepare_help(command: Any) -> None:
         if getattr(parameter, "is_flag", False):
             parameter.metavar = ""
         if app.rich_markup_mode == "rich" and getattr(parameter, "help", None):
-            parameter.help = BRACKETS.sub(r"\\\1", parameter.help)
+            parameter.help = OPENING_BRACKET_RE.sub(r"\\\1", parameter.help)
     for each in getattr(command, "commands", {}).values():
         _prepare_help(each)
 

@@ -44,7 +44,7 @@ SHEET_WITHOUT_MESH = (
 
 
 def frame_findings(skin: SkinSpec) -> list[str]:
-    """Say how many values a frame of three axes has, and whether `channels` counts these values in place of the taxels."""
+    """Count the values of a frame of three axes, and report `channels` that counts these values in place of the taxels."""
     if skin.axes is None:
         return []
     unit = "in N" if skin.axes.unit == "N" else "raw values"
