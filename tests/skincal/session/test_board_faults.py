@@ -162,7 +162,7 @@ def test_ghosts_as_strong_as_the_pressed_taxel_are_no_matter_of_a_threshold(tmp_
     assert "so no threshold helps" in said
 
 
-@pytest.mark.parametrize(("pitch", "each"), [(0.005, 3), (0.004, 3)])
+@pytest.mark.parametrize(("pitch", "each"), [(0.005, 6), (0.004, 6)])
 def test_a_spread_press_on_a_small_board_is_told_its_limit_and_the_middle_is_right_with_it(tmp_path, capsys, pitch, each):
     """The pokes that pass a low limit are those at the edge: inner taxels come out 3 to 5 mm beside their places."""
     board = Board(rows=4, columns=4, pitch=pitch, pokes_each=each)
@@ -179,7 +179,7 @@ def test_a_spread_press_on_a_small_board_is_told_its_limit_and_the_middle_is_rig
     snapshot = import_board(tmp_path / "b", frames, frames.plain, more=f"[contacts]\n{advice[1]}\n")
     assert sum(isinstance(each.outcome, Contact) for each in snapshot.pokes) >= 0.97 * len(snapshot.pokes)
     assert not snapshot.dead
-    assert errors(snapshot, board)[:, 0].max() < 0.0015
+    assert errors(snapshot, board)[:, 0].max() < 0.001
 
 
 def test_a_press_that_spreads_along_a_strip_is_no_matrix_without_diodes(tmp_path, capsys):
