@@ -37,6 +37,7 @@ class Carries(Enum):
     WRENCH = "wrench"
     SKIN = "skin"
     JOINTS = "joints"
+    TOOL = "tool"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -113,6 +114,9 @@ def _newest(batch: Batch) -> str:
         return f"F {_numbers(values[:3].tolist(), 2)} N, M {_numbers(values[3:].tolist(), 3)} N m{flags}"
     if batch.stream is Stream.JOINTS:
         return f"{_numbers(np.degrees(values).tolist(), 1)} deg"
+    if batch.stream is Stream.TOOL and np.isfinite(values).all():
+        place, axis = (values[3::4] * 1e3).tolist(), values[2::4].tolist()
+        return f"at {_numbers(place, 1)} mm, z axis {_numbers(axis, 3)}"
     finite = values[np.isfinite(values)]
     return (
         f"{len(values)} values, {finite.min():g} to {finite.max():g}" if finite.size else f"{len(values)} values, none finite"
@@ -147,10 +151,11 @@ def watch(
     """Show what a link sends, live: readings, rate, losses and messages of the device; a line each second."""
     import json
 
+    from skincal.devices.registry import carried_streams
     from skincal.streams.links import ChunkQueue, LinkSpec, Reader, parse_address
 
-    parse_address(link)
-    streams = SENSOR_STREAMS if carries is Carries.ANY else (Stream(carries.value),)
+    address = parse_address(link)
+    streams = carried_streams(address.route.format) if carries is Carries.ANY else (Stream(carries.value),)
     items = ChunkQueue()
     watched, reader = Watched(link, streams), Reader(LinkSpec("link", link, streams), items)
     end_s = float("inf") if seconds is None else time.monotonic() + seconds

@@ -16,6 +16,7 @@ from skincal.devices.decoding import FrameDecoder
 from skincal.devices.family import DeviceAddress, Family, Form, Route
 from skincal.devices.plain import RECORDED_RUN, RUN, split_command
 from skincal.model.errors import InputError
+from skincal.model.readings import SENSOR_STREAMS, Stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,7 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
         "paxini": Entry(("paxini",), ("paxini",)),
         "paxini_module": Entry(("paxini-module",), ("paxini-module",)),
         "inspire": Entry(("inspire",), ("inspire",)),
+        "qtm": Entry(("qtm",), ("qtm",)),
         "datagrams": Entry(("udp",), ("datagrams",)),
         "plain": Entry(("socket", "lines", "targets", "run")),
     }
@@ -73,6 +75,13 @@ def find_decoder(format_name: str) -> type[FrameDecoder] | None:
     """Return the decoder of a device's format, or `None`."""
     file = _FILE_OF_FORMAT.get(format_name)
     return None if file is None else load_family(file).decoders[format_name]
+
+
+def carried_streams(format_name: str) -> tuple[Stream, ...]:
+    """List the streams that a device's format may have: poses of a tool for a tracker, else those that values show."""
+    file = _FILE_OF_FORMAT.get(format_name)
+    vectors = () if file is None else load_family(file).vectors
+    return (Stream.TOOL,) if vectors and all(vector.carries == (Stream.TOOL,) for vector in vectors) else SENSOR_STREAMS
 
 
 def parse_device(address: str) -> DeviceAddress | None:

@@ -35,6 +35,7 @@ from skincal.simulation.emulated_skins import (
     PaxiniModuleEncoder,
     Tsf85Encoder,
 )
+from skincal.simulation.emulated_trackers import QtmEncoder
 from skincal.simulation.plain_talk import PlainTalk
 from skincal.simulation.ros_outlets import Ros2Encoder
 
@@ -517,6 +518,7 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
             channels_max=239,
             has_vectors=True,
         ),
+        "qtm": Maker((Stream.TOOL,), QtmEncoder, 0.0),
         "ros2": Maker(SENSOR_STREAMS, Ros2Encoder, 0.0, has_vectors=True),
     }
 )

@@ -24,6 +24,7 @@ from skincal.simulation.emulated_devices import (
     YarpTalk,
 )
 from skincal.simulation.emulated_skins import InspireTalk, make_talks, part_query
+from skincal.simulation.emulated_trackers import TOOL_BODY, QtmTalk
 from skincal.simulation.outlets import Outlet, PtyOutlet, TcpOutlet
 from skincal.simulation.plain_talk import PlainTalk
 from skincal.simulation.ros_outlets import RosOutlet
@@ -36,6 +37,14 @@ YARP_PORTS = {
     Stream.SKIN: "/icub/skin/right_forearm",
     Stream.JOINTS: "/icub/right_arm/state:o",
 }
+TALK_OF_DEVICE: Mapping[str, tuple[Callable[[], PlainTalk], str]] = MappingProxyType(
+    {
+        "xela": (XelaTalk, "xela://127.0.0.1:{}"),
+        "robotiq-text": (PlainTalk, "robotiq://127.0.0.1:{}"),
+        "qtm": (QtmTalk, f"qtm://127.0.0.1:{{}}?body={TOOL_BODY}"),
+    }
+)
+"""Dialogue and address, with {} for the port's number, of devices at a TCP port."""
 
 
 class TalkOutlet(TcpOutlet):
@@ -53,6 +62,10 @@ class TalkOutlet(TcpOutlet):
 
     def poll(self) -> tuple[bool, bytes]:
         super().poll()
+        for client, waiting in self._clients.items():
+            if client not in self._talks:
+                self._talks[client] = self._talk()
+                waiting += self._talks[client].greeting
         self.write(b"")
         for client, talk in list(self._talks.items()):
             if talk.closing and not self._clients.get(client):
@@ -280,10 +293,10 @@ class MakerOutlets:
                 return RdtOutlet()
             case "rtde":
                 return self._open_rtde(stream)
-            case "xela":
-                return TalkOutlet(XelaTalk, "xela://127.0.0.1:{}")
             case "ros2":
                 return RosOutlet(stream)
+            case _ if maker in TALK_OF_DEVICE:
+                return TalkOutlet(*TALK_OF_DEVICE[maker])
             case "inspire":
                 return InspireOutlet(f"inspire://127.0.0.1:{{}}{part_query(maker, self._channels)}")
             case _ if maker in (talks := make_talks(self._channels)):
@@ -291,8 +304,6 @@ class MakerOutlets:
                 if tcp:
                     return TalkOutlet(talks[maker], f"{maker}://127.0.0.1:{{}}{query}")
                 return TalkPtyOutlet(talks[maker](), f"{maker}:{{}}{query}")
-            case "robotiq-text":
-                return TalkOutlet(PlainTalk, "robotiq://127.0.0.1:{}")
             case _ if tcp:
                 return TalkOutlet(PlainTalk, "socket://127.0.0.1:{}")
             case _:

@@ -10,6 +10,8 @@ class PlainTalk:
     """The host requests readings."""
     closing = False
     """The device closes the connection after the last byte."""
+    greeting = b""
+    """What it sends as soon as a host connects."""
     heard = b""
     """Bytes from the host that are not answered yet."""
 

@@ -127,6 +127,8 @@ def link_verdict_words(verdict: LinkVerdict) -> str:
         case LinkAnswer.GOOD:
             return "good, but no value has changed yet: press the skin once" if verdict.unchanged else "good"
         case LinkAnswer.NO_READING:
+            if verdict.stream is Stream.TOOL:
+                return "data arrives, but no pose of the tool"
             if verdict.line:
                 return f"data arrives, but no readings: {_unread_line(verdict)}"
             tried = f" (tried {', '.join(map(str, verdict.tried))})" if verdict.tried else ""

@@ -1,0 +1,68 @@
+"""Optical trackers for `--as`: their encoders, and their dialogue with a host. Each tracks a lost body and the tool, `probe`.
+
+Written from the formats' descriptions without any code of the decoders, so that each checks the other.
+`emulated_transports` sends the bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from skincal.model.readings import Stream
+from skincal.simulation.board_formats import Encoder
+from skincal.simulation.plain_talk import PlainTalk
+
+LOST_BODY, TOOL_BODY = "helmet", "probe"
+
+
+def _turn_of(pose: list[float]) -> list[list[float]]:
+    """Return the rotation matrix of x y z and a quaternion x y z w."""
+    x, y, z, w = pose[3:]
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def _qtm_packet(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", 8 + len(content), kind) + content
+
+
+class QtmEncoder(Encoder):
+    """Data packets of QTM with two bodies, positions in mm."""
+
+    def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
+        turn = np.array(_turn_of(values))
+        bodies = struct.pack("<12f", *[float("nan")] * 12)
+        bodies += struct.pack("<12f", *(1000 * place for place in values[:3]), *turn.T.reshape(-1))
+        component = struct.pack("<IIIhh", 16 + len(bodies), 5, 2, 0, 0) + bodies
+        return _qtm_packet(3, struct.pack("<qII", t_us, self._number(stream) + 1, 1) + component)
+
+
+class QtmTalk(PlainTalk):
+    """The real-time server of QTM."""
+
+    ready = False
+    greeting = _qtm_packet(1, b"QTM RT Interface connected\0")
+
+    def on_request(self, data: bytes) -> bytes:
+        self.heard += data
+        out = b""
+        while len(self.heard) >= 8 and len(self.heard) >= (size := int.from_bytes(self.heard[:4], "little")) >= 8:
+            said, self.heard = self.heard[8:size].rstrip(b"\0").lower(), self.heard[size:]
+            out += self._answer(said)
+        return out
+
+    def _answer(self, said: bytes) -> bytes:
+        if said.startswith(b"version "):
+            return _qtm_packet(1, b"Version set to " + said[8:] + b"\0")
+        if said == b"getparameters 6d":
+            bodies = "".join(f"<Body><Name>{name}</Name><Point><X>1</X></Point></Body>" for name in (LOST_BODY, TOOL_BODY))
+            return _qtm_packet(2, f"<QTM_Parameters><The_6D><Bodies>2</Bodies>{bodies}</The_6D></QTM_Parameters>\0".encode())
+        if said.startswith(b"streamframes") and b"6d" in said:
+            self.ready = True
+            return b""
+        return _qtm_packet(0, b"Parse error\0")
