@@ -17,11 +17,13 @@ MAX_KEPT_PRESSES = 200
 """Newest presses whose delays are kept."""
 LATE_POSES_MIN_S = 0.1
 """s. A stream that is later is a fault: the tool moves by millimetres meanwhile."""
+USED_DELAY_MAX_SD_S = 0.030
+"""s, largest sd of a delay that is corrected."""
 REPEATED_POSES_MIN_S = 0.1
 """s. A moving tool whose pose changes less often is sent from a buffer that repeats."""
 
 
-def _none() -> FloatArray:
+def _no_presses() -> FloatArray:
     return np.empty(0)
 
 
@@ -30,7 +32,14 @@ class PoseDelay(NamedTuple):
 
     delay_s: float
     sd_s: float
+    """s, standard deviation of the delay."""
     presses: int
+    """Number of presses that show it."""
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it is known well enough to correct the poses."""
+        return self.sd_s <= USED_DELAY_MAX_SD_S
 
     @property
     def is_late(self) -> bool:
@@ -42,12 +51,14 @@ class PoseDelay(NamedTuple):
 class PoseDelays:
     """Delays of single presses, s, with their standard deviations; positive if the poses are late."""
 
-    of_skin: FloatArray = field(default_factory=_none)
+    of_skin: FloatArray = field(default_factory=_no_presses)
     """(n,) float, s, against the skin."""
-    of_skin_sd: FloatArray = field(default_factory=_none)
-    of_wrench: FloatArray = field(default_factory=_none)
+    of_skin_sd: FloatArray = field(default_factory=_no_presses)
+    """(n,) float, s, their standard deviations."""
+    of_wrench: FloatArray = field(default_factory=_no_presses)
     """(m,) float, s, against the wrench; empty without a sensor."""
-    of_wrench_sd: FloatArray = field(default_factory=_none)
+    of_wrench_sd: FloatArray = field(default_factory=_no_presses)
+    """(m,) float, s, their standard deviations."""
     repeated_s: float = math.nan
     """s, median time from one pose of the moving tool to the next different one; NaN while it is unknown."""
 
@@ -63,7 +74,7 @@ class PoseDelays:
 
     @property
     def leading(self) -> PoseDelay | None:
-        """The delay that is corrected: against the wrench where there is one, since foam answers slowly."""
+        """The delay that is corrected if it is usable: against the wrench where there is one, since foam answers slowly."""
         return self.against_wrench or self.against_skin
 
     @property

@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 
 WRENCH_RECORD_PERIOD_NS = 500_000_000
 """ns between decoded wrenches in the journal."""
-DELAY_USED_MAX_SD_S, DELAY_REFIT_RATIO = 0.030, 1.25
-"""s, largest sd of a delay that is corrected; it is found again when its presses grow by a quarter."""
+DELAY_REFIT_RATIO = 1.25
+"""The delay of a tool's poses is found again when its presses grow by a quarter."""
 READING_COUNTS_RECORD_PERIOD_NS = 5_000_000_000
 """ns between counts of readings in the journal; the last come at the end."""
 _LOST_STATES = (LinkState.LOST, LinkState.FAILED)
@@ -473,7 +473,7 @@ class Pipeline:
         if not watch.feed(sample.host_s, place, detector.signals, sample.tool.delay_s, presses=detector.is_pressing):
             return
         found = watch.delays.leading
-        if found is None or found.sd_s > DELAY_USED_MAX_SD_S or found.presses < self._delay_fitted * DELAY_REFIT_RATIO:
+        if found is None or not found.is_usable or found.presses < self._delay_fitted * DELAY_REFIT_RATIO:
             return
         self._delay_fitted = found.presses
         self._intake.use_tool_delay(found.delay_s)

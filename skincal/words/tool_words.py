@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.contacts.pose_delays import DELAY_MIN_PRESSES, PoseDelays
+from skincal.contacts.pose_delays import DELAY_MIN_PRESSES, USED_DELAY_MAX_SD_S, PoseDelays
 from skincal.geometry import FloatArray
 from skincal.model.length_units import METRES_PER_UNIT
 from skincal.model.pose_form import PoseForm, RotationForm
@@ -22,6 +22,9 @@ TIP_FAR_M = 1.0
 """m. No poking tool is as long."""
 TURN_NAMED_FROM = math.radians(0.05)
 """rad, smallest turn of the sensor's axes that is named."""
+DELAY_NOT_CORRECTED = (
+    f"This is not corrected: it must be known to {USED_DELAY_MAX_SD_S * 1e3:.0f} ms. Move the tip faster to and from the skin."
+)
 FORM_WORDS = {
     RotationForm.QUATERNION_XYZW: "quaternion x y z w",
     RotationForm.QUATERNION_WXYZ: "quaternion w x y z",
@@ -135,7 +138,7 @@ def pose_delay_sentence(delays: PoseDelays | None) -> str:
     first, stream = known[0]
     return (
         f"Poses of the tool come {' and '.join(ways)} (known to {first.sd_s * 1e3:.0f} ms, from {first.presses} presses). "
-        f"The delay against the {stream} is corrected."
+        + (f"The delay against the {stream} is corrected." if first.is_usable else DELAY_NOT_CORRECTED)
     )
 
 
@@ -145,10 +148,11 @@ def pose_stream_faults(delays: PoseDelays | None) -> tuple[str, ...]:
     leading = None if delays is None else delays.leading
     if leading is not None and leading.is_late:
         side = "late" if leading.delay_s > 0.0 else "early"
+        corrected = f"This is corrected, except in the first {DELAY_MIN_PRESSES} presses."
         found.append(
-            f"Poses of the tool are {abs(leading.delay_s) * 1e3:.0f} ms {side}. This is corrected, except in the first "
-            f"{DELAY_MIN_PRESSES} presses. Check the program that sends the poses: a buffer, a slow network, or stamps of "
-            "another clock."
+            f"Poses of the tool are {abs(leading.delay_s) * 1e3:.0f} ms {side}. "
+            f"{corrected if leading.is_usable else DELAY_NOT_CORRECTED} Check the program that sends the poses: a buffer, a "
+            "slow network, or stamps of another clock."
         )
     if delays is not None and delays.repeats:
         found.append(

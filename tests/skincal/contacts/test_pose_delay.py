@@ -77,6 +77,18 @@ def test_late_and_repeated_poses_are_named_with_the_remedy_and_usual_ones_are_no
     assert pose_delay_sentence(PoseDelays()) == ""
 
 
+def test_a_delay_that_slow_edges_show_is_not_called_corrected():
+    """The pipeline corrects a delay that is known to 30 ms."""
+    known, unknown = (
+        PoseDelays(of_wrench=np.full(4, 0.25), of_wrench_sd=np.full(4, sd), of_skin=np.full(4, 0.25), of_skin_sd=np.full(4, sd))
+        for sd in (0.028, 0.032)
+    )
+    for delays, is_corrected in ((known, True), (unknown, False)):
+        (fault,) = pose_stream_faults(delays)
+        for said in (pose_delay_sentence(delays), fault):
+            assert ("is corrected" in said, "not corrected" in said) == (is_corrected, not is_corrected)
+
+
 def test_parts_of_a_session_are_joined():
     joined = watched(0.03, presses=3).plus(watched(0.03, presses=4))
     assert len(joined.of_wrench) == len(watched(0.03, presses=3).of_wrench) + len(watched(0.03, presses=4).of_wrench)
