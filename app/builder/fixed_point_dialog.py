@@ -112,7 +112,7 @@ class FixedPointDialog(Dialog):
             self.said.setText("\N{BALLOT X} No pose of the tool came yet: name its address above, and press Enter.")
             return
         try:
-            self._rest.require_rest()
+            self._rest.require_rest(time.monotonic())
         except InputError as error:
             self.said.setText(f"\N{BALLOT X} {error}")
             return

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.model.errors import InputError
+from skincal.model.errors import InputError, plural
 from skincal.model.pose_form import PoseForm, SentPose
 from skincal.rig.pivot import MIN_TOUCHES, PivotResult, judge_touches
 
@@ -29,23 +29,26 @@ POSITION_COLUMNS = (3, 7, 11)
 
 @dataclass(slots=True)
 class RestWindow:
-    """The poses of the last `REST_S` of a stream."""
+    """The poses of the last `REST_S` of a stream, and the one before them."""
 
     _poses: deque[tuple[float, FloatArray]] = field(default_factory=deque[tuple[float, FloatArray]])
 
     def add(self, now_s: float, poses: Iterable[FloatArray]) -> None:
         """Add poses (12,) float, upper rows of 4 x 4, metres, that came until `now_s`; those that are none are left out."""
         self._poses.extend((now_s, pose) for pose in poses if np.isfinite(pose).all())
-        while self._poses and now_s - self._poses[0][0] > REST_S:
+        while len(self._poses) > 1 and now_s - self._poses[1][0] >= REST_S:
             self._poses.popleft()
 
-    def require_rest(self) -> None:
-        """Raise `InputError` if the tool moved, or too few poses came."""
-        if len(self._poses) < MIN_READINGS_AT_REST:
+    def require_rest(self, now_s: float) -> None:
+        """Raise `InputError` if the tool moved in the last `REST_S` before `now_s`, or too few poses came in this time."""
+        count = sum(now_s - at_s < REST_S for at_s, _ in self._poses)
+        if count < MIN_READINGS_AT_REST:
             raise InputError(
-                f"{len(self._poses)} poses came in the last {REST_S:g} s; expected {MIN_READINGS_AT_REST} or more: check the "
+                f"{plural(count, 'pose')} came in the last {REST_S:g} s; expected {MIN_READINGS_AT_REST} or more: check the "
                 "stream."
             )
+        if now_s - self._poses[0][0] < REST_S:
+            raise InputError(f"The stream has just begun; hold the tool still for {REST_S:g} s, then take the touch.")
         spans = np.ptp(np.array([pose for _, pose in self._poses]), axis=0)
         place = list(POSITION_COLUMNS)
         moved, turned = float(spans[place].max()), float(np.delete(spans, place).max())

@@ -1,5 +1,7 @@
 """The fixed-point test in the window: touches of a stream give the tip, a wrong form is named, and the draft gets both."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -32,6 +34,7 @@ def touch(dialog, pose, form=VECTOR) -> None:
     (numbers,) = write_poses(pose[None], form)
     dialog.live.sent_pose = SentPose(tuple(numbers.tolist()), form, 1.0)
     dialog._rest = RestWindow()
+    dialog._rest.add(time.monotonic() - REST_S, [pose[:3].ravel()])
     dialog.live.read.emit([pose[:3].ravel()] * 3)
     dialog.take_touch()
 
@@ -97,16 +100,33 @@ def test_a_moving_tool_and_a_silent_stream_are_no_touch(made):
     assert "No pose of the tool came yet" in dialog.said.text()
     dialog.live.sent_pose = SentPose((0.0,) * 6 + (1.0,), PoseForm(RotationForm.QUATERNION_XYZW), 1.0)
     first, second = touching(LEANS[:2])
-    dialog.live.read.emit([first[:3].ravel(), second[:3].ravel(), second[:3].ravel()])
+    dialog.live.read.emit([second[:3].ravel()] * 3)
+    dialog.take_touch()
+    assert "has just begun" in dialog.said.text()
+    dialog._rest = RestWindow()
+    dialog._rest.add(time.monotonic() - REST_S, [first[:3].ravel()])
+    dialog.live.read.emit([second[:3].ravel()] * 3)
     dialog.take_touch()
     assert "hold it still" in dialog.said.text()
     assert dialog.list.count() == 0
     rest = RestWindow()
-    rest.add(0.0, [first[:3].ravel()] * 3)
-    rest.require_rest()
-    rest.add(2.0 * REST_S, [np.full(12, np.nan)])
+    rest.add(0.0, [second[:3].ravel()] * 3)
+    for at in (0.2, 0.4, 0.6):
+        rest.add(at, [first[:3].ravel()])
+    with pytest.raises(InputError, match="hold it still"):
+        rest.require_rest(0.6)
+    rest.add(0.8, [first[:3].ravel()])
+    rest.require_rest(0.8)
+    rest.add(2.0, [np.full(12, np.nan)])
     with pytest.raises(InputError, match="0 poses came"):
-        rest.require_rest()
+        rest.require_rest(2.0)
+    # Of a stream that fell silent nothing is added.
+    rest = RestWindow()
+    for at in (0.0, 0.2, 0.4, 0.6):
+        rest.add(at, [first[:3].ravel()])
+    rest.require_rest(0.6)
+    with pytest.raises(InputError, match="1 pose came"):
+        rest.require_rest(1.0)
 
 
 def test_touches_in_another_number_of_values_begin_again():
