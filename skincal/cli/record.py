@@ -385,7 +385,7 @@ def finish(
     from skincal.words.frame_words import frame_sentences
     from skincal.words.link_words import silent_links
     from skincal.words.mistake_words import setup_sentences
-    from skincal.words.poke_words import no_poke_sentence
+    from skincal.words.poke_words import WHOLE_RECORDINGS, no_poke_sentence, too_short_sentence
 
     snapshot = pipeline.snapshot()
     counts = output.poke_counts(snapshot)
@@ -394,9 +394,11 @@ def finish(
     uncompared = output.uncompared_findings(snapshot, reference)
     known = None if uncompared else reference
     methods = output.method_summaries(snapshot.estimates, known, pipeline.scene.skin.layout, snapshot.part_size)
-    silent = silent_links(live.links)
+    silent, too_short = silent_links(live.links), ""
     unpoked: list[str] = []
-    if not (snapshot.pokes or silent):
+    if imported and not (snapshot.pokes or silent):
+        too_short = too_short_sentence(pipeline.before_pokes, snapshot.decisions.thresholds)
+    if not (snapshot.pokes or silent or too_short):
         unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds, live.links)]
     frames = frame_sentences(pipeline.session.wrench_frames, snapshot.contacts)
     found = [*frames, *unpoked, *uncompared, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
@@ -413,7 +415,7 @@ def finish(
     no_result = not counts["accepted"] if imported else not snapshot.pokes
     mixed = imported and any(link.is_mixture for link in live.links)
     useless = silent and (mixed or no_result) and (imported or not all(link.last_host_ns for link in live.links))
-    kept = (bool(pipeline.journal_failure) or not useless) and out.exists()
+    kept = (bool(pipeline.journal_failure) or not (useless or too_short)) and out.exists()
     text += [*output.loss_lines(live.links), *([f"session {out}"] if kept else [])]
     result: dict[str, Any] = {
         "session": out if kept else None,
@@ -424,7 +426,7 @@ def finish(
         "findings": found,
     }
     output.print_result(result, text, as_json)
-    trouble = pipeline.journal_failure or silent
+    trouble = pipeline.journal_failure or silent or (too_short and f"{too_short} {WHOLE_RECORDINGS}")
     if trouble:
         raise KeptError(trouble) if kept or pipeline.journal_failure else InputError(f"{trouble} No session was made.")
 

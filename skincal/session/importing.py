@@ -27,7 +27,7 @@ from skincal.streams.links import ITEMS_AT_ONCE, LinkSpec
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import sheet_findings
 from skincal.words.link_words import silent_links
-from skincal.words.poke_words import late_angles_sentence, no_poke_sentence, too_short_sentence
+from skincal.words.poke_words import WHOLE_RECORDINGS, late_angles_sentence, no_poke_sentence, too_short_sentence
 
 
 class KeptError(InputError):
@@ -179,7 +179,7 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
             raise InputError(f"{silent} No session was made.")
         too_short = "" if outcomes else too_short_sentence(pipeline.before_pokes, scene.contacts)
         if too_short:
-            raise InputError(f"{too_short} No session was made.")
+            raise InputError(f"{too_short} {WHOLE_RECORDINGS} No session was made.")
         unpoked = "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts, links)
         warnings = [f"{link.link}: {link.warning}" for link in links if link.warning]
         frames = frame_sentences(pipeline.session.wrench_frames, pipeline.session.contacts)

@@ -227,6 +227,9 @@ def missed_words(missed: MissedLandmark) -> str:
     return f"{millimetres(missed.miss, 0)} from {missed.name} (limit {millimetres(missed.limit, 0)})"
 
 
+WHOLE_RECORDINGS = "Give the whole recordings of one run."
+
+
 def too_short_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
     """Explain why a recording is too short for any poke; empty if it is long enough."""
     needed_s = thresholds.quiet_s + thresholds.still_s
@@ -234,8 +237,7 @@ def too_short_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
         return ""
     return (
         f"Force and skin were recorded together for {seen.seconds:.2g} s; a poke needs {needed_s:g} s: "
-        f"{thresholds.quiet_s:g} s without a touch and {thresholds.still_s:g} s of holding still. "
-        "Give the whole recordings of one run."
+        f"{thresholds.quiet_s:g} s without a touch and {thresholds.still_s:g} s of holding still."
     )
 
 
@@ -252,6 +254,8 @@ def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequ
             "No poke was found: the force/torque readings and the skin readings never overlap in time. "
             "Check that the recordings belong together."
         )
+    if too_short := too_short_sentence(seen, thresholds):
+        return f"No poke was found. {too_short}"
     looked = f"No poke was found in {count(seen.samples, 'skin reading')} with force, over {seen.seconds:.0f} s"
     if not seen.tared and seen.gaps * thresholds.quiet_s > GAPS_MIN_SHARE * seen.seconds:
         skin = next((link for link in links if link.link == Stream.SKIN.value), None)

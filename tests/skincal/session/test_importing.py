@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 
 from skincal.cli import main
 from skincal.contacts.detector import ContactDetector
+from skincal.contacts.outcome import BeforePokes
 from skincal.files.importers.preview import guess_streams
 from skincal.files.importers.registry import StoppedError
 from skincal.journal import writer
@@ -258,13 +259,20 @@ def test_a_recording_without_a_poke_says_why(tmp_path, samples, write, said):
     assert no_poke_sentence(ContactDetector(scene).before_pokes, scene.contacts) == approved("import.no_poke_apart")
 
 
-def test_a_recording_too_short_for_a_poke_leaves_no_session(tmp_path):
+def test_a_recording_too_short_for_a_poke_leaves_no_session(tmp_path, capsys):
     scene = write_scene(tmp_path / "source")
     logs = write_csv(tmp_path / "logs", Script(scene, force_noise=0.01).quiet(0.42).samples)
     with pytest.raises(InputError) as refused:
         import_recording(ImportRequest(guess_streams([logs]), scene.path, "", tmp_path / "s"))
     assert str(refused.value) == approved("import.too_short", seconds="0.4")
     assert not (tmp_path / "s").exists()
+    options = ["--wrench", str(logs / "a.csv"), "--skin", str(logs / "b.csv"), "--scene", str(scene.path)]
+    assert main(["import", "csv", *options, "--out", str(tmp_path / "s")]) == 2
+    said = capsys.readouterr()
+    assert approved("import.too_short", seconds="0.4") in said.err
+    assert "never steady" not in said.out
+    assert not (tmp_path / "s").exists()
+    assert no_poke_sentence(BeforePokes(6, 0.3, False, 0.0, 0, 0), scene.contacts).endswith("0.3 s of holding still.")
 
 
 def test_the_command_says_it_first_and_ends_well(tmp_path, capsys):
