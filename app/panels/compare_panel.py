@@ -198,11 +198,11 @@ class ComparePanel(Panel):
         """Compare the axes of taxels that measure three."""
         if self._guided.part.scene.skin.axes is None:
             return
-        from skincal.axes.turn_differences import axes_by_channel, compare_turns  # other skins do without
+        from skincal.axes.turn_differences import axes_of_turns, compare_turns  # other skins do without
         from skincal.words.turn_words import turn_difference_words
 
         channels, turns = self._channels.tolist(), state.snapshot.on_part.turns
-        own = {} if turns is None else axes_by_channel(turns, channels)
+        own = {} if turns is None else axes_of_turns(turns.of_channels(channels))
         here, there = (self._axes.get(name, {} if name in self._others else own) for name in pair)
         if LAYOUT_SET in pair or pair[0] == pair[1]:
             # A layout has no axes; one session has the same by each method.

@@ -1,4 +1,4 @@
-"""What the pokes of a session say of its axes: modules or taxels, mistakes of the scene, and the frame of each taxel."""
+"""Findings on the axes of a session: modules or taxels, mistakes of the scene, and the frame of each taxel."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from skincal.axes.module_axes import AxisFindings, ModulePlan, find_axes
-from skincal.axes.session_turns import SessionTurns
-from skincal.axes.taxel_frames import TaxelFrame, frames_of_taxels
+from skincal.axes.session_turns import SessionTurns, ShownTurn
+from skincal.axes.taxel_frames import FrameState, TaxelFrame, frames_of_taxels
 from skincal.contacts.value_order import OrderOfValues
 from skincal.geometry import FloatArray, fit_rotation
 from skincal.model.skin import Layout, Module
@@ -19,7 +19,7 @@ MIN_TAXELS_OF_PLAN = 3
 
 
 class AxisResults:
-    """What the pokes of a session say of its axes, by each method that places the plans of its modules.
+    """Findings on the axes of a session, by each method that places the plans of its modules.
 
     `turns` and `estimates` are of one snapshot, in one frame. Each answer is found once.
     """
@@ -48,9 +48,15 @@ class AxisResults:
         """Choose the frame of each taxel."""
         if method not in self._frames:
             channels = [estimate.channel for estimate in self._estimates[method]]
-            found = frames_of_taxels(self.turns.skin, self.findings(method), channels, self.turns.module_of)
+            found = frames_of_taxels(self.turns, self.findings(method), channels)
             self._frames[method] = found
         return self._frames[method]
+
+    def usable_turns(self, method: Method) -> dict[int, ShownTurn]:
+        """Give the turn of each taxel that has one; not of a taxel with a dead axis, or with the readings of another taxel."""
+        useless = (FrameState.DEAD_AXIS, FrameState.WRONG_ORDER)
+        frames = self.frames(method)
+        return self.turns.of_channels(channel for channel, frame in frames.items() if frame.state not in useless)
 
     def poses(self, method: Method) -> dict[int, FloatArray]:
         """Give the pose (4, 4), metres, in the link, of each taxel whose position and turn are known."""

@@ -72,6 +72,8 @@ TILT_SCALES = tuple(float(np.radians(angle)) for angle in (3.0, 15.0, 45.0))
 SHARED_MARGIN = 1.5
 """Subtracted from the log odds of one turn for each taxel without a known turn in the plane. By Laplace's approximation twelve
 taxels with random turns and one poke each have log odds of up to 17."""
+SPREAD_MAX_NORMAL_SD = float(np.radians(5.0))
+"""rad, of z of a taxel that shows the scatter in its module: two pokes give 1 degree, one gives 15 or more."""
 MIN_SHARED_RATIO = 0.15
 """With a smaller ratio of gains all readings are along z, and any taxels seem to share a turn."""
 AXIS_NAMES = ("x", "y", "z")
@@ -133,7 +135,8 @@ class ModuleTurn:
     taxels: int
     """Number of taxels with pokes."""
     spread: float
-    """rad, root mean square angle between z of a taxel and of the module, without the part of noise; NaN with one taxel."""
+    """rad, root mean square angle between z of a taxel and of the module, without the part of noise; NaN while z of fewer than
+    two taxels is known."""
 
     @property
     def is_shared(self) -> bool:
@@ -289,13 +292,17 @@ def _leans_from_mean(fits: Sequence[TurnFit]) -> tuple[FloatArray, FloatArray]:
 
 
 def _spread(turn: Turn, single: Sequence[Turn]) -> float:
-    if len(single) < 2:
-        return float("nan")
+    """Estimate `ModuleTurn.spread` from taxels whose z is known, as DerSimonian and Laird (1986) do."""
     hand = int(turn.log_odds_mirrored > 0)
-    z = turn.fits[hand].rotation[:, 2]
-    squares = [float(np.arccos(np.clip(each.fits[hand].rotation[:, 2] @ z, -1.0, 1.0))) ** 2 for each in single]
-    expected = [float(np.trace(each.fits[hand].covariance[:2, :2])) for each in single]
-    return float(np.sqrt(max(0.0, np.mean(squares) - np.mean(expected))))
+    z, fits = turn.fits[hand].rotation[:, 2], [each.fits[hand] for each in single]
+    fits = [fit for fit in fits if fit.normal_sd < SPREAD_MAX_NORMAL_SD]
+    if len(fits) < 2:
+        return float("nan")
+    angles = np.array([float(np.arccos(np.clip(fit.rotation[:, 2] @ z, -1.0, 1.0))) for fit in fits])
+    # In each of two directions.
+    weights = np.array([2.0 / float(np.trace(fit.covariance[:2, :2])) for fit in fits])
+    excess = float(weights @ angles**2) - 2.0 * (len(fits) - 1)
+    return float(np.sqrt(max(0.0, excess) / float(weights.sum() - weights @ weights / weights.sum())))
 
 
 def _plan_mistakes(

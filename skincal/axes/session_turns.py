@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -59,11 +59,21 @@ class ShownTurn:
         return self.fit.axes
 
     @property
+    def _scatter(self) -> float:
+        """Variance of z of the module's taxels about that of the module, rad^2, in each of two directions."""
+        spread = 0.0 if self.module is None or not np.isfinite(self.module.spread) else self.module.spread
+        return 0.5 * spread**2
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(3, 3) float, rad^2, of the turn in the link frame; with the scatter of the module's taxels."""
+        across = self.fit.rotation[:, :2]
+        return self.fit.turn_covariance + self._scatter * (across @ across.T)
+
+    @property
     def normal_sd(self) -> float:
         """rad, standard deviation of the direction of z, in its worse direction; with the scatter of the module's taxels."""
-        spread = 0.0 if self.module is None or not np.isfinite(self.module.spread) else self.module.spread
-        # The spread is of both directions.
-        return float(np.sqrt(self.fit.normal_sd**2 + 0.5 * spread**2))
+        return float(np.sqrt(self.fit.normal_sd**2 + self._scatter))
 
     @property
     def in_plane_sd(self) -> float:
@@ -103,6 +113,10 @@ class SessionTurns:
             return ShownTurn(module.turn, module, self.is_mirrored)
         own = self.skin.taxels.get(channel)
         return None if own is None else ShownTurn(own, None, self.is_mirrored)
+
+    def of_channels(self, channels: Iterable[int]) -> dict[int, ShownTurn]:
+        """Give the turns of those of the channels that have one."""
+        return {channel: turn for channel in channels if (turn := self.of_channel(channel)) is not None}
 
 
 class TurnSolving:

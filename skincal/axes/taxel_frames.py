@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.axes.axis_checks import find_dead_axes
-from skincal.axes.module_axes import AxisFindings, has_shared_turn
-from skincal.axes.skin_turns import SkinTurns, TurnState
+from skincal.axes.module_axes import AxisFindings
+from skincal.axes.session_turns import SessionTurns
+from skincal.axes.skin_turns import TurnState
 from skincal.geometry import FloatArray
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
 
 class FrameState(Enum):
@@ -45,7 +46,7 @@ class TaxelFrame:
     rotation: FloatArray | None = None
     """(3, 3) float: columns are x, y and z of its readings in the link frame; `None` unless the whole turn is known."""
     covariance: FloatArray | None = None
-    """(3, 3) float, rad^2, of the turn in the link frame; `None` without a rotation."""
+    """(3, 3) float, rad^2, of the turn in the link frame, with the scatter of the module's taxels; `None` without a turn."""
     pokes: int = 0
     """Pokes with a reading of it."""
 
@@ -73,39 +74,28 @@ class TaxelFrame:
         return self.rotation.T @ self.covariance @ self.rotation
 
 
-def frames_of_taxels(
-    turns: SkinTurns, findings: AxisFindings, channels: Iterable[int], module_of: Mapping[int, int]
-) -> dict[int, TaxelFrame]:
-    """Choose the turn of each channel: that of its module if its taxels share one, else its own.
-
-    Parameters
-    ----------
-    module_of : id of the module of each channel; empty without a layout
-    """
-    by_id = {module.id: module for module in findings.modules}
-    mistakes = findings.mistakes
-    dead = {each.channel for each in find_dead_axes(turns)}
-    mirrored = {mistake.module for mistake in mistakes if mistake.is_mirrored}
+def frames_of_taxels(turns: SessionTurns, findings: AxisFindings, channels: Iterable[int]) -> dict[int, TaxelFrame]:
+    """Choose the frame of each channel: the turn of its module if its taxels share one, else its own; with its state."""
+    dead = {each.channel for each in find_dead_axes(turns.skin)}
+    mirrored = {mistake.module for mistake in findings.mistakes if mistake.is_mirrored}
     if turns.is_mirrored:
         mirrored.add(None)
     is_wrong_order = findings.is_value_order_wrong
 
     def frame(channel: int) -> TaxelFrame:
-        own, module = turns.taxels.get(channel), by_id.get(module_of.get(channel, -1))
+        own, turn = turns.skin.taxels.get(channel), turns.of_channel(channel)
         pokes = 0 if own is None else own.pokes
-        shares = module is not None and has_shared_turn(module, findings.log_odds_shared)
-        turn = module.turn if module is not None and shares else own
         if is_wrong_order:
             return TaxelFrame(channel, FrameState.WRONG_ORDER, pokes=pokes)
         if turn is None:
             return TaxelFrame(channel, FrameState.UNKNOWN)
         if channel in dead:
             return TaxelFrame(channel, FrameState.DEAD_AXIS, pokes=pokes)
-        if None in mirrored or (module is not None and module.id in mirrored):
+        if None in mirrored or turns.module_of.get(channel, -1) in mirrored:
             return TaxelFrame(channel, FrameState.MIRRORED, pokes=pokes)
-        if turn.state is TurnState.IN_PLANE_UNKNOWN:
+        if not turn.is_in_plane_known:
             return TaxelFrame(channel, FrameState.IN_PLANE_UNKNOWN, pokes=pokes)
-        state = FrameState.BY_MODULE if shares else FrameState.KNOWN
-        return TaxelFrame(channel, state, turn.fit.rotation, turn.fit.turn_covariance, pokes)
+        state = FrameState.KNOWN if turn.module is None else FrameState.BY_MODULE
+        return TaxelFrame(channel, state, turn.fit.rotation, turn.covariance, pokes)
 
     return {channel: frame(channel) for channel in channels}

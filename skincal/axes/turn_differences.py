@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.axes.session_turns import SessionTurns
+from skincal.axes.session_turns import ShownTurn
 from skincal.geometry import FloatArray, rotation_vector
 
 
@@ -40,14 +40,11 @@ def compare_turns(first: Mapping[int, FloatArray], second: Mapping[int, FloatArr
     return TurnDifferences(tuple(channels), np.array(normals), np.array(in_plane))
 
 
-def axes_by_channel(turns: SessionTurns, channels: Iterable[int]) -> dict[int, FloatArray]:
-    """Gather the known axes of taxels, (3, 3) float in columns, frame of the part; x and y are NaN while unknown."""
+def axes_of_turns(turns: Mapping[int, ShownTurn]) -> dict[int, FloatArray]:
+    """Gather the known axes of taxels by channel, (3, 3) float in columns, frame of the part; x and y are NaN while unknown."""
     found: dict[int, FloatArray] = {}
-    for channel in channels:
-        turn = turns.of_channel(channel)
-        if turn is not None:
-            axes = turn.axes.copy()
-            if not turn.is_in_plane_known:
-                axes[:, :2] = np.nan
-            found[channel] = axes
+    for channel, turn in turns.items():
+        found[channel] = axes = turn.axes.copy()
+        if not turn.is_in_plane_known:
+            axes[:, :2] = np.nan
     return found

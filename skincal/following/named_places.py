@@ -16,7 +16,7 @@ from skincal.part.part import lay_part
 from skincal.part.robot_places import robot_places
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
-from skincal.session.snapshot import Snapshot
+from skincal.session.session import Session
 from skincal.taxels.result import Method
 
 PLAN, TRUTH, ROBOT = "plan", "truth", "robot"
@@ -98,18 +98,21 @@ def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[TaxelPositions, ...]:
         for method, found in estimates.items()
     }
     order = sorted(filter(known.__getitem__, known), key=lambda method: method is not leads)
-    axes, link = _axes_of(pipeline.snapshot()), scene.link if pipeline.snapshot().is_placed else BASE_LINK
-    return tuple(TaxelPositions(f"{name}, {each.value} method", link, known[each], modules, each, axes=axes) for each in order)
+    link = scene.link if pipeline.snapshot().is_placed else BASE_LINK
+    return tuple(
+        TaxelPositions(f"{name}, {each.value} method", link, known[each], modules, each, axes=_axes_of(pipeline.session, each))
+        for each in order
+    )
 
 
-def _axes_of(snapshot: Snapshot) -> Mapping[int, FloatArray]:
+def _axes_of(session: Session, method: Method) -> Mapping[int, FloatArray]:
     """Gather the axes of taxels that measure three; empty for others."""
-    turns = snapshot.on_part.turns
-    if turns is None:
+    found = session.axis_results()
+    if found is None:
         return {}
-    from skincal.axes.turn_differences import axes_by_channel  # other skins do without
+    from skincal.axes.turn_differences import axes_of_turns  # other skins do without
 
-    return axes_by_channel(turns, {*turns.skin.taxels, *turns.module_of})
+    return axes_of_turns(found.usable_turns(method))
 
 
 def _plan_of(pipeline: Pipeline, name: str) -> TaxelPositions:

@@ -147,7 +147,8 @@ class Session:
         chosen, snapshot = self._method(method), self.results.snapshot
         # The normals of the smooth part and the frame of the positions, as in files.
         calibration = self.results.session.calibration()
-        return taxels_of(calibration.estimates[chosen], calibration.scene, chosen, snapshot.part_size, snapshot.on_part.turns)
+        turns = None if calibration.axes is None else calibration.axes.usable_turns(chosen)
+        return taxels_of(calibration.estimates[chosen], calibration.scene, chosen, snapshot.part_size, turns)
 
     def turns(self, method: str | None = None) -> tuple[SkinTurns, AxisFindings]:
         """Find the turns of taxels of three axes, and what they say of modules and of the scene (`docs/three-axes.md`).

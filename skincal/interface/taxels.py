@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -20,7 +20,7 @@ from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import known_error
 
 if TYPE_CHECKING:
-    from skincal.axes.session_turns import SessionTurns
+    from skincal.axes.session_turns import ShownTurn
     from skincal.geometry import FloatArray, IntArray
     from skincal.part.part import Part
 
@@ -219,9 +219,13 @@ class Taxels:
 
 
 def taxels_of(
-    estimates: Sequence[Estimate], scene: SceneFile, method: Method, part_size: float, turns: SessionTurns | None = None
+    estimates: Sequence[Estimate],
+    scene: SceneFile,
+    method: Method,
+    part_size: float,
+    turns: Mapping[int, ShownTurn] | None = None,
 ) -> Taxels:
-    """Gather the estimates of one method, with the turns of taxels of three axes; `part_size` is as for `known_error`."""
+    """Gather the estimates of one method, with turns of three axes by channel; `part_size` is as for `known_error`."""
     layout = scene.skin.layout
     channels = np.array([each.channel for each in estimates], dtype=np.int64)
     ids = np.full(len(channels), -1)
@@ -248,13 +252,13 @@ def taxels_of(
     )
 
 
-def _turns_of(turns: SessionTurns, channels: Sequence[int]) -> dict[str, FloatArray]:
-    from skincal.axes.turn_differences import axes_by_channel  # other skins do without
+def _turns_of(turns: Mapping[int, ShownTurn], channels: Sequence[int]) -> dict[str, FloatArray]:
+    from skincal.axes.turn_differences import axes_of_turns  # other skins do without
 
     axes, errors = np.full((len(channels), 3, 3), np.nan), np.full((len(channels), 2), np.nan)
-    known = axes_by_channel(turns, channels)
+    known = axes_of_turns(turns)
     for row, channel in enumerate(channels):
-        turn = turns.of_channel(channel)
+        turn = turns.get(channel)
         if turn is not None:
             axes[row] = known[channel]
             errors[row] = turn.normal_sd, turn.in_plane_sd if turn.is_in_plane_known else np.nan

@@ -7,6 +7,7 @@ import pytest
 
 from skincal.axes.axis_checks import MAX_SHARE_OF_FORCE, find_dead_axes, find_mesh_lean, find_shear_misses, find_unit_excess
 from skincal.axes.module_axes import AxisFindings
+from skincal.axes.session_turns import SessionTurns
 from skincal.axes.skin_turns import find_turns
 from skincal.axes.taxel_frames import FrameState, frames_of_taxels
 from skincal.axes.turn_fit import AxisPokes
@@ -45,7 +46,7 @@ def test_a_dead_axis_is_named_and_its_taxel_has_no_frame(change, axis, is_stuck)
     turns, _ = skin(1, change)
     (found,) = find_dead_axes(turns)
     assert (found.channel, found.axis, found.is_stuck, found.pokes) == (1, axis, is_stuck, 10)
-    frames = frames_of_taxels(turns, AxisFindings((), 0.0, ()), range(TAXELS), {})
+    frames = frames_of_taxels(SessionTurns(turns, {}, {}), AxisFindings((), 0.0, ()), range(TAXELS))
     assert [frame.state for frame in frames.values()].count(FrameState.DEAD_AXIS) == 1
     assert frames[1].rotation is None
     assert f"{axis} of taxel 1 " in dead_axis_sentence([found])

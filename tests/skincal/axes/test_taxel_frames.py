@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from skincal.axes.module_axes import SIGNED_PERMUTATIONS, ModulePlan, describe_permutation, find_axes
+from skincal.axes.session_turns import SessionTurns
 from skincal.axes.skin_turns import find_turns, fit_group, joined
 from skincal.axes.taxel_frames import FrameState, frames_of_taxels
 from skincal.geometry import rotation_by
@@ -26,7 +27,8 @@ def frames(lean=15.0, *, own_axes=False, change=None, pokes=8):
         made[channel] = type(own)(own.forces, readings, own.pokes + 100 * channel)
     turns = find_turns(made, FORCE_NOISE_N)
     found = find_axes(turns, [ModulePlan(1, (*POKED, 5), plan)])
-    return frames_of_taxels(turns, found, CHANNELS, dict.fromkeys((*POKED, 5), 1)), true, turns
+    session = SessionTurns(turns, {module.id: module for module in found.modules}, dict.fromkeys((*POKED, 5), 1))
+    return frames_of_taxels(session, found, CHANNELS), true, turns
 
 
 def test_taxels_that_share_their_axes_have_the_frame_of_the_module_also_without_a_poke():
@@ -40,6 +42,28 @@ def test_taxels_that_share_their_axes_have_the_frame_of_the_module_also_without_
     assert found[0].in_plane_sd < turns.taxels[0].fit.in_plane_sd
     assert found[0].normal_sd < np.radians(1.0)
     assert (found[0].pokes, found[5].pokes, found[6].rotation) == (8, 0, None)
+
+
+def test_the_error_by_a_module_contains_the_scatter_of_its_taxels():
+    """Taxels lie in a shared housing to 1.5 degrees: z of each is as far from that of the module."""
+    rng, plan, sd = np.random.default_rng(6), random_rotation(np.random.default_rng(7)), np.radians(1.5)
+    true = {k: plan @ rotation_by(np.append(sd * rng.normal(size=2), 0.0)) for k in range(12)}
+    made = {k: make_pokes(rng, axes, 3, 15.0) for k, axes in true.items()}
+    made = {k: type(own)(own.forces, own.readings, own.pokes + 100 * k) for k, own in made.items()}
+    turns = find_turns(made, FORCE_NOISE_N)
+    found = find_axes(turns, [ModulePlan(1, tuple(true), plan)])
+    session = SessionTurns(turns, {1: found.modules[0]}, dict.fromkeys(true, 1))
+    frames_ = frames_of_taxels(session, found, true)
+    assert {frame.state for frame in frames_.values()} == {FrameState.BY_MODULE}
+    off = np.array([np.arccos(frames_[k].rotation[:, 2] @ axes[:, 2]) for k, axes in true.items()])
+    # Taxels with one poke say nothing of the scatter.
+    few = {k: type(own)(own.forces[:1], own.readings[:1], own.pokes[:1]) if k > 8 else own for k, own in made.items()}
+    spread = find_axes(find_turns(few, FORCE_NOISE_N), [ModulePlan(1, tuple(true), plan)]).modules[0].spread
+    assert spread == pytest.approx(np.sqrt(np.mean(off[:9] ** 2)), rel=0.3)
+    # Root mean square in each of two directions.
+    assert frames_[0].normal_sd == pytest.approx(np.sqrt(np.mean(off**2) / 2.0), rel=0.2)
+    assert frames_[0].normal_sd == pytest.approx(session.of_channel(0).normal_sd, rel=1e-9)
+    assert frames_[0].in_plane_sd == pytest.approx(session.of_channel(0).in_plane_sd, rel=1e-9)
 
 
 def test_taxels_with_axes_of_their_own_have_their_own_frames():

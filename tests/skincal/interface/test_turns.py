@@ -106,6 +106,7 @@ def test_values_of_another_order_are_named_and_give_no_frame(tmp_path):
     frames_ = session.results.session.axis_results().frames(session.results.choose_method(None))
     assert {frame.state for frame in frames_.values()} == {FrameState.WRONG_ORDER}
     assert not any(frame.is_known for frame in frames_.values())
+    assert np.isnan(session.taxels().axes).all(), "they would be those of other taxels"
     assert session.verdict().doubted
     assert "the values of a frame have another order than the scene" in session.verdict().sentence
     assert 'Write order = "xxyyzz"' in session.results.skin[-1]
