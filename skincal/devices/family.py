@@ -101,6 +101,8 @@ class DeviceAddress:
     first_bytes: bytes = b""
     """Packets that the reader gets first: what was learnt outside the stream, such as a sensor's page."""
     command: Command | None = None
+    group: tuple[str, int] | None = None
+    """Multicast group and port of the host; `None` if it sends to this computer."""
     handshake: Handshake | None = None
     """Dialogue of this address; `None` for that of its route."""
 
@@ -115,6 +117,10 @@ class Questions(Protocol):
 
     def ask_tcp(self, where: str, host: str, port: int, request: bytes, end: bytes) -> bytes:
         """Send a request over TCP; return the answer up to its `end`, which may be missing."""
+        ...
+
+    def ask_udp(self, where: str, host: str, port: int, request: bytes, begin: bytes) -> bytes:
+        """Send a datagram; return the first answer that begins with `begin`."""
         ...
 
     def get_page(self, where: str, host: str, port: int, path: str) -> bytes:

@@ -50,6 +50,7 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
         "paxini_module": Entry(("paxini-module",), ("paxini-module",)),
         "inspire": Entry(("inspire",), ("inspire",)),
         "qtm": Entry(("qtm",), ("qtm",)),
+        "natnet": Entry(("natnet",), ("natnet",)),
         "datagrams": Entry(("udp",), ("datagrams",)),
         "plain": Entry(("socket", "lines", "targets", "run")),
     }

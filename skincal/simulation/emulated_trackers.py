@@ -66,3 +66,43 @@ class QtmTalk(PlainTalk):
             self.ready = True
             return b""
         return _qtm_packet(0, b"Parse error\0")
+
+
+def _sized(count: int, content: bytes) -> bytes:
+    """Build a section of NatNet 4.1: its count, its size, its content."""
+    return struct.pack("<2i", count, len(content)) + content
+
+
+class NatNetEncoder(Encoder):
+    """Frames of NatNet 4.1 with two rigid bodies. The lost one has a pose, too, as Motive sends it."""
+
+    NUMBERS = 3, 7
+
+    def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
+        bodies = struct.pack("<i8fh", self.NUMBERS[0], 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0)
+        bodies += struct.pack("<i8fh", self.NUMBERS[1], *values, 0.0004, 1)
+        markers = b"all\0" + struct.pack("<i3f", 1, 1.0, 1.0, 1.0)
+        labeled = struct.pack("<i4fhf", 1, 1.0, 1.0, 1.0, 0.01, 0, 0.0)
+        times = struct.pack("<2id3Q2i", 0, 0, t_us / 1e6, 10 * t_us, 10 * t_us, 10 * t_us, 0, 0)
+        empty = _sized(0, b"")
+        sections = _sized(1, markers) + empty + _sized(2, bodies) + empty + empty + _sized(1, labeled) + empty + empty
+        content = struct.pack("<i", self._number(stream) + 1) + sections + times + bytes(6)
+        return struct.pack("<2H", 7, len(content)) + content
+
+
+def natnet_server_info(group: bytes = bytes(4), port: int = 1511) -> bytes:
+    """Build the answer of a NatNet 4.1 server whose clock has 10 MHz; a group says that it multicasts."""
+    connection = struct.pack("<QHB4s", 10_000_000, port, group != bytes(4), group)
+    content = b"Motive".ljust(256, b"\0") + bytes((3, 1, 0, 0, 4, 1, 0, 0)) + connection
+    return struct.pack("<2H", 1, len(content)) + content
+
+
+def natnet_descriptions() -> bytes:
+    """Build the descriptions of the two rigid bodies, with a marker set before them."""
+    found = [(0, b"all\0" + struct.pack("<i", 1) + b"Marker1\0")]
+    for number, name in zip(NatNetEncoder.NUMBERS, (LOST_BODY, TOOL_BODY), strict=True):
+        markers = struct.pack("<i3fi", 1, 0.0, 0.0, 0.0, 0) + b"Marker1\0"
+        found.append((1, name.encode() + b"\0" + struct.pack("<2i3f", number, -1, 0.0, 0.0, 0.0) + markers))
+    content = struct.pack("<i", len(found))
+    content += b"".join(struct.pack("<2i", kind, len(body)) + body for kind, body in found)
+    return struct.pack("<2H", 5, len(content)) + content

@@ -24,7 +24,7 @@ from skincal.simulation.emulated_devices import (
     YarpTalk,
 )
 from skincal.simulation.emulated_skins import InspireTalk, make_talks, part_query
-from skincal.simulation.emulated_trackers import TOOL_BODY, QtmTalk
+from skincal.simulation.emulated_trackers import TOOL_BODY, QtmTalk, natnet_descriptions, natnet_server_info
 from skincal.simulation.outlets import Outlet, PtyOutlet, TcpOutlet
 from skincal.simulation.plain_talk import PlainTalk
 from skincal.simulation.ros_outlets import RosOutlet
@@ -139,6 +139,43 @@ class RdtOutlet:
 
     def close(self) -> None:
         self._page.close()
+        self._socket.close()
+
+
+class NatNetOutlet:
+    """Motive: it sends frames to the newest host, or to a multicast group of this computer."""
+
+    def __init__(self, group: str = "", group_port: int = 0) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setblocking(False)
+        self._host: tuple[str, int] | None = (group, group_port) if group else None
+        self._info = natnet_server_info(socket.inet_aton(group), group_port) if group else natnet_server_info()
+        self._is_unicast = not group
+        if group:
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        self.address = f"natnet://127.0.0.1:{self._socket.getsockname()[1]}?body={TOOL_BODY}"
+
+    def poll(self) -> tuple[bool, bytes]:
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while True:
+                data, host = self._socket.recvfrom(1024)
+                if data[:2] == b"\x00\x00":
+                    self._host = host if self._is_unicast else self._host
+                    self._socket.sendto(self._info, host)
+                elif data[:2] == b"\x04\x00":
+                    self._socket.sendto(natnet_descriptions(), host)
+        return False, b""
+
+    def write(self, data: bytes) -> None:
+        at = 0
+        while at < len(data) and self._host is not None:
+            end = at + 4 + int.from_bytes(data[at + 2 : at + 4], "little")
+            with contextlib.suppress(BlockingIOError, ConnectionError):
+                self._socket.sendto(data[at:end], self._host)
+            at = end
+
+    def close(self) -> None:
         self._socket.close()
 
 
@@ -289,8 +326,8 @@ class MakerOutlets:
                     self._shared = TalkOutlet(lambda: NameTalk(self._names), "{}"), manager
                     self._names["/skinManager/rpc"] = manager.port
                 return YarpOutlet(stream, self._names, self._shared)
-            case "netft":
-                return RdtOutlet()
+            case "netft" | "natnet":
+                return RdtOutlet() if maker == "netft" else NatNetOutlet()
             case "rtde":
                 return self._open_rtde(stream)
             case "ros2":

@@ -11,6 +11,7 @@ from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.model.readings import Stream
 from skincal.streams.transports import Opening, open_transport
 from skincal.streams.transports.tcp import TcpLink
+from skincal.streams.transports.udp import DatagramLink
 
 HANDSHAKE_TIMEOUT_S = 0.8
 """s. A device that has not agreed to send by then speaks another protocol, or is silent."""
@@ -58,6 +59,28 @@ class NetworkQuestions:
         finally:
             link.close()
         return answer
+
+    def ask_udp(self, where: str, host: str, port: int, request: bytes, begin: bytes) -> bytes:
+        """Send a datagram, and again each quarter of the time; return the first answer that begins with `begin`.
+
+        Raises LinkError: none came within `SERVER_ANSWER_TIMEOUT_S`.
+        """
+        link = DatagramLink(where, host, port, kind=0)
+        end_s = time.monotonic() + SERVER_ANSWER_TIMEOUT_S
+        asked_s = -SERVER_ANSWER_TIMEOUT_S
+        try:
+            while (now_s := time.monotonic()) < end_s:
+                if now_s - asked_s > SERVER_ANSWER_TIMEOUT_S / 4:
+                    asked_s = now_s
+                    link.write(request)
+                for answer in link.read_datagrams(SERVER_ANSWER_TIMEOUT_S / 8):
+                    if answer.startswith(begin):
+                        return answer
+        finally:
+            link.close()
+        raise LinkError(
+            FailureKind.ABSENT, f"{where}: no answer within {SERVER_ANSWER_TIMEOUT_S:g} s; check the number, and its streaming."
+        )
 
     def get_page(self, where: str, host: str, port: int, path: str) -> bytes:
         # Not http.client: its time limit starts again with each line, so a host that drips would hold the reader for minutes.

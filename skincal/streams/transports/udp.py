@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
+import sys
 import time
 
 from skincal.devices.datagrams import DATAGRAM_MAX_BYTES as LISTENED_MAX_BYTES
@@ -29,16 +30,22 @@ def open_transport(opening: Opening) -> Link:
     address = opening.address
     if address.route.form is Form.LISTEN:
         return ListeningLink(address.label, address.port, is_text=address.route.format == AUTO_FORMAT)
-    return DatagramLink(address.label, address.host, address.port, address.route.message_kind)
+    limit = address.route.message_max or DATAGRAM_MAX_BYTES
+    link = DatagramLink(address.label, address.host, address.port, address.route.message_kind, limit)
+    if address.group is not None:
+        link.join(*address.group)
+    return link
 
 
 class DatagramLink:
-    """UDP with one host; each datagram is a packet of the given kind."""
+    """UDP with one host; each datagram, of `limit` bytes at most, is a packet of the given kind."""
 
     tried: tuple[int, ...] = ()
 
-    def __init__(self, address: str, host: str, port: int, kind: int) -> None:
-        self._address, self._kind = address, kind
+    def __init__(self, address: str, host: str, port: int, kind: int, limit: int = DATAGRAM_MAX_BYTES) -> None:
+        self._address, self._kind, self._limit = address, kind, limit
+        self._group: socket.socket | None = None
+        """Where the host multicasts."""
         try:
             family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -51,19 +58,54 @@ class DatagramLink:
         except OSError as error:
             raise LinkError(FailureKind.ABSENT, f"{address}: cannot be reached: {error.strerror or error}.") from error
 
+    def join(self, group: str, port: int) -> None:
+        """Read what the host sends to a multicast group, too. Raises LinkError."""
+        here = self._socket.getsockname()[0]
+        listening = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            # Several programs of one computer may read a group.
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+            listening.bind(("" if sys.platform == "win32" else group, port))
+            listening.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + socket.inet_aton(here))
+            listening.setblocking(False)
+        except OSError as error:
+            listening.close()
+            self.close()
+            raise LinkError(
+                FailureKind.IN_USE,
+                f"{self._address}: it multicasts to {group}:{port}, which cannot be read ({error.strerror or error}); let it "
+                "send by unicast.",
+            ) from error
+        self._group = listening
+
     def read(self, timeout_s: float) -> bytes:
+        return b"".join(pack(self._kind, datagram) for datagram in self.read_datagrams(timeout_s))
+
+    def read_datagrams(self, timeout_s: float) -> list[bytes]:
+        """Return the datagrams of the host, waiting at most `timeout_s` for the first. Raises LinkError."""
         datagrams: list[bytes] = []
         try:
-            if not select.select([self._socket], [], [], timeout_s)[0]:
-                return b""
-            while len(datagrams) < MAX_DATAGRAMS_PER_READ:
-                datagrams.append(self._socket.recv(DATAGRAM_MAX_BYTES))
+            ready = select.select([self._socket, *([] if self._group is None else [self._group])], [], [], timeout_s)[0]
+            if self._group in ready:
+                datagrams += self._read_group(self._group)
+            while self._socket in ready and len(datagrams) < MAX_DATAGRAMS_PER_READ:
+                datagrams.append(self._socket.recv(self._limit))
         except BlockingIOError:
             pass
         except OSError as error:
             if not datagrams:
                 raise LinkError(FailureKind.REFUSED, _nobody(self._address)) from error
-        return b"".join(pack(self._kind, datagram) for datagram in datagrams)
+        return datagrams
+
+    def _read_group(self, group: socket.socket) -> list[bytes]:
+        """Return the datagrams of the group that the host sent; others may send there, too."""
+        host, found = self._socket.getpeername()[0], list[bytes]()
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(MAX_DATAGRAMS_PER_READ):
+                data, sender = group.recvfrom(self._limit)
+                found += [data] if sender[0] == host else []
+        return found
 
     def write(self, data: bytes) -> None:
         # What a full buffer or a host that is away does to a datagram is what the network may do, too: asked again later.
@@ -72,6 +114,8 @@ class DatagramLink:
 
     def close(self) -> None:
         self._socket.close()
+        if self._group is not None:
+            self._group.close()
 
 
 class ListeningLink:

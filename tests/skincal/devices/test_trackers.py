@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import struct
+import time
 from contextlib import closing
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skincal.devices import qtm
+from skincal.devices import natnet, qtm
+from skincal.devices.decoding import pack
 from skincal.devices.family import HandshakeError
+from skincal.devices.link import LinkError
+from skincal.devices.natnet import NatNetDecoder, NatNetHandshake, ServerInfo, read_frame
 from skincal.devices.qtm import QtmDecoder, QtmHandshake
 from skincal.devices.tracked_bodies import write_options
 from skincal.model.readings import Chunk, Loss, Stream
 from skincal.simulation.emulated_devices import MAKERS
-from skincal.simulation.emulated_transports import MakerOutlets
+from skincal.simulation.emulated_transports import MakerOutlets, NatNetOutlet
 from skincal.streams.decoders.auto_detect import make_decoder
+from skincal.streams.links import open_link
 from tests.skincal.meanwhile import meanwhile
-from tests.skincal.streams.link_support import reading
+from tests.skincal.streams.link_support import reading, spec
 
 TOOL = (Stream.TOOL,)
 PLACE_M = (0.1, -0.2, 0.3)
@@ -165,10 +170,163 @@ def test_the_maker_s_export_has_the_columns_of_the_matrix_too():
     assert np.abs(np.reshape(exported, (3, 3)) - turn).max() > 0.02
 
 
+# ------------------------------------------------------------------ OptiTrack
+
+QUATERNION = tuple(TURN.as_quat().tolist())
+VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1)]
+
+
+def natnet_body(number, pose=(*PLACE_M, *QUATERNION), *, tracked=True):
+    return struct.pack("<i", number) + struct.pack("<8f", *pose, 0.0004) + struct.pack("<h", int(tracked))
+
+
+def natnet_frame(number, version, *bodies, ticks=25_000_000):
+    """A frame with everything that may stand around the bodies."""
+
+    def section(*parts):
+        size = struct.pack("<i", sum(map(len, parts))) if version >= (4, 1) else b""
+        return struct.pack("<i", len(parts)) + size + b"".join(parts)
+
+    vector = struct.pack("<3f", 9.0, 9.0, 9.0)
+    data = (
+        struct.pack("<i", number) + section(b"all\0" + struct.pack("<i", 2) + 2 * vector) + section(vector) + section(*bodies)
+    )
+    data += section(struct.pack("<2i", 1, 2) + natnet_body(1) + natnet_body(2))
+    if version >= (4, 1):
+        data += section(struct.pack("<2i", 5, 1) + natnet_body(1) + struct.pack("<i", 1) + bytes(26))
+    data += section(bytes(26), bytes(26)) + section(struct.pack("<3if", 1, 1, 1, 3.5)) + section(struct.pack("<4i", 1, 2, 0, 0))
+    data += struct.pack("<2id3Q", 0, 0, 1.5, ticks, ticks + 1, ticks + 2) + (bytes(8) if version >= (4, 0) else b"") + bytes(6)
+    return pack(1, natnet.message(7, data))
+
+
+def natnet_server(version, ticks_per_s=10_000_000):
+    content = b"Motive".ljust(256, b"\0") + bytes((3, 1, 0, 0, *version, 0, 0))
+    return pack(1, natnet.message(1, content + struct.pack("<QHB4s", ticks_per_s, 1511, 1, bytes((239, 255, 42, 99)))))
+
+
+def natnet_names(version, **numbers):
+    def dataset(kind, content):
+        return struct.pack("<i", kind) + (struct.pack("<i", len(content)) if version >= (4, 1) else b"") + content
+
+    found = [dataset(0, b"all\0" + struct.pack("<i", 2) + b"a\0b\0")]
+    for name, number in numbers.items():
+        marker = struct.pack("<i3fi", 1, 0.0, 0.0, 0.0, 0) + (b"marker\0" if version >= (4, 0) else b"")
+        found.append(dataset(1, name.encode() + b"\0" + struct.pack("<2i3f", number, -1, 0.0, 0.0, 0.0) + marker))
+    found.append(dataset(5, b"camera\0" + bytes(28)))
+    return pack(1, natnet.message(5, struct.pack("<i", len(found)) + b"".join(found)))
+
+
+def natnet_start(body, version=(3, 0), **numbers):
+    return pack(0, write_options(body)) + natnet_server(version) + natnet_names(version, **numbers)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("body", ["probe", "7"])
+def test_a_natnet_body_is_read_by_name_and_number(version, body):
+    decoder = NatNetDecoder(None, TOOL)
+    frame = natnet_frame(1, version, natnet_body(3, (1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0)), natnet_body(7))
+    poses, times = poses_of(decoder, natnet_start(body, version, hat=3, probe=7) + frame)
+    assert_true(poses[0])
+    assert times == [2.5], "ticks of the middle of the exposure, by the server's clock"
+    assert decoder.counts.total() == 0
+    assert decoder.device_message == ""
+
+
+def test_the_only_natnet_body_needs_no_name():
+    poses, _ = poses_of(
+        NatNetDecoder(None, TOOL), pack(0, write_options("")) + natnet_server((3, 0)) + natnet_frame(1, (3, 0), natnet_body(7))
+    )
+    assert_true(poses[0])
+
+
+def test_a_lost_natnet_body_has_a_pose_that_is_not_used():
+    decoder = NatNetDecoder(None, TOOL)
+    lost, seen = natnet_body(7, (5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0), tracked=False), natnet_body(7)
+    poses, _ = poses_of(decoder, natnet_start("probe", probe=7) + natnet_frame(1, (3, 0), lost))
+    assert len(poses) == 0
+    assert decoder.counts == {Loss.NO_POSE: 1}
+    assert decoder.device_message == "Motive does not see the rigid body probe"
+    assert_true(poses_of(decoder, natnet_frame(2, (3, 0), seen))[0][0])
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_natnet_frame_that_is_cut_or_of_another_version_is_no_pose(version):
+    content = natnet_frame(1, version, natnet_body(3), natnet_body(7))[9:]
+    assert read_frame(content, version) is not None
+    assert all(read_frame(content[:end], version) is None for end in range(len(content) - 13))
+    misread = [other for other in VERSIONS if (other >= (4, 1)) != (version >= (4, 1)) and read_frame(content, other)]
+    assert misread == []
+    decoder = NatNetDecoder(None, TOOL)
+    whole = natnet_frame(1, version, natnet_body(7))
+    cut = pack(1, whole[5:-40])
+    poses, _ = poses_of(decoder, natnet_start("probe", version, probe=7) + cut)
+    assert len(poses) == 0
+    assert decoder.counts == {Loss.UNREADABLE: 1}
+
+
+def test_gaps_repeats_and_a_new_server_of_natnet():
+    decoder = NatNetDecoder(None, TOOL)
+    data = natnet_start("probe", probe=7) + b"".join(
+        natnet_frame(number, (3, 0), natnet_body(7)) for number in (1, 2, 3, 6, 6, 1)
+    )
+    assert len(poses_of(decoder, data)[0]) == 5
+    assert decoder.counts == {Loss.MISSING: 2, Loss.REPEATED: 1}
+    other = natnet_server((4, 1)) + natnet_frame(2, (4, 1), natnet_body(7))
+    assert len(poses_of(decoder, other)[0]) == 0, "the names of the other server are not known yet"
+    newer = natnet_names((4, 1), probe=8) + natnet_frame(3, (4, 1), natnet_body(7), natnet_body(8))
+    assert_true(poses_of(decoder, newer)[0][0])
+
+
+def test_natnet_2_is_refused_with_a_sentence():
+    decoder = NatNetDecoder(None, TOOL)
+    poses, _ = poses_of(decoder, pack(0, write_options("")) + natnet_server((2, 9)) + natnet_frame(1, (3, 0), natnet_body(7)))
+    assert len(poses) == 0
+    assert decoder.device_message == "The server speaks NatNet 2.9; versions 3 and 4 are read: use Motive 2 or 3"
+
+
+def test_the_handshake_asks_for_names_and_connects_again():
+    handshake = NatNetHandshake()
+    assert handshake.opening() == natnet.message(0)
+    assert handshake.on_data(natnet_server((4, 1))) == natnet.message(4)
+    assert handshake.is_ready
+    frame = natnet_frame(1, (4, 1), natnet_body(7))
+    asked = [handshake.on_data(frame) for _ in range(600)]
+    assert [each for each in asked if each] == [natnet.message(0)] * 3
+
+
+def test_a_server_says_where_it_multicasts():
+    found = ServerInfo.read(natnet_server((3, 1))[9:])
+    assert found == ServerInfo((3, 1), 10_000_000, ("239.255.42.99", 1511))
+
+
+def test_a_multicast_of_the_server_is_read_and_that_of_others_is_not():
+    outlet, encoder = NatNetOutlet("239.255.42.99", 15117), MAKERS["natnet"].encoder()
+    sent = [*PLACE_M, *TURN.as_quat().tolist()]
+
+    def send(over):
+        count = 0
+        while not over.wait(0.005):
+            count += 1
+            outlet.poll()
+            outlet.write(encoder.record(Stream.TOOL, 5000 * count, sent))
+
+    decoder = NatNetDecoder(None, TOOL)
+    with closing(outlet), meanwhile(send), closing(open_link(spec(outlet.address, TOOL))) as link:
+        poses, end = np.zeros((0, 3, 4)), time.monotonic() + 5.0
+        while not len(poses) and time.monotonic() < end:
+            poses = poses_of(decoder, link.read(0.2))[0]
+    assert_true(poses[0], atol=2e-4)
+
+
+def test_a_host_without_motive_is_named():
+    with pytest.raises(LinkError, match=r"natnet://127\.0\.0\.1:9: (nothing listens there|no answer within 1 s)"):
+        open_link(spec("natnet://127.0.0.1:9", TOOL))
+
+
 # ------------------------------------------------------------------ over loopback
 
 
-@pytest.mark.parametrize("maker", ["qtm"])
+@pytest.mark.parametrize("maker", ["qtm", "natnet"])
 def test_a_tracker_s_pose_comes_over_loopback(maker):
     outlet, encoder = MakerOutlets(64).open(maker, Stream.TOOL, tcp=True), MAKERS[maker].encoder()
     sent = [*PLACE_M, *TURN.as_quat().tolist()]
