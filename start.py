@@ -13,7 +13,7 @@ It has the options and commands of `skincal`:
                                           so do --rosbag, --robometry, --hdf5, --parquet,
                                           --excel, --physics and --study
   start.py COMMAND ...                    a command: solve, export, apply, compare, report, devices, watch,
-                                          landmarks, record, simulate, scene, import or study
+                                          landmarks, tool, record, simulate, scene, import or study
   start.py --physics demo robot           a simulated robot calibrates a part
   start.py --help                         this text; once it is installed, every option and command
   start.py COMMAND --help                 installs what is missing, and lists the options of a command

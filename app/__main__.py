@@ -158,7 +158,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--skin", default="", help="device of the skin")
     parser.add_argument("--joints", default="", help="device that streams the arm's joints")
     parser.add_argument("--tip", default="", help="device that streams the position of the tip, in a fixed frame")
-    parser.add_argument("--tool", default="", help="device that streams the poses of a tool that carries the sensor")
+    parser.add_argument("--tool", default="", help="device that streams the poses of the tool, for a scene with [tool]")
     parser.add_argument(
         "--targets",
         default="",

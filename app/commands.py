@@ -1,4 +1,4 @@
-"""Every action of the window. A new command, key or menu entry is one `Command` in `COMMANDS`.
+"""Every action of the window. A new command, key or menu entry is one `Command` in `WINDOW_COMMANDS`.
 
 Keys are explicit, so that one hand, a pedal or a test can do everything. Each menu entry shows its own key.
 """
@@ -70,14 +70,14 @@ class Command:
 
 
 # fmt: off
-COMMANDS = (
+WINDOW_COMMANDS = (
     Command("part", "Session", "New part…", "Ctrl+Shift+N", "Describe your own part: mesh or URDF, sensor, skin, landmarks",
             lambda w: w.ask_part()),
     Command("change part", "Session", "Change a part…", "Ctrl+Shift+O", "Open a scene file, to change what it says of the part",
             lambda w: w.ask_scene()),
     Command("new", "Session", "New session…", "Ctrl+N", "Choose a scene, the devices and a folder", lambda w: w.ask_new()),
     Command("open", "Session", "Open session…", "Ctrl+O", "Continue a recorded session", lambda w: w.ask_session()),
-    Command("import", "Session", "Import a recording…", "Ctrl+I", "Make a session from logs of yarpdatadumper or CSV files",
+    Command("import", "Session", "Import a recording…", "Ctrl+I", "Make a session from bags, logs and tables of other programs",
             lambda w: w.ask_import()),
     Command("addresses", "Session", "Device addresses…", "A", "Another port or host for a device of this session",
             lambda w: w.ask_addresses()),
@@ -212,7 +212,7 @@ GROUP_STARTS = frozenset(
     )
 )  # fmt: skip
 """Names of commands with a line above them in the menu."""
-LAYER_NAMES = tuple(command.name for command in COMMANDS if command.menu == "Layers")
+LAYER_NAMES = tuple(command.name for command in WINDOW_COMMANDS if command.menu == "Layers")
 """Layers of the 3D view that can be hidden."""
 
 
@@ -223,8 +223,8 @@ class Commands(QObject):
         super().__init__(window)
         self._window = window
         self.actions: dict[str, QAction] = {}
-        self.menus = {name: window.menuBar().addMenu(f"&{name}") for name in dict.fromkeys(c.menu for c in COMMANDS)}
-        for command in COMMANDS:
+        self.menus = {name: window.menuBar().addMenu(f"&{name}") for name in dict.fromkeys(c.menu for c in WINDOW_COMMANDS)}
+        for command in WINDOW_COMMANDS:
             action = QAction(command.text, self)
             action.setShortcuts([QKeySequence(key) for key in command.keys.split()])
             action.setStatusTip(command.hint)
@@ -239,7 +239,7 @@ class Commands(QObject):
 
     def update_actions(self) -> None:
         """Enable the commands that can be used now, and label them."""
-        for command in COMMANDS:
+        for command in WINDOW_COMMANDS:
             enabled, action = command.enabled(self._window), self.actions[command.name]
             note = f" ({command.why_disabled})" if command.why_disabled and not enabled else ""
             action.setEnabled(bool(enabled))
@@ -249,13 +249,13 @@ class Commands(QObject):
         return self.actions[name].isChecked()
 
     def restore(self, settings: QSettings) -> None:
-        for command in COMMANDS:
+        for command in WINDOW_COMMANDS:
             if command.setting:
                 # A settings file holds words: "false" would be true without its type.
                 self.actions[command.name].setChecked(bool(settings.value(command.setting, command.switch, type=bool)))
 
     def save(self, settings: QSettings) -> None:
-        for command in COMMANDS:
+        for command in WINDOW_COMMANDS:
             if command.setting:
                 settings.setValue(command.setting, self.is_on(command.name))
 
@@ -288,7 +288,7 @@ _MORE_KEYS = (
 
 def key_words(columns: int) -> str:
     """Return every key with its meaning as a table in HTML, in this number of columns."""
-    known = [(" or ".join(c.keys.split()), c.text.rstrip("…")) for c in COMMANDS]
+    known = [(" or ".join(c.keys.split()), c.text.rstrip("…")) for c in WINDOW_COMMANDS]
     # Otherwise Qt would break a line within "Ctrl++".
     cell = "<td style='white-space: pre; padding-right: 8px'>"
     rows = [f"<tr>{cell}<b>{keys}</b></td>{cell}{words}</td></tr>" for keys, words in (*known, *_MORE_KEYS)]

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
+GIMBAL_MAX_COSINE = 1e-9
+"""Cosine of the pitch below which roll and yaw are one turn."""
 
 Columns = TypeVar("Columns")
 """A dataclass whose fields are arrays with one row for each of the same things."""
@@ -93,6 +95,43 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(rotation + rotation.T)
     axis: FloatArray = vectors[:, int(values.argmax())]
     return axis * math.copysign(angle, float(axis @ twice_sine))
+
+
+def angles_of_rotation(rotation: FloatArray) -> FloatArray:
+    """Compute roll, pitch and yaw (3,), radians, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    across = np.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = np.arctan2(-rotation[2, 0], across)
+    if across < GIMBAL_MAX_COSINE:
+        # x is along z: roll and yaw turn about one axis.
+        return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
+    roll, yaw = np.arctan2(rotation[2, 1], rotation[2, 2]), np.arctan2(rotation[1, 0], rotation[0, 0])
+    return np.array([roll, pitch, yaw])
+
+
+def quaternions_of_angles(angles: FloatArray) -> FloatArray:
+    """Compute the (n, 4) unit quaternions w x y z, w >= 0, of roll, pitch and yaw (n, 3), radians."""
+    half = angles / 2
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
+    # qz(yaw) qy(pitch) qx(roll)
+    found = np.stack(
+        [
+            cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr, cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr,
+        ],
+        axis=1,
+    )  # fmt: skip
+    return np.where(found[:, :1] < 0, -found, found)
+
+
+def quaternion_of_rotation(rotation: FloatArray) -> FloatArray:
+    """Compute the unit quaternion (4,) w x y z of a rotation (3, 3), with w >= 0."""
+    return quaternions_of_angles(angles_of_rotation(rotation)[None])[0]
+
+
+def rotation_of_quaternion(wxyz: FloatArray) -> FloatArray:
+    """Make the rotation (3, 3) of a quaternion w x y z, (4,) float, not zero; its length does not matter."""
+    w, x, y, z = wxyz / float(np.linalg.norm(wxyz))
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2.0 * (w * cross + cross @ cross)
 
 
 def fit_rotation(products: FloatArray) -> FloatArray:

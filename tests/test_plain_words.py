@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parent.parent
-LIMITS = {"riddles": 6, "returns": 1, "idioms": 86, "constants": 22, "verbs": 6, "long": 4}
+LIMITS = {"riddles": 6, "returns": 1, "idioms": 86, "constants": 21, "verbs": 5, "long": 4}
 """Counts at the last change. Lower them when you write more plainly."""
 RELATIVE = re.compile(r"\b(what|where|which|that|who|whose|than|whom)\b", re.IGNORECASE)
 RETURNS = re.compile(r"(Return|Yield|Say|Tell|Give) (what|where|how|which|that|who)\b")

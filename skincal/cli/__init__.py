@@ -63,7 +63,7 @@ COMMAND_MODULES = (
 )
 """Modules of this package with commands, in the order of the help. Each has `add_to(app)`."""
 OPENING_BRACKET_RE = re.compile(r"(\[[a-z])")
-"""What rich takes for the beginning of markup."""
+"""Beginning of markup for rich."""
 
 
 def _prepare_help(command: Any) -> None:

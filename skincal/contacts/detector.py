@@ -33,6 +33,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import replace
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
@@ -66,6 +67,9 @@ class ContactDetector:
     outcomes : pokes before it; those with a `press` are judged again when a dead channel is found
     range_end : raw value that was found before it to be the end of the skin's range; NaN for none
     """
+
+    finds_touches_at_rest: ClassVar[bool] = False
+    """Whether a sample without a press may bring an outcome."""
 
     def __init__(
         self,
@@ -245,7 +249,7 @@ class ContactDetector:
 
     def awaits_outcome(self, *, final: bool) -> bool:
         """Whether a poke is in progress or waits for the tare or angles after it; only the latter if the outcome is `final`."""
-        return bool(self._pending or self._with_late_angles) or not (final or self._press is None)
+        return self.finds_touches_at_rest or bool(self._pending or self._with_late_angles) or not (final or self._press is None)
 
     @property
     def phase(self) -> PressPhase:

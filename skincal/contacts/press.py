@@ -367,9 +367,28 @@ class Press:
         rank = (*first, max(share, slide / settings.slide_max))
         if rank >= self._best_rank:
             return
+        samples = [sample for sample, _ in self._window]
+        wrench = np.array([sample.wrench for sample in samples]).mean(axis=0)
+        self._keep_window(rank, wrench, self._middle_pose.link_from_sensor, spread=spread, slide=slide, tip=_mean_tip(samples))
+
+    @property
+    def _middle_pose(self) -> ArmPose:
+        """Pose of the arm in the middle of the window, in which it hardly moves."""
+        return self._window[len(self._window) // 2][1]
+
+    def _keep_window(
+        self,
+        rank: tuple[float, float, float, float],
+        wrench: FloatArray,
+        link_from_sensor: FloatArray | None,
+        *,
+        spread: float,
+        slide: float,
+        tip: FloatArray | None,
+    ) -> None:
+        """Keep the window that ends now as the best so far; the parameters are fields of `StillMean`."""
         self._best_rank = rank
         samples, poses = zip(*self._window, strict=True)
-        middle: ArmPose = poses[len(poses) // 2]  # the arm hardly moves within the window
         self.best_frames = np.stack([sample.skin for sample in samples])
         self.best_skin = self.best_frames.mean(axis=0)
         self.late = late_angles(samples, poses)
@@ -377,12 +396,12 @@ class Press:
             start_s=samples[0].host_s,
             end_s=samples[-1].host_s,
             time_s=mean_time(samples),
-            wrench=np.array([sample.wrench for sample in samples]).mean(axis=0),
-            link_from_sensor=middle.link_from_sensor,
-            pose=middle.name,
+            wrench=wrench,
+            link_from_sensor=link_from_sensor,
+            pose=self._middle_pose.name,
             spread=spread,
             slide=slide,
-            tip=_mean_tip(samples),
+            tip=tip,
         )
 
 

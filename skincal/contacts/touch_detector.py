@@ -21,8 +21,8 @@ import numpy as np
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.gates import answer_limit
 from skincal.contacts.outcome import RAW_UNIT, Outcome, PressPhase, Reason, Rejection
-from skincal.contacts.press import ArmPose, Press, StillMean, late_angles
-from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper, mean_time
+from skincal.contacts.press import ArmPose, Press
+from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
 from skincal.contacts.taxel_answers import TaxelAnswers
 from skincal.geometry import FloatArray, IntArray, length_of
 from skincal.model.readings import Sample
@@ -121,27 +121,13 @@ class TouchPress(Press):
         rank = (0.0, max(share, 1.0), 0.0, share)
         if rank >= self._best_rank:
             return
-        self._best_rank = rank
-        samples, poses = zip(*self._window, strict=True)
-        middle: ArmPose = poses[len(poses) // 2]
-        assert middle.link_from_sensor is not None
-        place, link_from_sensor = places.mean(axis=0), middle.link_from_sensor.copy()
+        middle = self._middle_pose.link_from_sensor
+        assert middle is not None
+        place, link_from_sensor = places.mean(axis=0), middle.copy()
         push = push_direction(self._approach, place, link_from_sensor)
         link_from_sensor[:3, 3] = place
-        self.best_frames = np.stack([sample.skin for sample in samples])
-        self.best_skin = self.best_frames.mean(axis=0)
-        self.late = late_angles(samples, poses)
-        self.best = StillMean(
-            start_s=samples[0].host_s,
-            end_s=samples[-1].host_s,
-            time_s=mean_time(samples),
-            wrench=np.concatenate([link_from_sensor[:3, :3].T @ push, np.zeros(3)]),
-            link_from_sensor=link_from_sensor,
-            pose=middle.name,
-            spread=0.0,
-            slide=slide,
-            tip=place,
-        )
+        wrench = np.concatenate([link_from_sensor[:3, :3].T @ push, np.zeros(3)])
+        self._keep_window(rank, wrench, link_from_sensor, spread=0.0, slide=slide, tip=place)
 
     def has_left(self, place: FloatArray) -> bool:
         """Whether the tip at `place` (3,), metres, is away from the still window."""
@@ -223,6 +209,8 @@ class RestWatch:
 class TouchDetector(ContactDetector):
     """Detector of the pokes of a session without a force sensor; parameters as of `ContactDetector`."""
 
+    finds_touches_at_rest = True
+
     def _make_tares(self, scene: Scene) -> TareKeeper:
         self._rests = RestWatch(scene.contacts.still_s)
         self._press_ended_s = -math.inf
@@ -242,10 +230,6 @@ class TouchDetector(ContactDetector):
         self._rests.forget()
         self._is_recovering = False
         return super().reset(host_s, is_loss=is_loss)
-
-    def awaits_outcome(self, *, final: bool) -> bool:  # noqa: ARG002 - as of a rig with a sensor
-        """Whether the next sample may bring an outcome: a touch that no taxel answers is known at its end only."""
-        return True
 
     @property
     def phase(self) -> PressPhase:

@@ -17,21 +17,21 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import compress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.formats import NO_OPTIONS, ExportFormat, ExportOptions
-from skincal.files.frames import mjcf_text, named_poses, npz_bytes, quaternion_of_rotation, sdf_text, skin_name, urdf_text
+from skincal.files.frames import mjcf_text, named_poses, npz_bytes, sdf_text, skin_name, urdf_text
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, robot_skin_part, skin_part
 from skincal.files.robot_file import check_robot, mesh_sentences, require_other_file
 from skincal.files.tactile_urdf import tactile_urdf_text
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, quaternion_of_rotation
 from skincal.mesh.findings import MeshFinding
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.search import nearest_points, nearest_pushed_points
@@ -164,15 +164,58 @@ def _is_mirrored(module: Module, taxels: PlacedTaxels) -> bool:
     return fits_better_mirrored(module.pads[own], taxels.positions[placed], normal / length)
 
 
-CSV_COLUMNS = (
-    "channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm",
-    "gain_raw_per_N", "gain_sd_raw_per_N", "gain_pokes", "normal_sd_deg",
-)  # fmt: skip
+class _CsvRow(NamedTuple):
+    """A taxel by one method, with the values of its row; NaN and `None` are empty fields."""
+
+    method: Method
+    estimate: Estimate
+    module: int | None
+    gain: TaxelGain
+    frame: TaxelFrame | None
+
+    def place(self, axis: int) -> float:
+        """Coordinate of the position, metres, link frame."""
+        return np.nan if self.estimate.position is None else float(self.estimate.position[axis])
+
+    def normal(self, axis: int) -> float:
+        """Coordinate of the normal, of a taxel with a position."""
+        normal = None if self.estimate.position is None else self.estimate.normal
+        return np.nan if normal is None else float(normal[axis])
+
+    def quaternion(self, part: int) -> float:
+        """Part of the unit quaternion w x y z from the axes of the readings to the link."""
+        rotation = None if self.frame is None else self.frame.rotation
+        return np.nan if rotation is None else float(quaternion_of_rotation(rotation)[part])
+
+    @property
+    def sd_mm(self) -> float:
+        """Predicted sd along the weakest direction, mm, of a taxel with a position."""
+        sd = None if self.estimate.position is None else self.estimate.sd
+        return np.nan if sd is None else float(sd) * 1e3
 
 
-TURN_COLUMNS = ("turn_state", "turn_qw", "turn_qx", "turn_qy", "turn_qz", "turn_normal_sd_deg", "turn_in_plane_sd_deg")
-"""Of taxels of three axes: state of the turn, the unit quaternion w x y z from the axes of the readings to the link, and the
-standard deviations of its z axis and of the turn about it, degrees; empty unless the turn is known."""
+CSV_COLUMNS: Mapping[str, Callable[[_CsvRow], str | float | None]] = {
+    "channel": lambda row: row.estimate.channel,
+    "module": lambda row: row.module,
+    "method": lambda row: row.method.value,
+    "state": lambda row: row.estimate.state.value,
+    "contacts": lambda row: row.estimate.contacts,
+    **{f"{name}_m": partial(_CsvRow.place, axis=axis) for axis, name in enumerate("xyz")},
+    **{f"n{name}": partial(_CsvRow.normal, axis=axis) for axis, name in enumerate("xyz")},
+    "sd_mm": lambda row: row.sd_mm,
+    "gain_raw_per_N": lambda row: row.gain.mean,
+    "gain_sd_raw_per_N": lambda row: row.gain.spread,
+    "gain_pokes": lambda row: row.gain.pokes,
+    "normal_sd_deg": lambda row: None if row.estimate.normal_sd is None else math.degrees(row.estimate.normal_sd),
+}
+"""Columns of the CSV, with the value of each."""
+TURN_COLUMNS: Mapping[str, Callable[[_CsvRow], str | float | None]] = {
+    "turn_state": lambda row: None if row.frame is None else row.frame.state.value,
+    **{f"turn_q{name}": partial(_CsvRow.quaternion, part=part) for part, name in enumerate("wxyz")},
+    "turn_normal_sd_deg": lambda row: None if row.frame is None else math.degrees(row.frame.normal_sd),
+    "turn_in_plane_sd_deg": lambda row: None if row.frame is None else math.degrees(row.frame.in_plane_sd),
+}
+"""More columns of taxels of three axes: state of the turn, the turn, and the standard deviations of its z axis and about it."""
 
 
 def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
@@ -180,39 +223,22 @@ def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
 
     Positions are metres in the link frame, `sd_mm` is the predicted sd along the weakest direction, millimetres; gains are as
     for `taxel_gains`; `normal_sd_deg` is the predicted sd of the normal's angle, degrees. Numbers have every digit that a
-    double needs. Taxels of three axes have more columns, see `TURN_COLUMNS`.
+    double needs. Taxels of three axes have `TURN_COLUMNS`, too.
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS if calibration.axes is None else (*CSV_COLUMNS, *TURN_COLUMNS))
+    columns = CSV_COLUMNS if calibration.axes is None else {**CSV_COLUMNS, **TURN_COLUMNS}
+    writer.writerow(columns)
     for method, estimates in calibration.estimates.items():
         for estimate, gain in zip(estimates, calibration.gains(method), strict=True):
-            channel, module = estimate.channel, calibration.module_id(estimate.channel)
-            words = (method.value, estimate.state.value)
-            gained = (gain.mean, gain.spread, gain.pokes)
-            turn = None if estimate.normal_sd is None else math.degrees(estimate.normal_sd)
-            row = [channel, module, *words, estimate.contacts, *_csv_numbers(estimate), *gained, turn]
-            writer.writerow([*row, *_csv_turn(calibration.frame(channel, method))])
+            channel = estimate.channel
+            row = _CsvRow(method, estimate, calibration.module_id(channel), gain, calibration.frame(channel, method))
+            writer.writerow([_csv_field(value(row)) for value in columns.values()])
     return out.getvalue()
 
 
-def _csv_numbers(estimate: Estimate) -> list[float | None]:
-    """Return position, normal and `sd_mm`; unknown numbers are `None`, which CSV writes as an empty field."""
-    if estimate.position is None:
-        return [None] * 7
-    normal = [np.nan] * 3 if estimate.normal is None else estimate.normal.tolist()
-    sd = np.nan if estimate.sd is None else float(estimate.sd) * 1e3
-    return [number if math.isfinite(number) else None for number in (*estimate.position.tolist(), *normal, sd)]
-
-
-def _csv_turn(frame: TaxelFrame | None) -> list[str | float | None]:
-    """Return the columns `TURN_COLUMNS`; no columns for a skin of one axis."""
-    if frame is None:
-        return []
-    if frame.rotation is None:
-        return [frame.state.value, *[None] * 6]
-    sds = math.degrees(frame.normal_sd), math.degrees(frame.in_plane_sd)
-    return [frame.state.value, *quaternion_of_rotation(frame.rotation).tolist(), *sds]
+def _csv_field(value: str | float | None) -> str | float | None:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 METHOD_CODE = {Method.FREE: 0, Method.SURFACE: 1, Method.MODULES: 2}

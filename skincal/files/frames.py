@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.formats import Inertia
 from skincal.files.robot_file import insert_into_robot
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, angles_of_rotation, quaternion_of_rotation
 from skincal.taxels.result import Method
 from skincal.words.taxel_words import state_lines
 
@@ -41,8 +41,6 @@ TINY_URDF_INERTIA = 1e-12
 """kg m^2: 1e-6 kg within 1 mm. MuJoCo refuses 1e-15."""
 TINY_SDF_INERTIA = 1e-9
 """kg m^2, of the link in SDF, which would be 1 kg m^2 without a word."""
-GIMBAL_MAX_COSINE = 1e-9
-"""Cosine of the pitch below which roll and yaw are one turn."""
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -203,20 +201,6 @@ def quaternions_of(normals: FloatArray) -> FloatArray:
     return np.stack([cy * cp, -sy * sp, cy * sp, sy * cp], axis=1)
 
 
-def quaternions_of_angles(angles: FloatArray) -> FloatArray:
-    """Return (n, 4) unit quaternions w x y z, w >= 0, of roll, pitch and yaw (n, 3), radians."""
-    half = angles / 2
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
-    # qz(yaw) qy(pitch) qx(roll)
-    found = np.stack(
-        [
-            cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr, cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr,
-        ],
-        axis=1,
-    )  # fmt: skip
-    return np.where(found[:, :1] < 0, -found, found)
-
-
 def frame_angles(calibration: Calibration, taxels: PlacedTaxels, method: Method) -> FloatArray:
     """Return (n, 3) roll, pitch and yaw, radians, of each taxel's frame: of its turn if that is known, else of `angles_of`."""
     angles = angles_of(taxels.normals)
@@ -239,22 +223,6 @@ def _known_turns(calibration: Calibration, taxels: PlacedTaxels, method: Method)
         frame = calibration.frame(channel, method)
         if frame is not None and frame.rotation is not None:
             yield row, frame.rotation
-
-
-def angles_of_rotation(rotation: FloatArray) -> FloatArray:
-    """Return roll, pitch and yaw (3,), radians, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    across = np.hypot(rotation[0, 0], rotation[1, 0])
-    pitch = np.arctan2(-rotation[2, 0], across)
-    if across < GIMBAL_MAX_COSINE:
-        # x is along the link's z: roll and yaw turn about one axis.
-        return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
-    roll, yaw = np.arctan2(rotation[2, 1], rotation[2, 2]), np.arctan2(rotation[1, 0], rotation[0, 0])
-    return np.array([roll, pitch, yaw])
-
-
-def quaternion_of_rotation(rotation: FloatArray) -> FloatArray:
-    """Return the unit quaternion (4,) w x y z of a rotation (3, 3), with w >= 0."""
-    return quaternions_of_angles(angles_of_rotation(rotation)[None])[0]
 
 
 def name_prefix(calibration: Calibration) -> str:

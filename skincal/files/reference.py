@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, cross_matrix
+from skincal.geometry import FloatArray, IntArray, rotation_of_quaternion
 from skincal.methods import leading_by
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_JSON_BYTES, parse_json, read_regular
@@ -343,9 +343,7 @@ def _axes_of_quaternion(numbers: object) -> FloatArray:
     quaternion = np.array(numbers, dtype=float)
     if quaternion.shape != (4,) or not abs(float(quaternion @ quaternion) - 1.0) < MAX_AXES_ERROR:
         raise ValueError
-    w, vector = float(quaternion[0]), quaternion[1:]
-    # R = (w^2 - v.v) I + 2 v v' + 2 w S(v)
-    return (w * w - vector @ vector) * np.eye(3) + 2.0 * np.outer(vector, vector) + 2.0 * w * cross_matrix(vector[None])[0]
+    return rotation_of_quaternion(quaternion)
 
 
 def _axes(rows: object) -> FloatArray:

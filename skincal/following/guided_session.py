@@ -95,8 +95,9 @@ class GuidedSession:
         """`None` before the first tick and while guidance is off."""
         self._robot = RobotDialogue(part.scene)
         self._asked: tuple[Snapshot, Method, bool] | None = None
-        self._shown_turns: SessionTurns | None = None
         """Snapshot, method and switch of the newest guidance."""
+        self._shown_frames: tuple[SessionTurns, Method] | None = None
+        """Turns and method of the frames that a robot knows; `None` before the first."""
         self.tip: TipPose | None = None
         """Tip of the robot as it reports it; `None` without one."""
 
@@ -202,10 +203,13 @@ class GuidedSession:
         return NoTarget.ENOUGH in lines
 
     def _show_frames(self, scene: Scene, snapshot: Snapshot, server: RosTargets) -> None:
-        """Publish the frames of taxels of three axes, after the turns changed."""
-        if snapshot.turns is None or snapshot.turns is self._shown_turns or self.method not in snapshot.estimates:
+        """Publish the frames of taxels of three axes, after the turns or the shown method changed."""
+        if snapshot.turns is None or self.method not in snapshot.estimates:
             return
-        self._shown_turns = snapshot.turns
+        shown = self._shown_frames
+        if shown is not None and shown[0] is snapshot.turns and shown[1] is self.method:
+            return
+        self._shown_frames = snapshot.turns, self.method
         found = snapshot.axis_results(scene.skin.layout)
         if found is not None:
             server.show_frames(scene.link, found.poses(self.method))

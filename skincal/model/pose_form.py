@@ -50,10 +50,13 @@ _WIDTH_OF_FORM = {
     ),
 }
 
+POSE_WIDTHS = frozenset(_WIDTH_OF_FORM.values())
+"""Numbers of values that a pose may have."""
+
 
 @dataclass(frozen=True, slots=True)
 class PoseForm:
-    """What a reader of poses must be told."""
+    """Form of a pose as its reader must know it."""
 
     rotation: RotationForm
     degrees: bool = False

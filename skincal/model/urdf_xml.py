@@ -12,7 +12,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, rotation_of_quaternion
 from skincal.model.errors import InputError, plural
 
 URDF_MAX_LENGTH_M = 100.0
@@ -141,6 +141,4 @@ def _rotation_of_quaternion(xyzw: FloatArray, where: str) -> FloatArray:
         raise InputError(
             f"{where}: the quaternion {xyzw.tolist()} has the length {length:.3g}; expected 1, in the order x y z w."
         )
-    x, y, z, w = xyzw / length
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + 2.0 * (w * cross + cross @ cross)
+    return rotation_of_quaternion(xyzw[[3, 0, 1, 2]])

@@ -44,7 +44,7 @@ class SensorTurn(NamedTuple):
 
     @property
     def angle(self) -> float:
-        """Rad."""
+        """Size of the turn, rad."""
         return float(np.linalg.norm(self.turn))
 
 

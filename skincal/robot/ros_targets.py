@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.files.frames import quaternion_of_rotation
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, quaternion_of_rotation
 from skincal.model.errors import InputError, plain_text
 from skincal.robot.target_lines import (
     AskedLine,
@@ -74,7 +73,7 @@ def parse_ros_targets(text: str) -> int:
     return read_domain(number, "The domain of the targets")
 
 
-def quaternion_of(push: FloatArray) -> tuple[float, float, float, float]:
+def quaternion_along(push: FloatArray) -> tuple[float, float, float, float]:
     """Return x, y, z, w of the shortest turn that brings z to the unit vector `push`, (3,) float."""
     px, py, pz = push.tolist()
     if pz < -1.0 + 1e-9:
@@ -268,7 +267,7 @@ class RosTargets:
         return self._types.make("geometry_msgs/msg/Pose", position=self._vector(POINT, "xyz", place), orientation=orientation)
 
     def _pose_of(self, target: PokeTarget) -> Any:
-        pose = self._pose(target.place.tolist(), quaternion_of(target.push))
+        pose = self._pose(target.place.tolist(), quaternion_along(target.push))
         return self._types.make(POSE, header=self._header(target.frame), pose=pose)
 
     def _marker(self, frame: str, places: Sequence[FloatArray]) -> Any:

@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, quaternion_of_rotation
 from skincal.guide.robot_order import RobotPace
 from skincal.model.errors import InputError, plain_text, shortened
 
@@ -157,21 +157,14 @@ def write_line(line: AskedLine) -> str:
             return f"rejected {line.number} {_words(line.reason)}" if line.reason else f"accepted {line.number}"
         case PartPlace():
             pose = line.base_from_link
-            numbers = [*(f"{value:.6f}" for value in pose[:3, 3]), *(f"{value:.7f}" for value in quaternion_of(pose[:3, :3]))]
+            w, *xyz = quaternion_of_rotation(pose[:3, :3]).tolist()
+            numbers = [*(f"{value:.6f}" for value in pose[:3, 3]), *(f"{value:.7f}" for value in (*xyz, w))]
             return " ".join(["part", _name(line.frame), *numbers])
         case PokeTarget():
             what = (KNOWN_POINT if line.known else NO_TAXEL) if line.channel is None else line.channel
             names = " ".join(_name(name) for name in (line.frame, line.pose))
             place, push = (" ".join(f"{v:.{d}f}" for v in vs) for vs, d in ((line.place, 6), (line.push, 5)))
             return f"target {line.number} {what} {names} {place} {push} {line.force:.6g} {line.hold:.6g}"
-
-
-def quaternion_of(turn: FloatArray) -> FloatArray:
-    """Compute the quaternion x y z w, (4,) float, of a rotation (3, 3); w is not negative."""
-    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs] - slow to import
-
-    found: FloatArray = Rotation.from_matrix(turn).as_quat(canonical=True)
-    return found
 
 
 def _name(name: str) -> str:

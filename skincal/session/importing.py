@@ -207,7 +207,7 @@ def check_recorded_tool(scene: Scene, places: Mapping[Stream, RecordedPlace]) ->
     Raises InputError: a stream is missing or has no use, or a table holds poses and `[tool]` does not say their form.
     """
     addresses = {stream: str(places[stream]) if stream in places else None for stream in Stream}
-    check_tool_streams(scene, {**addresses, Stream.WRENCH: addresses[Stream.WRENCH] or ""})
+    check_tool_streams(scene, addresses)
     place = places.get(Stream.TOOL)
     if place is None or scene.tool is None or scene.tool.streamed_form is not None:
         return

@@ -264,7 +264,7 @@ class DeviceTimeline:
     @property
     def finished(self) -> bool:
         """Whether the operator has ended, and the quiet time after the last poke has passed."""
-        return self.operator.done and self.now >= self._free + QUIET_TIME_AFTER_LAST_ACTION_S
+        return self.operator.is_finished and self.now >= self._free + QUIET_TIME_AFTER_LAST_ACTION_S
 
     def greeting(self, link: str) -> bytes:
         """Return the header that a board sends when a host connects or asks."""
@@ -319,7 +319,7 @@ class DeviceTimeline:
 
     def _schedule(self, end: float) -> None:
         """Ask the operator for actions that begin in this block, and drop ended ones."""
-        if not self.operator.done:
+        if not self.operator.is_finished:
             # After a pause the operator continues at the present time.
             self._free = max(self._free, self.now)
         while self._free < end:

@@ -396,12 +396,12 @@ class AutoOperator:
         self._arm_pose = rig.arm_pose()
 
     @property
-    def done(self) -> bool:
+    def is_finished(self) -> bool:
         return self._pokes is not None and self.begun >= self._pokes
 
     def next(self, now: float) -> OperatorAction | None:
         """Return the next action at time `now`, s; `None` if there is none yet."""
-        if self.done:
+        if self.is_finished:
             return None
         wanted = self._arm_poses[self.begun // self._each % len(self._arm_poses)]
         if wanted is not self._arm_pose:

@@ -8,7 +8,7 @@ from PySide6.QtGui import QAction, QKeyEvent, QKeySequence
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialog
 
-from app.commands import COMMANDS, key_words
+from app.commands import WINDOW_COMMANDS, key_words
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.keys_dialog import KeysDialog
 from app.dialogs.new_session import NewSessionDialog
@@ -34,12 +34,12 @@ def test_every_entry_of_every_menu_has_a_key_of_its_own(bench, recorded):
     assert {action.text() for action in actions if not action.shortcuts()} == set()
     keys = [key.toString() for action in actions for key in action.shortcuts()]
     assert sorted(set(keys)) == sorted(keys), "a key that is there twice does nothing"
-    assert len(actions) == len(COMMANDS) + len(bench.window.session_view.workspace.panels)
+    assert len(actions) == len(WINDOW_COMMANDS) + len(bench.window.session_view.workspace.panels)
     assert set(bench.window.commands.meaning_of_keys()) == {QKeySequence(key).toString() for key in keys}
     # Nothing can be done that is in no menu: the bar holds no other actions.
     elsewhere = [a for a in bench.window.findChildren(QAction) if a.shortcuts() and a not in actions]
     assert elsewhere == []
-    for command in COMMANDS:
+    for command in WINDOW_COMMANDS:
         assert all(f"<b>{key}" in key_words(2) or f"or {key}<" in key_words(2) for key in command.keys.split())
 
 

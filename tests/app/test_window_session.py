@@ -14,7 +14,7 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialog, QFileDialog
 
-from app.commands import COMMANDS
+from app.commands import WINDOW_COMMANDS
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.pedals import PedalsDialog
 from app.dialogs.verdict_dialog import VerdictDialog
@@ -182,7 +182,7 @@ def first_look(keys: Keys) -> None:
     keys.back_in_the_window()
     keys.tap(Key.Key_F13)
     assert bench.controller.running is Running.STREAMING
-    if any(command.keys == "M" for command in COMMANDS):
+    if any(command.keys == "M" for command in WINDOW_COMMANDS):
         keys.tap(Key.Key_M)
 
 

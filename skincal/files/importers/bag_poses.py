@@ -45,7 +45,7 @@ class BagPoseReader:
         self.parent = ""
         """Frame of the poses; empty before the first."""
 
-    def values_of(self, message: Any, arrival_s: float = 0.0) -> FloatArray | None:  # noqa: ARG002
+    def values_of(self, message: Any, _arrival_s: float = 0.0) -> FloatArray | None:
         """Return x y z in metres and the quaternion x y z w, (7,) float; `None` if the message has no wanted pose."""
         found = self._poses.find_pose(message)
         self._stamp_s = None if found is None else found.stamp_s
@@ -54,11 +54,11 @@ class BagPoseReader:
         self.parent = found.parent
         return found.values
 
-    def stamp_of(self, message: Any) -> float | None:  # noqa: ARG002
+    def stamp_of(self, _message: Any) -> float | None:
         """Return the stamp of the pose that was read last, s; `None` without one."""
         return self._stamp_s
 
-    def frame_of(self, message: Any) -> str:  # noqa: ARG002
+    def frame_of(self, _message: Any) -> str:
         """Return the frame of a wrench, which a pose has not."""
         return ""
 

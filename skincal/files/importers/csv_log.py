@@ -41,7 +41,6 @@ from skincal.devices.netft_page import FORCE_UNITS
 from skincal.files.importers.labview import ABSOLUTE_MIN_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
 from skincal.files.importers.table_columns import (
-    POSE_WIDTHS,
     UNIX_NS,
     TableColumns,
     TimeColumns,
@@ -70,6 +69,7 @@ from skincal.files.importers.timeline import (
 from skincal.files.importers.workbook import SHEET_MARK, is_workbook, sheets_of
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
+from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Stream
 from skincal.streams.links import LinkSpec
 

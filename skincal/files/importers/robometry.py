@@ -24,7 +24,7 @@ from skincal.files.importers.timeline import OpenRecording, Timeline, check_over
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
-from skincal.model.pose_form import RotationForm
+from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Stream
 from skincal.streams.decoders.records import pack_records
 from skincal.streams.links import LinkSpec
@@ -53,9 +53,6 @@ _SKIN_RE = re.compile(r"skin|tactile|taxel|touch", re.IGNORECASE)
 _WRENCH_RE = re.compile(r"(?:^|::)(?:FTs?|force_?torque)", re.IGNORECASE)
 _POSE_RE = re.compile(r"(?:^|::|_)(?:tool|tcp|ee|end_effector|hand)?_?(?:cartesian_)?pose(?:$|::)", re.IGNORECASE)
 _POSITIONS_RE = re.compile(r"(?:^|::)joints?_state::(?:joint_)?positions$")
-
-
-POSE_WIDTHS = frozenset(form.width for form in RotationForm)
 
 
 class _NoChannelsError(InputError):

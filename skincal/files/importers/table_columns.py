@@ -27,7 +27,7 @@ from skincal.devices.netft_page import FORCE_UNITS
 from skincal.files.importers.table_form import TableForm
 from skincal.files.importers.table_values import is_date, is_time_of_day, to_float
 from skincal.model.errors import InputError, plural
-from skincal.model.pose_form import RotationForm
+from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Stream
 
 UNIX_NS = (1e18, 5e18)
@@ -53,7 +53,6 @@ _POSE_COLUMN_RE = re.compile(
 )
 """Columns of a position, a quaternion, a rotation vector, or three angles."""
 _AXIS_LETTER_RE = re.compile(r".*?([xyzw])(?:[ _]*[\[(]?(?:m|mm|rad|deg)[\])]?)?")
-POSE_WIDTHS = frozenset(form.width for form in RotationForm)
 _PRESSURE_CENTRE_RE = re.compile(r"(?:.*[./_ ])?(?:a|cop|cop_|cop |p|cp)[xy](?:[ _]*[\[(].*)?")
 
 

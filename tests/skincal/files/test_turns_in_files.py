@@ -12,7 +12,8 @@ from skincal.axes.module_axes import AxisFindings, AxisMistake, AxisMistakeKind
 from skincal.axes.taxel_frames import FrameState
 from skincal.files.export import CSV_COLUMNS, calibration_file, csv_text, json_text
 from skincal.files.formats import ExportFormat
-from skincal.files.frames import angles_of_rotation, npz_bytes, quaternion_of_rotation
+from skincal.files.frames import npz_bytes
+from skincal.geometry import angles_of_rotation, quaternion_of_rotation, rotation_of_quaternion
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 from skincal.words.axis_words import axis_sentences, corrected_values, odds_words, shared_sentence
@@ -83,6 +84,7 @@ def test_angles_and_quaternions_are_those_of_scipy_also_at_the_gimbal():
         matrix = turn.as_matrix()
         np.testing.assert_allclose(Rotation.from_euler("xyz", angles_of_rotation(matrix)).as_matrix(), matrix, atol=1e-12)
         np.testing.assert_allclose(matrix_of(quaternion_of_rotation(matrix)), matrix, atol=1e-12)
+        np.testing.assert_allclose(rotation_of_quaternion(turn.as_quat(scalar_first=True)), matrix, atol=1e-12)
 
 
 def mistake(kind, axes, directions, module=None, turn_deg=float("nan")):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
 from skincal.model.errors import InputError
-from skincal.robot.ros_targets import STRING, RosTargets, parse_ros_targets, quaternion_of
+from skincal.robot.ros_targets import STRING, RosTargets, parse_ros_targets, quaternion_along
 from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PokeTarget
 from skincal.robot.target_server import ROBOT_LINES_PER_S_MAX, RobotChange, TargetServer
 from skincal.robot.targets import check_targets, open_targets
@@ -144,7 +144,7 @@ def test_frames_of_taxels_are_latched_static_transforms():
 
 @pytest.mark.parametrize("push", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -0.6, -0.8)])
 def test_z_of_the_pose_is_the_direction_of_the_push(push):
-    x, y, z, w = quaternion_of(np.array(push, float))
+    x, y, z, w = quaternion_along(np.array(push, float))
     assert x * x + y * y + z * z + w * w == pytest.approx(1.0)
     assert [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)] == pytest.approx(list(push), abs=1e-9)
 

@@ -182,7 +182,7 @@ def test_it_follows_over_all_poses_and_ends_after_its_pokes(rig):
     guided.show(target_at(rig, 204))
     done = presses(guided, 8)
     assert [a.arm_pose.name for a in done if isinstance(a, Move)] == ["2", "1"]
-    assert guided.done
+    assert guided.is_finished
     assert guided.next(1e6) is None
 
 
