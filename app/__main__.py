@@ -90,7 +90,7 @@ def _run_demo(words: Sequence[str]) -> int:
     if list(words[:1]) != [ROBOT_DEMO] or sensor not in SENSORS_OF_DEMO:
         named, known = " ".join([DEMO_COMMAND, *words]), ", ".join(SENSORS_OF_DEMO)
         raise InputError(
-            f"{named} is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}, with --sensor and one of {known} or without."
+            f"{named} is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}, alone or with --sensor and one of {known}."
         )
     reason = no_display() or objection()
     if reason:
