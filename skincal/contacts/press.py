@@ -373,7 +373,7 @@ class Press:
 
     @property
     def _middle_pose(self) -> ArmPose:
-        """Pose of the arm in the middle of the window, in which it hardly moves."""
+        """Pose of the arm in the middle of the window: it hardly moves meanwhile."""
         return self._window[len(self._window) // 2][1]
 
     def _keep_window(
