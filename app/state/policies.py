@@ -12,12 +12,12 @@ import numpy as np
 
 from app.state.memo import Memo
 from app.state.running import Running
-from skincal.contacts.outcome import Contact, Outcome, Rejection
+from skincal.contacts.outcome import Outcome, Rejection
 from skincal.following.review import Review
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
-from skincal.model.actions import Action, AtLandmark, Correct, Exclude, MarkDead, Restore, Revive
+from skincal.model.actions import Action, Correct, MarkDead, Restore, Revive
 from skincal.model.scene import ContactSettings
 from skincal.rig.correction import FRAME, RIG
 from skincal.rig.frame_check import FrameDiagnosis
@@ -167,21 +167,9 @@ def allowed(
 
 
 def _exclude_actions(snapshot: Snapshot, pokes: Sequence[int]) -> tuple[Action, ...]:
-    """Return the actions that exclude pokes; if there is nothing to exclude, those that restore them.
-
-    A rejected poke counts only if it is at a landmark: it is taken from the landmark.
-    """
-    wanted = set(pokes)
+    """Return the actions that exclude pokes; if there is nothing to exclude, those that restore them."""
     # Usually nothing is selected: then the list, which may be long, is not searched.
-    chosen = [record for record in snapshot.pokes if record.outcome.poke in wanted] if wanted else []
-    exclude: list[Action] = []
-    for record in chosen:
-        number = record.outcome.poke
-        if isinstance(record.outcome, Contact) and not record.excluded:
-            exclude.append(Exclude(number))
-        elif isinstance(record.outcome, Rejection) and number in snapshot.at_landmarks:
-            exclude.append(AtLandmark(number, ""))
-    return tuple(exclude or [Restore(record.outcome.poke) for record in chosen if record.excluded])
+    return (snapshot.actions_to_exclude(pokes) or snapshot.actions_to_restore(pokes)) if pokes else ()
 
 
 class Mark(Enum):

@@ -55,6 +55,7 @@ COMMAND_MODULES = (
     "report",
     "devices",
     "landmarks",
+    "pokes",
     "tool",
     "record",
     "import_recording",

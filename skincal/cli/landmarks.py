@@ -91,16 +91,17 @@ def landmarks(
     Without options all pokes are listed. The names are written into the session at once.
     """
     from skincal.cli import output
+    from skincal.model.actions import AddLandmark, AtLandmark
     from skincal.session.replay import load
 
     given = {"--at": at, "--csv": csv_file, "--order": order, "--find": find, "--add": add}
     options = [option for option, value in given.items() if value]
-    _check_options(session, options, undo=undo)
+    check_options(session, options, undo=undo, command="landmarks")
     pipeline = load(session)
-    loaded, begin_s = pipeline.session, _begin_s(session)
+    loaded, begin_s = pipeline.session, begin_s_of(session)
     changes: list[str] = []
     if undo:
-        changes = _undo_last_call(session, loaded)
+        changes = undo_last_call(session, loaded, (AddLandmark, AtLandmark), "a landmark")
     elif options:
         pairs = [_parse_pair(pair) for pair in at or ()]
         pairs += [] if csv_file is None else _parse_table(loaded, begin_s, csv_file)
@@ -118,12 +119,12 @@ def landmarks(
     output.print_result(result, [*text, *pipeline.findings], as_json)
 
 
-def _check_options(session: Path, options: Sequence[str], *, undo: bool) -> None:
+def check_options(session: Path, options: Sequence[str], *, undo: bool, command: str) -> None:
     """Raise InputError: options exclude each other, or would change a session that is being recorded."""
     from skincal.journal.lock import describe_lock_holder
 
     if undo and options:
-        raise InputError(f"--undo and {options[0]} exclude each other; call `skincal landmarks` once for each.")
+        raise InputError(f"--undo and {options[0]} exclude each other; call `skincal {command}` once for each.")
     if (undo or options) and (who := describe_lock_holder(session)):
         raise InputError(f"{session}: is being recorded by {who}; end that recording first.")
 
@@ -252,12 +253,12 @@ def _write(folder: Path, session: Session, pairs: Iterable[Pair], *, find: bool,
             actions.append(AtLandmark(poke, name))
             session.act(actions[-1])
     if actions:
-        _append(folder, actions)
+        append_actions(folder, actions)
     return [*_written_lines(folder, session, actions), *unsure]
 
 
-def _append(folder: Path, actions: Iterable[Action]) -> None:
-    """Write actions into a new segment of a session, with one time stamp, so that `_undo_last_call` finds them."""
+def append_actions(folder: Path, actions: Iterable[Action]) -> None:
+    """Write actions into a new segment of a session, with one time stamp, so that `undo_last_call` finds them."""
     from skincal.session.replay import resume
 
     pipeline = resume(folder)
@@ -300,26 +301,26 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
     return [*(lines or nothing), f"{plural(len(pokes), 'poke')} at landmarks; {use}"]
 
 
-def _undo_last_call(folder: Path, session: Session) -> list[str]:
-    """Undo the landmark actions of the last call, which share one time stamp; return the changes as lines."""
-    from skincal.model.actions import AddLandmark, AtLandmark, Undo
+def undo_last_call(folder: Path, session: Session, kinds: tuple[type[Action], ...], name: str) -> list[str]:
+    """Undo the last actions, if they are of these kinds, named `name`, and share one time stamp; list the changes."""
+    from skincal.model.actions import Undo
     from skincal.session.undo import ActionEntry
 
     moment, count = None, 0
     for entry in reversed(session.history.entries):
-        if not isinstance(entry, ActionEntry) or not isinstance(entry.action, AddLandmark | AtLandmark):
+        if not isinstance(entry, ActionEntry) or not isinstance(entry.action, kinds):
             break
         if moment not in (None, entry.at_s):
             break
         moment, count = entry.at_s, count + 1
     if not count:
         last = session.snapshot().can_undo or "nothing"
-        raise InputError(f"{folder}: the last action is {last}, not a landmark; there is nothing to undo.")
+        raise InputError(f"{folder}: the last action is {last}, not {name}; there is nothing to undo.")
     lines: list[str] = []
     for _ in range(count):
         lines.append(f"took back {session.snapshot().can_undo}")
         session.act(Undo())
-    _append(folder, [Undo()] * count)
+    append_actions(folder, [Undo()] * count)
     return lines
 
 
@@ -342,7 +343,7 @@ def _nearest(session: Session) -> dict[int, NearestLandmark]:
     return nearest_landmarks(_outcomes(session), session.decisions.landmarks, session.surface)
 
 
-def _begin_s(folder: Path) -> float:
+def begin_s_of(folder: Path) -> float:
     """Return when the first bytes of a session arrived, s of the host's clock."""
     from skincal.journal.reader import SessionLog
     from skincal.model.readings import Chunk

@@ -26,7 +26,7 @@ import typer
 from skincal.cli.solve import Json
 from skincal.cli.stop_event import StopEvent
 from skincal.cli.terminal import say
-from skincal.model.errors import InputError
+from skincal.model.errors import InputError, plural
 from skincal.model.given import parse_json
 from skincal.model.readings import LINK_SILENT_AFTER_S, Chunk, LinkAnswer, LinkEvent, LinkHealth, LinkState, Stream
 from skincal.taxels.result import Method
@@ -64,6 +64,8 @@ REPORT_UNOPENED_LINK_AFTER_NS = 1_500_000_000
 """A link that is not open after this time, such as a host whose name is unknown, is reported."""
 LINK_CHECK_PERIOD_NS = 250_000_000
 """Time between two checks of the links."""
+LATE_CHECK_NS = 1_000_000_000
+"""A check that comes so late says nothing of the links: the machine gave the program no time, nor the threads that read."""
 
 
 def add_to(app: typer.Typer) -> None:
@@ -157,9 +159,27 @@ def record(
             while not items.empty():
                 _handle_items(pipeline, items.get_many(READING_WAIT_TIMEOUT_S))
             pipeline.close()
-        if stop.is_set():
-            say("stopped", err=True)
-        finish(pipeline, out, as_json)
+        with _ending_solve(out, pipeline) if stop.is_set() else contextlib.nullcontext():
+            finish(pipeline, out, as_json)
+
+
+@contextlib.contextmanager
+def _ending_solve(out: Path, pipeline: Pipeline) -> Generator[None]:
+    """Say that a stopped recording is solved, and let a second Ctrl-C end that; `typer.Exit` with 130 then.
+
+    The journal is closed: nothing of the recording is lost.
+    """
+    pokes = plural(pipeline.session.last_poke, "poke")
+    later = f"`skincal solve {out}` does it later"
+    say(f"stopped; solving {pokes}. Ctrl-C again ends this: {later}." if pipeline.session.last_poke else "stopped", err=True)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    except KeyboardInterrupt:
+        say(f"not solved; the recording is in {out}: {later}", err=True)
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextlib.contextmanager
@@ -271,14 +291,17 @@ def _loop(
     """Process items until `stop`, the seconds or pokes of `until`, the end of every link, or a finished session."""
     seconds, pokes = until
     end = math.inf if seconds is None else time.monotonic() + seconds
-    reported, next_check_ns = 0, 0
+    reported, next_check_ns, reached_ns = 0, 0, 0
     states: dict[str, LinkState] = {}
     reports = LinkReports(time.monotonic_ns())
     while not stop.is_set() and time.monotonic() < end and not pipeline.journal_failure:
         now_ns = time.monotonic_ns()
-        sentences: list[str] = [] if robot is None else robot.guide_robot(now_ns)
+        # Readings that wait came later than those that were processed: a link is silent by its arrivals alone.
+        seen_ns = reached_ns if reached_ns and not items.empty() else now_ns
+        sentences: list[str] = [] if robot is None else robot.guide_robot(now_ns, seen_ns)
         if now_ns >= next_check_ns:
-            sentences += reports.new(pipeline.live(now_ns).links, states, now_ns)
+            is_late = 0 < next_check_ns < now_ns - LATE_CHECK_NS and seen_ns == now_ns
+            sentences += [] if is_late else reports.new(pipeline.live(seen_ns).links, states, seen_ns)
             next_check_ns = now_ns + LINK_CHECK_PERIOD_NS
         for sentence in sentences:
             say(sentence, err=True)
@@ -291,7 +314,8 @@ def _loop(
                 return
             continue
         _handle_items(pipeline, arrived, states)
-        pipeline.tick(arrived[-1].host_ns)
+        reached_ns = arrived[-1].host_ns
+        pipeline.tick(reached_ns)
         reported = _report_new_pokes(pipeline, reported)
         if (pokes is not None and reported >= pokes) or (robot is not None and robot.enough):
             return

@@ -249,11 +249,13 @@ class RobotGuide:
         self.enough = False
         """The robot got the message that no more pokes are needed."""
 
-    def guide_robot(self, now_ns: int) -> list[str]:
-        """Handle answers and send targets at `now_ns` of the host's monotonic clock; give sentences for the operator."""
+    def guide_robot(self, now_ns: int, seen_ns: int | None = None) -> list[str]:
+        """Handle answers and send targets; give sentences for the operator. Parameters as of `GuidedSession.follow_session`."""
         if now_ns < self._next_ns:
             return []
         self._next_ns = now_ns + GUIDE_UPDATE_PERIOD_NS
         sentences = self._guided.handle_answers(self._pipeline, self._server, now_ns)
-        self.enough |= self._guided.follow_session(self._pipeline, self._pipeline.snapshot(), now_ns, self._server)
+        self.enough |= self._guided.follow_session(
+            self._pipeline, self._pipeline.snapshot(), now_ns, self._server, seen_ns=seen_ns
+        )
         return sentences

@@ -198,7 +198,8 @@ def _moved_part(touched: TouchedPlaces) -> tuple[Mistake, _Fit]:
         ratio = float(np.sqrt(np.sum((misses / touched.sd) ** 2) / (3 * count - 13)))
         middle = points.mean(axis=0)
         by = 1e3 * np.linalg.norm((parts[1].turn - parts[0].turn) @ middle + parts[1].shift - parts[0].shift)
-        mistake = Mistake(MistakeKind.TOOL_PART_MOVED, names=(str(touched.number[first]), f"{by:.0f}"))
+        number = int(touched.number[first])
+        mistake = Mistake(MistakeKind.TOOL_PART_MOVED, names=(str(number), f"{by:.0f}", str(number - 1)))
         splits.append((ratio, mistake, _Fit(ratio, misses, parts[0].turn, parts[0].shift)))
     return min(splits, key=lambda each: each[0])[1:]
 

@@ -17,7 +17,7 @@ from skincal.contacts.poke_counts import PokeCounts, count_pokes
 from skincal.contacts.value_order import OrderOfValues
 from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
-from skincal.model.actions import AskPoke
+from skincal.model.actions import AskPoke, AtLandmark, Exclude, Restore
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import NoiseSettings, Scene
 from skincal.model.wrench_frames import WrenchFrame
@@ -293,6 +293,25 @@ class Snapshot:
         """Whether the operator excluded a poke, or took a rejected one from its landmark."""
         taken = isinstance(record.outcome, Rejection) and record.outcome.poke in self.decisions.taken_from_landmarks
         return record.excluded or taken
+
+    def actions_to_exclude(self, pokes: Collection[int]) -> tuple[Exclude | AtLandmark, ...]:
+        """List the actions that exclude pokes, by their numbers; a rejected one at a landmark is taken from it."""
+        found: list[Exclude | AtLandmark] = []
+        for record in self._records_of(pokes):
+            number = record.outcome.poke
+            if isinstance(record.outcome, Contact) and not record.excluded:
+                found.append(Exclude(number))
+            elif isinstance(record.outcome, Rejection) and number in self.at_landmarks:
+                found.append(AtLandmark(number, ""))
+        return tuple(found)
+
+    def actions_to_restore(self, pokes: Collection[int]) -> tuple[Restore, ...]:
+        """List the actions that use excluded pokes again, by their numbers."""
+        return tuple(Restore(record.outcome.poke) for record in self._records_of(pokes) if record.excluded)
+
+    def _records_of(self, pokes: Collection[int]) -> list[PokeRecord]:
+        wanted = set(pokes)
+        return [record for record in self.pokes if record.outcome.poke in wanted]
 
     @cached_property
     def can_undo(self) -> str:

@@ -112,7 +112,8 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
     ),
     MistakeKind.TOOL_PART_MOVED: (
         "the part or the base of the tool's poses moved by about {names[1]} mm before poke {names[0]}",
-        "fix the part, exclude the pokes before it, and press the landmarks again",
+        "fix the part and exclude the pokes before it, which key E does for those selected in the Pokes tab, and "
+        "`skincal pokes SESSION --exclude 1-{names[2]}` without a window. Then press the landmarks again",
     ),
     MistakeKind.TOOL_WRENCH: (
         "the wrench has the axes of the base, not those of the sensor",

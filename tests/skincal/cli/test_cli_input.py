@@ -5,6 +5,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,11 @@ from skincal.cli.record import MAX_REQUESTED_POKES, OrderLine, _follow_order, fi
 from skincal.files.importers.registry import RECORDING_IMPORTERS
 from skincal.journal import writer
 from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.model.scene import load_scene, scene_file
 from skincal.session.importing import new_session
+from skincal.session.pipeline import Pipeline
+from skincal.streams.links import ChunkQueue, LinkSpec
 from skincal.studies import STUDIES
 from tests.approved import approved
 
@@ -248,7 +254,7 @@ def test_an_order_that_is_none_is_said_and_left_out(capsys, line):
 
 def test_each_problem_of_a_link_is_reported_once_and_that_it_sends_again():
     from skincal.cli.record import REPORT_UNOPENED_LINK_AFTER_NS, LinkReports
-    from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Stream
+    from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict
 
     reports, events = LinkReports(10), []
 
@@ -268,6 +274,44 @@ def test_each_problem_of_a_link_is_reported_once_and_that_it_sends_again():
     assert said(LinkState.OPEN, LinkAnswer.GOOD) == ["skin: sends again"]
     assert said(LinkState.OPEN, LinkAnswer.FROZEN) == ["skin: it sends the same reading again and again"]
     assert said(LinkState.LOST) == []
+
+
+def test_a_link_whose_readings_wait_is_not_called_silent_and_one_without_any_is(monkeypatch, capsys):
+    """The machine is so loaded that the readings of five seconds wait: silence is judged by their arrivals."""
+    from skincal.cli import record
+
+    monkeypatch.setattr(record, "LINK_CHECK_PERIOD_NS", 0)
+    links = (LinkSpec("wrench", "w", (Stream.WRENCH,), "text"), LinkSpec("skin", "s", (Stream.SKIN,), "text"))
+    pipeline = Pipeline(load_scene(scene_file(Path("flat-patch"))), links, None)
+    begin_ns, queued = time.monotonic_ns() - 5_000_000_000, ChunkQueue()
+    width = pipeline.scene.skin.frame_width
+    for link in ("wrench", "skin"):
+        queued.put(LinkEvent(link, begin_ns, LinkState.OPEN))
+    for k in range(500):
+        at_ns = begin_ns + k * 10_000_000
+        queued.put(Chunk("wrench", at_ns, f"0 0 {k % 7} 0 0 0\n".encode()))
+        if k < 100:
+            queued.put(Chunk("skin", at_ns, f"{' '.join([str(k % 5)] * width)}\n".encode()))
+    record._loop(pipeline, queued, {}, (None, None), threading.Event())
+    said = capsys.readouterr().err
+    assert "skin: is open but silent for 2 s" in said
+    assert "wrench: is open but silent" not in said
+
+
+def test_a_second_ctrl_c_ends_the_estimate_of_a_stopped_recording_and_names_the_command(run, tmp_path, monkeypatch):
+    from skincal.cli import record
+
+    (tmp_path / "wrench").write_text("0 0 0 0 0 0\n" * 200)
+    (tmp_path / "skin").write_text((" ".join(["5"] * CHANNELS) + "\n") * 200)
+    monkeypatch.setattr(record, "_loop", lambda *_: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr("skincal.cli.output.poke_counts", lambda *_: signal.raise_signal(signal.SIGINT))
+    before = signal.getsignal(signal.SIGINT)
+    folder = tmp_path / "s"
+    code, out, err = run(*recording(folder, tmp_path / "wrench", tmp_path / "skin", "--seconds", "30"))
+    assert (code, out) == (130, "")
+    assert f"`skincal solve {folder}` does it later" in err
+    assert signal.getsignal(signal.SIGINT) is before
+    assert (folder / "segment-0001.mcap").exists()
 
 
 def test_a_recording_without_a_byte_of_the_wrench_leaves_nothing_and_one_with_bytes_stays(run, tmp_path):
@@ -364,7 +408,8 @@ def test_the_part_is_written_to_the_icub_file(run, session, tmp_path):
 
 
 COMMANDS = [
-    "", "solve", "export", "apply", "compare", "report", "devices", "watch", "landmarks", "record", "simulate", "import",
+    "", "solve", "export", "apply", "compare", "report", "devices", "watch", "landmarks", "pokes", "record", "simulate",
+    "import",
     *(f"import {each.name}" for each in RECORDING_IMPORTERS), "study", *(f"study {name}" for name in STUDIES),
 ]  # fmt: skip
 

@@ -14,7 +14,8 @@ import pytest
 
 from skincal.cli import main
 from skincal.contacts.outcome import Contact
-from skincal.model.actions import AtLandmark, Undo
+from skincal.journal.reader import SessionLog
+from skincal.model.actions import AtLandmark, Exclude, TimedAction, Undo
 from skincal.model.scene import load_scene
 from skincal.session.replay import load, replay, resume
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
@@ -372,3 +373,40 @@ def test_a_poke_that_was_undone_since_is_not_taken_back_in_place_of_a_landmark(s
     assert named(small) == {}
     assert load(small).session.excluded == (3,)
     assert run("landmarks", small, "--undo")[0] == 2
+
+
+def test_pokes_are_excluded_by_the_actions_of_the_window_and_the_estimates_follow(log, asked, tmp_path, run, answered):
+    folder = shutil.copytree(asked, tmp_path / "s")
+    before = load(folder).snapshot()
+    early = [
+        record.outcome.poke
+        for record in before.pokes
+        if record.outcome.poke <= 12 and (isinstance(record.outcome, Contact) or record.outcome.poke in log.names)
+    ]
+    said = answered("pokes", folder, "--exclude", "1-12")
+    assert [row["poke"] for row in said["pokes"] if row["excluded"]] == early
+    now = load(folder).snapshot()
+    clicked_in = shutil.copytree(asked, tmp_path / "window")
+    clicked = resume(clicked_in)
+    for poke in early:
+        clicked.act(AtLandmark(poke, "") if poke in log.names else Exclude(poke), 1)
+    clicked.close()
+    written = [
+        [item.action for item in SessionLog(each).items() if isinstance(item, TimedAction)] for each in (folder, clicked_in)
+    ]
+    assert written[0] == written[1]
+    assert same_estimates(now, clicked.snapshot())
+    assert not same_estimates(now, before)
+    assert same_estimates(now, replay(folder).snapshot())
+    assert not set(early) & set(now.counting_landmark_pokes.number.tolist())
+    some = next(record.outcome.poke for record in before.pokes if isinstance(record.outcome, Contact))
+    assert f"poke {some}, " in run("pokes", folder)[1]
+    assert "; excluded" in run("pokes", folder)[1]
+    assert f"used again: 1 poke, {some}" in run("pokes", folder, "--restore", some)[1]
+    assert some not in load(folder).session.excluded
+    answered("pokes", folder, "--undo")
+    answered("pokes", folder, "--undo")
+    assert same_estimates(load(folder).snapshot(), before)
+    assert run("pokes", folder, "--exclude", "5000")[2].endswith(f"the session has the pokes 1 to {log.count}.\n")
+    for words in (["--exclude", "x"], ["--exclude", "3-1"], ["--exclude", "1", "--restore", "1"], ["--undo", "--restore", "1"]):
+        assert run("pokes", folder, *words)[0] == 2
