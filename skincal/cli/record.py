@@ -405,7 +405,7 @@ def finish(
     """
     from skincal.cli import output
     from skincal.following.results import SessionResults
-    from skincal.session.importing import KeptError, stream_findings
+    from skincal.session.importing import KeptError, stream_findings, unnamed_landmarks
     from skincal.words.frame_words import frame_sentences
     from skincal.words.link_words import silent_links
     from skincal.words.mistake_words import setup_sentences
@@ -420,12 +420,14 @@ def finish(
     methods = output.method_summaries(snapshot.estimates, known, pipeline.scene.skin.layout, snapshot.part_size)
     silent, too_short = silent_links(live.links), ""
     unpoked: list[str] = []
+    thresholds, has_sensor = snapshot.decisions.thresholds, pipeline.scene.has_sensor
     if imported and not (snapshot.pokes or silent):
-        too_short = too_short_sentence(pipeline.before_pokes, snapshot.decisions.thresholds)
+        too_short = too_short_sentence(pipeline.before_pokes, thresholds, has_sensor=has_sensor)
     if not (snapshot.pokes or silent or too_short):
-        unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds, live.links)]
+        unpoked = [no_poke_sentence(pipeline.before_pokes, thresholds, live.links, has_sensor=has_sensor)]
     frames = frame_sentences(pipeline.session.wrench_frames, snapshot.contacts)
     found = [*frames, *unpoked, *uncompared, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
+    found += unnamed_landmarks(pipeline, out) if imported else []
     results = SessionResults(pipeline)
     setup = (*results.tool, *setup_sentences(results.setup))
     text = [

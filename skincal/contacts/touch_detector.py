@@ -37,7 +37,10 @@ APPROACH_M = 0.005
 APPROACH_MIN_M = 0.001
 """m. A shorter way gives no direction: then the push is along the tool, from its frame's origin to the tip."""
 HISTORY_S = 3.0
-"""s of places of the tip that are kept."""
+"""s of places of the tip that are all kept. Of those before only steps of `APPROACH_MIN_M` are: they give the way to a place
+where the tip then rests for any time."""
+OLDER_STEPS_MAX = 64
+"""Such steps, at most."""
 REST_RADIUS_M = 0.00075
 """m, largest distance of a resting tip from the begin of its rest: a hand trembles by less."""
 TURNED_BACK_MAX_COSINE = -0.7
@@ -46,6 +49,8 @@ POINTING_MIN_COSINE = 0.3
 """Cosine between the tool and the way back from a touch, less than minus this: from a pause above a part the tip goes on."""
 POINTING_MIN_LENGTH_M = 0.02
 """m. A tip nearer to the origin of the tool's frame does not tell where the tool points."""
+PARKED_S = 1.0
+"""s of rest before the first answer of a taxel that show a parked tip: something else presses."""
 QUIET_SKIN_MAX_SHARE = 0.3
 """Largest change of a taxel in a quiet window, as a share of its limit."""
 
@@ -160,25 +165,68 @@ def push_direction(approach: FloatArray, place: FloatArray, link_from_sensor: Fl
     return (place - approach[row]) / distances[row]
 
 
+class _Rest:
+    """A rest of the tip that goes on: its sums, since it may last for hours."""
+
+    def __init__(self, first: _Seen) -> None:
+        self.first, self.last, self.strongest = first, first, first
+        self._count, self._sum = 0, np.zeros(3)
+        self.add(first)
+
+    def add(self, seen: _Seen) -> None:
+        self._count, self._sum = self._count + 1, self._sum + seen.place
+        self.last = seen
+        if _share_of(seen) > _share_of(self.strongest):
+            self.strongest = seen
+
+    @property
+    def seconds(self) -> float:
+        return self.last.time_s - self.first.time_s
+
+    @property
+    def place(self) -> FloatArray:
+        """(3,) float, metres, link: mean of the places."""
+        return self._sum / self._count
+
+
+def _share_of(seen: _Seen) -> float:
+    return seen.response / seen.needed if math.isfinite(seen.response) else -math.inf
+
+
 class RestWatch:
     """Finds rests of the tip from which it goes back the way that it came."""
 
     def __init__(self, still_s: float) -> None:
         self.still_s = still_s
-        self.history: deque[_Seen] = deque()
-        self._rest: deque[_Seen] = deque()
+        self._recent: deque[_Seen] = deque()
+        self._older: deque[_Seen] = deque(maxlen=OLDER_STEPS_MAX)
+        self._rest: _Rest | None = None
         self._left: Touch | None = None
+
+    def places_before(self, time_s: float = math.inf) -> FloatArray:
+        """List the places (n, 3) of the tip before a time, metres, link, the newest last."""
+        seen = [each.place for of in (self._older, self._recent) for each in of if each.time_s < time_s]
+        return np.array(seen, dtype=np.float64).reshape(-1, 3)
+
+    @property
+    def began_s(self) -> float:
+        """Host's monotonic clock, s: begin of the present rest; infinite without one."""
+        return math.inf if self._rest is None else self._rest.first.time_s
 
     def feed(self, seen: _Seen) -> Touch | None:
         """Follow the tip; give the touch that it has just left."""
-        self.history.append(seen)
-        while seen.time_s - self.history[0].time_s > HISTORY_S and len(self.history) > 1:
-            self.history.popleft()
-        if self._rest and length_of(seen.place - self._rest[0].place) > REST_RADIUS_M:
-            if self._rest[-1].time_s - self._rest[0].time_s >= self.still_s:
-                self._left = self._touch()
-            self._rest.clear()
-        self._rest.append(seen)
+        self._recent.append(seen)
+        while seen.time_s - self._recent[0].time_s > HISTORY_S and len(self._recent) > 1:
+            old = self._recent.popleft()
+            if not self._older or length_of(old.place - self._older[-1].place) >= APPROACH_MIN_M:
+                self._older.append(old)
+        rest = self._rest
+        if rest is None or length_of(seen.place - rest.first.place) > REST_RADIUS_M:
+            if rest is not None and rest.seconds >= self.still_s:
+                self._left = self._touch(rest)
+            self._rest = _Rest(seen)
+        else:
+            rest.add(seen)
         left = self._left
         if left is None or length_of(seen.place - left.place) < TIP_LEFT_M:
             return None
@@ -188,22 +236,21 @@ class RestWatch:
             return None
         return left if float(away @ left.push) <= TURNED_BACK_MAX_COSINE else None
 
-    def _touch(self) -> Touch | None:
-        place = np.mean([each.place for each in self._rest], axis=0)
-        before = [each.place for each in self.history if each.time_s < self._rest[0].time_s]
-        distances = np.linalg.norm(np.reshape(before, (-1, 3)) - place, axis=1)
+    def _touch(self, rest: _Rest) -> Touch | None:
+        place, before = rest.place, self.places_before(rest.first.time_s)
+        distances = np.linalg.norm(before - place, axis=1)
         far = np.flatnonzero(distances >= APPROACH_M)
         if not len(far):
             return None
-        most = max(self._rest, key=lambda each: each.response / each.needed if math.isfinite(each.response) else -math.inf)
         push = (place - before[int(far[-1])]) / distances[far[-1]]
-        return Touch(self._rest[0].time_s, self._rest[-1].time_s, place, push, most.response, most.needed)
+        most = rest.strongest
+        return Touch(rest.first.time_s, rest.last.time_s, place, push, most.response, most.needed)
 
     def forget(self) -> None:
         """Forget the way of the tip after a break."""
-        self.history.clear()
-        self._rest.clear()
-        self._left = None
+        self._recent.clear()
+        self._older.clear()
+        self._rest = self._left = None
 
 
 class TouchDetector(ContactDetector):
@@ -251,7 +298,7 @@ class TouchDetector(ContactDetector):
         if tare is not None and share >= 1.0 and not self._is_recovering:
             before = self._tares.before(sample.host_s) or tare
             self._tares.interrupt()
-            approach = np.array([each.place for each in self._rests.history]).reshape(-1, 3)
+            approach = self._rests.places_before()
             self._press = TouchPress(self._thresholds, before, sample, pose, self._period_s, approach)
             self._press.add(sample, pose)
             return outcomes
@@ -271,6 +318,16 @@ class TouchDetector(ContactDetector):
             self._press_ended_s, self._is_recovering = sample.host_s, share >= RELEASE_SHARE
             return self._end(press)
         return self._feed_held(press, sample, pose)
+
+    def _feed_held(self, press: Press, sample: Sample, pose: ArmPose) -> list[Outcome]:
+        """Process a sample of a press that goes on; one that is too long for its tare ends, with its stillest window so far."""
+        press.add(sample, pose)
+        if sample.host_s - press.tare.end_s <= TARE_AGE_MAX_S or not press.is_steady:
+            return []
+        if press.best is None or self._rests.began_s < press.start_s - PARKED_S:
+            return self._reject_untared(press, sample, sample.host_s - press.tare.end_s, TARE_AGE_MAX_S)
+        self._press_ended_s, self._is_recovering = sample.host_s, True
+        return self._end(press)
 
     def _strongest_share(self, sample: Sample) -> float:
         """Compute the strongest answer of a taxel over its limit; 0 before a tare."""

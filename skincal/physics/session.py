@@ -27,7 +27,7 @@ ARRIVED_WITHIN_WITH_CARRIED_PART_M = 0.0003
 
 
 HELD_WAIT_WITHOUT_SENSOR_S = 0.3
-"""s. The way to the place must lie within the last seconds when the tip turns back (`contacts/touch_detector.py`)."""
+"""s. At a landmark no taxel answers, so nothing says `held`: waiting for it only takes time."""
 
 
 class TargetQueue:
@@ -126,7 +126,6 @@ def make_client(
             arrive=ARRIVED_WITHIN_WITH_CARRIED_PART_M,
         )
     if not robot.scene.has_sensor:
-        # A touch of a landmark is known once the tip has turned back: nothing says `held` before.
         settings = replace(settings, held_wait_s=HELD_WAIT_WITHOUT_SENSOR_S)
     client = PokingClient(robot, surface, answer, settings)
     client.locate_part = robot.locate_part if has_tool else None

@@ -20,6 +20,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.part.part import anchor_findings, load_scene_surface
+from skincal.session.landmark_pokes import can_be_at_landmark
 from skincal.session.pipeline import Pipeline
 from skincal.session.skin_findings import session_skin_sentences
 from skincal.session.tool_streams import check_tool_streams
@@ -27,7 +28,13 @@ from skincal.streams.links import ITEMS_AT_ONCE, LinkSpec
 from skincal.words.frame_words import frame_sentences
 from skincal.words.layout_words import sheet_findings
 from skincal.words.link_words import silent_links
-from skincal.words.poke_words import WHOLE_RECORDINGS, late_angles_sentence, no_poke_sentence, too_short_sentence
+from skincal.words.poke_words import (
+    WHOLE_RECORDINGS,
+    late_angles_sentence,
+    no_poke_sentence,
+    too_short_sentence,
+    unnamed_landmarks_sentence,
+)
 
 
 class KeptError(InputError):
@@ -122,6 +129,22 @@ def stream_findings(pipeline: Pipeline) -> list[str]:
     return [*([late] if late else []), *pipeline.freeze_findings(), *skin]
 
 
+def unnamed_landmarks(pipeline: Pipeline, folder: Path) -> list[str]:
+    """Say how the pokes of a recording get their landmarks: at most one sentence."""
+    snapshot = pipeline.snapshot()
+    named = set(snapshot.at_landmarks.values())
+    free = [
+        record.outcome
+        for record in snapshot.pokes
+        if isinstance(record.outcome, Rejection)
+        and can_be_at_landmark(record.outcome)
+        and record.outcome.poke not in snapshot.at_landmarks
+    ]
+    names = [landmark.name for landmark in snapshot.decisions.landmarks if landmark.name not in named]
+    sentence = unnamed_landmarks_sentence(names, len(free), str(folder), is_placed=snapshot.is_placed)
+    return [sentence] if sentence else []
+
+
 def joint_columns(scene: Scene) -> tuple[str, ...]:
     """Name the columns of the scene's joint stream, empty for one that the arm does not need; empty if it names none."""
     robot = scene.robot
@@ -177,13 +200,15 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         accepted = sum(isinstance(outcome, Contact) for outcome in outcomes)
         if silent and (not accepted or any(link.is_mixture for link in links)):
             raise InputError(f"{silent} No session was made.")
-        too_short = "" if outcomes else too_short_sentence(pipeline.before_pokes, scene.contacts)
+        too_short = "" if outcomes else too_short_sentence(pipeline.before_pokes, scene.contacts, has_sensor=scene.has_sensor)
         if too_short:
             raise InputError(f"{too_short} {WHOLE_RECORDINGS} No session was made.")
-        unpoked = "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts, links)
+        unpoked = (
+            "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts, links, has_sensor=scene.has_sensor)
+        )
         warnings = [f"{link.link}: {link.warning}" for link in links if link.warning]
         frames = frame_sentences(pipeline.session.wrench_frames, pipeline.session.contacts)
-        findings = (*frames, *stream_findings(pipeline), *warnings)
+        findings = (*frames, *stream_findings(pipeline), *warnings, *unnamed_landmarks(pipeline, request.folder))
     return Imported(request.folder, len(outcomes), accepted, unpoked, findings)
 
 

@@ -230,18 +230,40 @@ def missed_words(missed: MissedLandmark) -> str:
 WHOLE_RECORDINGS = "Give the whole recordings of one run."
 
 
-def too_short_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
+def too_short_sentence(seen: BeforePokes, thresholds: ContactSettings, *, has_sensor: bool = True) -> str:
     """Explain why a recording is too short for any poke; empty if it is long enough."""
     needed_s = thresholds.quiet_s + thresholds.still_s
     if not seen.samples or seen.seconds >= needed_s:
         return ""
+    streams = "Force and skin were recorded together" if has_sensor else "The skin was recorded"
     return (
-        f"Force and skin were recorded together for {seen.seconds:.2g} s; a poke needs {needed_s:g} s: "
+        f"{streams} for {seen.seconds:.2g} s; a poke needs {needed_s:g} s: "
         f"{thresholds.quiet_s:g} s without a touch and {thresholds.still_s:g} s of holding still."
     )
 
 
-def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequence[LinkHealth] = ()) -> str:
+def unnamed_landmarks_sentence(landmarks: Sequence[str], pokes: int, folder: str, *, is_placed: bool) -> str:
+    """Say how the pokes of a recording get their landmarks; empty without `landmarks`, or `pokes` that can be at one.
+
+    Parameters
+    ----------
+    landmarks : names of those without a poke
+    pokes : number of the pokes that no taxel answered and that are at no landmark
+    """
+    if not landmarks or not pokes:
+        return ""
+    how = (
+        f"`skincal landmarks {folder} --find` names them, where it is sure"
+        if is_placed
+        else f"`skincal landmarks {folder} --order` names them in their order, or --at one by one; three show the part's pose"
+    )
+    at = count(len(landmarks), "landmark has no poke", "landmarks have no poke")
+    return f"{at}, and no taxel answered {count(pokes, 'poke')}: {how}."
+
+
+def no_poke_sentence(
+    seen: BeforePokes, thresholds: ContactSettings, links: Sequence[LinkHealth] = (), *, has_sensor: bool = True
+) -> str:
     """Describe a recording without a poke: its content, the needs of a poke, and the next check."""
     mostly = next((link for link in links if link.link != Stream.JOINTS.value and 2 * link.numberless > link.readings), None)
     if mostly is not None:
@@ -249,6 +271,8 @@ def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequ
             f"No poke was found: {mostly.numberless} of the {mostly.readings} readings of the {link_name(mostly)} are NaN or "
             "infinite. Check the sensor and the program that published them."
         )
+    if not has_sensor:
+        return _no_tip_poke_sentence(seen, thresholds)
     if not seen.samples:
         return (
             "No poke was found: the force/torque readings and the skin readings never overlap in time. "
@@ -281,4 +305,25 @@ def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings, links: Sequ
     return (
         f"{looked}: the largest change of force is {seen.strongest:.2g} N, and {skin}. A poke needs "
         f"{thresholds.touch_force:g} N or more. Check {check}, or lower touch_force in the scene's [contacts]."
+    )
+
+
+def _no_tip_poke_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
+    """Describe a recording without a poke of a rig that has no force sensor."""
+    if not seen.samples:
+        return "No poke was found: no frame of the skin could be used. Check the format and the width of its frames."
+    looked = f"No poke was found in {count(seen.samples, 'skin frame')}, over {seen.seconds:.0f} s"
+    if not seen.tared:
+        return (
+            f"{looked}: the skin was never at rest for {thresholds.quiet_s:g} s. Hold the tip off the skin before each poke, "
+            "and check the noise of the skin."
+        )
+    if seen.fell and not seen.answered:
+        return (
+            f"{looked}: no taxel answered, but the readings of {seen.fell} fell: check polarity in [skin] of the scene, and "
+            f"response_min of [contacts] ({thresholds.response_min:g} now)."
+        )
+    return (
+        f"{looked}: no taxel answered by response_min of [contacts] ({thresholds.response_min:g}), and no touch of a landmark "
+        "was seen: the tip comes, rests, and goes back the same way. Check that the part was touched, and the tool's poses."
     )

@@ -114,15 +114,26 @@ def repeated_pose_sentence(contacts: Sequence[Contact]) -> str:
     of_pose: dict[bytes, list[Contact]] = {}
     for contact in contacts:
         of_pose.setdefault(contact.link_from_sensor.tobytes(), []).append(contact)
-    taxels, repeated = max(
-        ((len({poke.strongest_channel for poke in each}), len(each)) for each in of_pose.values()), default=(0, 0)
+    taxels, _, pokes = max(
+        ((len({poke.strongest_channel for poke in each}), len(each), each) for each in of_pose.values()),
+        key=lambda found: found[:2],
+        default=(0, 0, []),
     )
     if taxels < REPEATED_POSE_MIN_TAXELS:
         return ""
     return (
-        f"tool: {repeated} pokes on {taxels} taxels have the same pose of the tool to the last digit: its stream repeats "
-        "one pose. Their positions are wrong: exclude these pokes, and check the program that sends the poses."
+        f"tool: {len(pokes)} pokes on {taxels} taxels have the same pose of the tool to the last digit: its stream repeats "
+        f"one pose. Their positions are wrong: check the program that sends the poses, and {exclude_words(pokes)}."
     )
+
+
+def exclude_words(pokes: Sequence[Contact]) -> str:
+    """Give the order to exclude pokes, in the window and without one."""
+    numbers = sorted(poke.poke for poke in pokes)
+    starts = [k for k, number in enumerate(numbers) if not k or number != numbers[k - 1] + 1]
+    runs = [(numbers[k], numbers[(*starts, len(numbers))[row + 1] - 1]) for row, k in enumerate(starts)]
+    listed = ",".join(f"{first}-{last}" if last > first else f"{first}" for first, last in runs)
+    return f"exclude them (key E in the Pokes tab, or `skincal pokes SESSION --exclude {listed}`)"
 
 
 def pose_delay_sentence(delays: PoseDelays | None) -> str:

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skincal.contacts.touch_detector import HISTORY_S
-from skincal.following.robot_dialogue import HOLD_TIME_IN_STILL_WINDOWS
 from skincal.geometry import FloatArray, inverse_pose
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
@@ -131,11 +129,7 @@ def test_the_devices_are_those_of_the_rig(name: str, streams: set[Stream]) -> No
     assert poses.count(b"\nP,") + poses.startswith(b"P,") >= 2, "125 a second, in lines of SKT/1"
 
 
-def test_a_cobot_without_a_sensor_lets_go_while_the_way_to_the_landmark_is_still_known() -> None:
-    """A longer hold would leave no way from which the tip turns back, and no landmark would ever be found."""
+def test_a_cobot_without_a_sensor_waits_less_for_the_word_that_a_landmark_never_gets() -> None:
     without = make_client(cobot(name="cobot-tip"), part("cobot-tip")[1], lambda _: None).settings
     with_sensor = make_client(cobot(), part()[1], lambda _: None).settings
-    asked_hold_s = HOLD_TIME_IN_STILL_WINDOWS * part("cobot-tip")[0].contacts.still_s
-    slow_way_s = without.standoff / without.approach_speed
-    assert asked_hold_s + without.held_wait_s + slow_way_s + 1.0 < HISTORY_S, "1 s to reach the force"
     assert with_sensor.held_wait_s > without.held_wait_s

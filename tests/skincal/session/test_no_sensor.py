@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from skincal.cli.output import poke_counts, poke_lines
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.contacts.touch_detector import RestWatch, _Seen
 from skincal.following.results import SessionResults
 from skincal.journal.writer import create_session
 from skincal.mesh.load import load_surface
@@ -62,15 +63,16 @@ def pushes(rng, count):
     return np.stack([np.sin(lean) * np.cos(around), np.sin(lean) * np.sin(around), -np.cos(lean)], axis=1)
 
 
-def heights(times):
+def heights(times, hold_s=HOLD_S):
     """Share of `ABOVE`, and share of the way to the next place."""
     down = np.clip((times - PAUSE_S) / WAY_S, 0.0, 1.0)
-    up = np.clip((times - PAUSE_S - WAY_S - HOLD_S) / WAY_S, 0.0, 1.0)
-    return 1.0 - down + up, np.clip((times - (POKE_S - MOVE_S)) / MOVE_S, 0.0, 1.0)
+    up = np.clip((times - PAUSE_S - WAY_S - hold_s) / WAY_S, 0.0, 1.0)
+    return 1.0 - down + up, np.clip((times - (POKE_S - HOLD_S + hold_s - MOVE_S)) / MOVE_S, 0.0, 1.0)
 
 
-def readings(contacts, seed=1, noise=0.0001, aim_sd=0.0008, slide=None):
+def readings(contacts, seed=1, noise=0.0001, aim_sd=0.0008, slide=None, hold_s=HOLD_S):
     """Yield stream, time and values of pokes at contacts (n, 3) of the part; `slide` moves the tip while it holds."""
+    poke_s = POKE_S - HOLD_S + hold_s
     rng = np.random.default_rng(seed)
     ways = pushes(rng, len(contacts))
     contacts = contacts + np.append(aim_sd, [aim_sd, 0.0]) * rng.standard_normal(contacts.shape)
@@ -84,16 +86,16 @@ def readings(contacts, seed=1, noise=0.0001, aim_sd=0.0008, slide=None):
         centre = contact + OUT
         following = min(number + 1, len(contacts) - 1)
         away = contacts[following] + OUT - ABOVE * ways[following] - (centre - ABOVE * push)
-        times = np.arange(0, POKE_S, 1 / HZ)
-        height, moved = heights(times)
+        times = np.arange(0, poke_s, 1 / HZ)
+        height, moved = heights(times, hold_s)
         near = np.exp(-np.sum((TAXELS - contact) ** 2, axis=1) / (2 * 0.004**2))
         for t, high, share in zip(times, height, moved, strict=True):
             place = centre - high * ABOVE * push + share * away
-            if slide is not None and PAUSE_S + WAY_S < t < PAUSE_S + WAY_S + HOLD_S:
-                place = place + np.array(slide) * (t - PAUSE_S - WAY_S) / HOLD_S
+            if slide is not None and PAUSE_S + WAY_S < t < PAUSE_S + WAY_S + hold_s:
+                place = place + np.array(slide) * (t - PAUSE_S - WAY_S) / hold_s
             place = BASE_FROM_PART[:3, :3] @ place + BASE_FROM_PART[:3, 3] + noise * rng.standard_normal(3)
             pressed = np.clip(1.0 - high / 0.05, 0.0, 1.0)
-            at = 1.0 + number * POKE_S + t
+            at = 1.0 + number * poke_s + t
             yield "tool", at, np.concatenate([place - turn @ TIP, Rotation.from_matrix(turn).as_quat()])
             yield "skin", at, np.round(20 + 150 * pressed * np.where(near > 0.2, near, 0.0) + rng.normal(0.0, 0.4, len(TAXELS)))
 
@@ -226,6 +228,37 @@ def test_a_requested_landmark_is_found_by_the_tip_that_turns_back(tmp_path):
         pipeline.feed(item)
     pipeline.close()
     assert pipeline.session.decisions.landmark_of_poke == {1: "m0", 2: "m1", 3: "m2"}
+
+
+@pytest.mark.parametrize(
+    ("hold_s", "slide"), [(2.5, None), (12.0, None), (10.0, [0.002, 0.0, 0.0])], ids=["2.5", "12", "drift"]
+)
+def test_a_landmark_and_a_taxel_are_held_for_any_time(tmp_path, hold_s, slide):
+    """A hand or a robot may hold for ten seconds, and a hand drifts by 2 mm meanwhile: the way that it came is still known."""
+    places = np.concatenate([MARKS[:1], TAXELS[4:5]])
+    pipeline = calibrate(scene_of(tmp_path, scene_text()), chunks(places, hold_s=hold_s, aim_sd=0.0, slide=slide))
+    outcomes = outcomes_of(pipeline)
+    assert [isinstance(each, Contact) for each in outcomes] == [False, True]
+    ways = pushes(np.random.default_rng(1), len(places))
+    for outcome, place, way in zip(outcomes, places, ways, strict=True):
+        moved = outcome.link_from_sensor[:3, 3] - (BASE_FROM_PART[:3, :3] @ (place + OUT) + BASE_FROM_PART[:3, 3])
+        assert np.linalg.norm(moved) < (0.0005 if slide is None else 0.0025)
+        push = outcome.link_from_sensor[:3, :3] @ outcome.force
+        # The push starts 5 mm before the place, of which a drift moves the end by up to 2 mm.
+        assert push @ BASE_FROM_PART[:3, :3] @ way > (0.99 if slide is None else 0.85)
+
+
+def test_a_tool_that_is_parked_for_long_needs_no_memory_and_keeps_its_way():
+    watch, start = RestWatch(0.3), np.array([0.0, 0.0, 0.03])
+    for k in range(300):
+        watch.feed(_Seen(k / 50, start * (1.0 - min(k, 30) / 30), None, 0.0, 10.0))
+    for k in range(300, 6_000):
+        watch.feed(_Seen(k / 50, np.zeros(3), None, 0.0, 10.0))
+    assert len(watch.places_before()) < 250
+    left = [watch.feed(_Seen(120 + k / 50, start * k / 30, None, 0.0, 10.0)) for k in range(30)]
+    (touch,) = [each for each in left if each is not None]
+    np.testing.assert_allclose(touch.push, [0.0, 0.0, -1.0], atol=1e-12)
+    assert touch.end_s - touch.start_s > 110
 
 
 def test_a_pause_above_the_skin_is_no_poke(tmp_path):
