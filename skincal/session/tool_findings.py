@@ -21,7 +21,7 @@ from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import Landmark, Scene
 from skincal.pokes import Pokes
 from skincal.rig.mesh_distance import MeshDistance, find_mesh_distance
-from skincal.rig.part_pose import NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
+from skincal.rig.part_pose import MISFIT_MIN_RATIO, NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
 from skincal.rig.part_pose_starts import closed_start
 from skincal.rig.part_touches import MESH_SD_M, PartShape, PartTouches, motion_rows
 from skincal.rig.scene_mistakes import Mistake
@@ -39,8 +39,6 @@ TOUCHES_MAX = 150
 """Pokes on the skin in a fit; of more an even selection is used."""
 CORNERS_MAX = 200
 """Vertices of the mesh at which an error of the part's pose is measured."""
-EXPLAIN_ABOVE_RATIO = 2.5
-"""Misses over expected ones from which a usual mistake is looked for."""
 PART_POSE_MISMATCH_CHI2 = 27.9
 """A given pose of the part disagrees with the touches above it: one in 10,000 (chi-square, six degrees of freedom)."""
 PART_POSE_MISMATCH_MIN_M = 0.003
@@ -150,7 +148,7 @@ class ToolFindings:
             return
         self.part, self.misfit = self._below_balls(fit_part_pose(touches, shape), touches, shape), None
         self._with_error.clear()
-        if self.part.ratio > EXPLAIN_ABOVE_RATIO:
+        if self.part.ratio > MISFIT_MIN_RATIO:
             # A copy keeps the tip of now.
             self.misfit = PartMisfit(copy(self), pokes, tuple(used), tuple(marks), shape)
             # Beyond, the pose is refused without an explanation, too.

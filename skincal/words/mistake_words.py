@@ -40,8 +40,8 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
     if first.kind is MistakeKind.TOOL_UNEXPLAINED:
         return (
             f"{found.pokes} pokes miss the taxels that answer by {millimetres(first.miss, 0)} (median), and no known mistake "
-            "explains it. Make the fixed-point test with `skincal tool`, then check base_from_link and flange of [tool], and "
-            "axes and sign of the wrench.",
+            "explains it. Make the fixed-point test (Session menu, or `skincal tool`), then check base_from_link and flange of "
+            "[tool], and axes and sign of the wrench.",
         )
     what, remedy = mistake_words(first)
     misses = (
@@ -99,7 +99,8 @@ _MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
     ),
     MistakeKind.TOOL_POSE_OF_TIP: (
         "the poses of the tool are those of its tip, not of the flange",
-        "send the pose of the flange, or give tip_mm and flange of [tool] in the frame of the tip",
+        "send the pose of the flange, or write tip_mm = [0, 0, 0] into [tool], and the flange of a sensor in the frame of the "
+        "tip",
     ),
     MistakeKind.TOOL_OTHER_TIP: (
         "the tip lies ({names[0]}, {names[1]}, {names[2]}) mm from tip_mm, in the tool's frame: this is another tool, or the "
@@ -143,7 +144,8 @@ def mistake_words(mistake: Mistake) -> tuple[str, str]:
         shift = ", ".join(f"{value * 1e3:.0f}" for value in mistake.shift)
         return (
             f"the tip is elsewhere in the tool's frame than tip_mm, by ({shift}) mm",
-            "check that the tool centre point is that of this tool, and make the fixed-point test",
+            "check that the tool centre point is that of this tool, and make the fixed-point test (Session menu, or "
+            "`skincal tool`)",
         )
     if mistake.kind is MistakeKind.TOOL_SENSOR_TURNED:
         turn = rotation_vector(mistake.motion[:3, :3])

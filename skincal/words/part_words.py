@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from skincal.rig.mesh_distance import MeshDistance
-from skincal.rig.part_pose import MIN_TOUCHES, PartPose, PartPoseState
+from skincal.rig.part_pose import MIN_TOUCHES, MISFIT_MIN_RATIO, PartPose, PartPoseState
 from skincal.rig.part_touches import OpenMotion
 from skincal.rig.tip_frame import TIP_FRAME_MIN_POKES, TipFrame, TipState
 from skincal.rig.tool_tip import TIP_SPREAD_MAX_M, ToolTip
@@ -17,6 +17,12 @@ from skincal.words.units import count, degrees, direction, millimetres, point_mm
 OPEN_ABOVE_M = 0.05
 """m. A larger sd of a motion only says that nothing was measured."""
 MOST_OPEN_MOTIONS_NAMED = 2
+RIVAL_DOUBTED_ABOVE_RATIO = 1.5
+"""Misses over expected ones of a pose, above which another one fits as well only because none fits."""
+MISFIT_ADVICE = (
+    "The cause may be the tip, a landmark with another name or place, or a part that moved. Make the fixed-point test (Session "
+    "menu, or `skincal tool`), and touch more landmarks: with six or more the mistake is named."
+)
 
 
 def open_motion_words(motion: OpenMotion) -> str:
@@ -32,8 +38,15 @@ def open_motion_words(motion: OpenMotion) -> str:
 
 
 def _open_words(pose: PartPose) -> str:
+    if pose.ratio > MISFIT_MIN_RATIO:
+        return _misfit_words(pose)
     named = [open_motion_words(motion) for motion in pose.open_motions[:MOST_OPEN_MOTIONS_NAMED]]
     return f"The part {', and '.join(named)}: touch one landmark." if named else ""
+
+
+def _misfit_words(pose: PartPose) -> str:
+    """Describe touches that fit no pose well: one landmark more would not decide between poses, but show the mistake."""
+    return f"The touches miss by {pose.ratio:.1f} times the expected error. {MISFIT_ADVICE}"
 
 
 def part_pose_sentence(pose: PartPose, landmark: str = "") -> str:
@@ -55,7 +68,8 @@ def part_pose_sentence(pose: PartPose, landmark: str = "") -> str:
             worst = f" Landmark {landmark} misses most, by {millimetres(pose.worst_miss)}." if landmark else ""
             return (
                 f"{unknown} No pose fits: the touches miss by {pose.ratio:.0f} times the expected error.{worst} "
-                "Check the names of the landmarks, the mesh and the tip, and make the fixed-point test."
+                "Check the names of the landmarks, the mesh and the tip, and make the fixed-point test (Session menu, or "
+                "`skincal tool`)."
             )
         case PartPoseState.KNOWN:
             seen = (
@@ -70,6 +84,8 @@ def part_pose_sentence(pose: PartPose, landmark: str = "") -> str:
 
 def _rival_words(pose: PartPose) -> str:
     assert pose.rival is not None
+    if pose.ratio > RIVAL_DOUBTED_ABOVE_RATIO:
+        return _misfit_words(pose)
     between = pose.rival @ pose.base_from_link
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(between[:3, :3])) - 1.0) / 2.0)))
     if angle < math.radians(10.0):

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.rig.part_agreement import agreement_with_part
-from skincal.rig.part_pose import PartPoseState, fit_part_pose
+from skincal.rig.part_pose import MISFIT_MIN_RATIO, PartPoseState, fit_part_pose
 from skincal.rig.part_touches import LANDMARK_SD_M, PartShape, PartTouches
+from skincal.words.part_words import RIVAL_DOUBTED_ABOVE_RATIO, part_pose_sentence
 from skincal.words.verdict_words import agreement_words
 
 NOISE = NoiseSettings()
@@ -315,3 +316,32 @@ def test_another_base_changes_the_pose_by_its_motion_alone():
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-4, atol=1e-12)
     again = fit_part_pose(made, shape(wedge()))
     assert again.link_from_base.tobytes() == one.link_from_base.tobytes()
+
+
+def with_wrong_tip(off, count=3, seed=1):
+    """Touches of landmarks by a tool that leans, with a tip that lies `off` (3,) metres from the given one."""
+    rng, marks = np.random.default_rng(seed), LANDMARKS[:count]
+    turns = Rotation.from_rotvec(rng.uniform(-0.6, 0.6, (count, 3))).as_matrix()
+    made = shaken(rng, marks)
+    return fit_part_pose(
+        replace(made, place=made.place + turns @ off, tool_turn=turns, landmark=marks),
+        PartShape(None, CORNERS, NOISE, 0.001**2 * np.eye(3)),
+    )
+
+
+def test_a_wrong_tip_at_three_landmarks_is_no_part_that_lies_elsewhere():
+    """One landmark more would not decide between poses: the sentence names the causes, and the test that finds the tip."""
+    found = with_wrong_tip(np.array([0.0, 0.01, 0.04]))
+    assert found.state is not PartPoseState.FEW_TOUCHES
+    assert found.ratio > MISFIT_MIN_RATIO
+    turned = TRUE @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    for state in (PartPoseState.KNOWN, PartPoseState.OPEN, PartPoseState.AMBIGUOUS):
+        said = part_pose_sentence(replace(found, state=state, rival=turned))
+        assert "miss by" in said
+        assert "The cause may be the tip" in said
+        assert "`skincal tool`" in said
+        assert "touch one landmark" not in said
+    right = with_wrong_tip(np.zeros(3))
+    assert right.ratio < RIVAL_DOUBTED_ABOVE_RATIO
+    assert "fits as well turned by" in part_pose_sentence(replace(right, state=PartPoseState.AMBIGUOUS, rival=turned))
+    assert "miss by" not in part_pose_sentence(right)
