@@ -32,7 +32,17 @@ from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import GO_ON_SIMULATED
 from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
-from app.text.message import NO_ADDRESSES, PART_NOT_SAVED, Message, closed_words, connect_words, keep_question, look_words
+from app.text.message import (
+    NO_ADDRESSES,
+    PART_NOT_SAVED,
+    Message,
+    closed_words,
+    connect_words,
+    keep_question,
+    look_words,
+    tip_words,
+    tip_written_words,
+)
 from app.text_size import TextSize
 from app.theme import DARK, LIGHT, WIDGET_GAP_PX, Choice, Colours
 from skincal.model.errors import InputError
@@ -44,6 +54,7 @@ if TYPE_CHECKING:
     from app.session_view import SessionView
     from app.state.policies import Allowed
     from skincal.part.part import Part
+    from skincal.part.tool_draft import ToolDraft
     from skincal.session.importing import Imported
 
 LOG = logging.getLogger(__name__)
@@ -456,6 +467,75 @@ class Window(QMainWindow):
             dialog.rejected.connect(self.controller.resume)
         dialog.open()
 
+    @property
+    def has_tool(self) -> bool:
+        """Whether the open session is about a part that a tool pokes, whose poses are streamed."""
+        return self.session_view is not None and self.session_view.workspace.part.scene.tool is not None
+
+    def ask_fixed_point(self) -> None:
+        """Find the tip of the tool by touches of one point; the devices of the session are released meanwhile."""
+        from skincal.model.readings import Stream
+
+        address = next((link.address for link in self.controller.links if Stream.TOOL in link.carries), "")
+        self._confirm_addresses([address] if address else [], lambda: self._open_fixed_point(address))
+
+    def _open_fixed_point(self, address: str) -> None:
+        from app.builder.fixed_point_dialog import FixedPointDialog
+        from skincal.part.part_draft import open_draft
+
+        try:
+            files = self._scene_files()
+            tool = open_draft(files[0]).tool
+        except InputError as error:
+            self.tell_failure(str(error))
+            return
+        paused = self._lend_devices()
+        resume = self.controller.resume if paused else lambda: None
+        dialog = FixedPointDialog(tool, address, self)
+
+        def ask(found: ToolDraft) -> None:
+            words = tip_words(found.tip_mm or (), "" if found.rotation == tool.rotation else found.rotation, files)
+            self._offer("Write this tip?", words, "Write", lambda: self._use_tip(found, files, paused=paused), resume)
+
+        dialog.found.connect(ask)
+        self._open_page(dialog, paused=paused)
+
+    def _scene_files(self) -> list[Path]:
+        """List the scene files of the open session: its own copy, then the part's file if that is another one.
+
+        Raises InputError: there is none that may be changed.
+        """
+        part = self._scene_path()
+        found = dict.fromkeys(path for path in (self.controller.scene_copy, part) if path is not None)
+        files = [path for path in found if path.is_file() and not is_shipped(path)]
+        if not files:
+            raise InputError(
+                f"{part}: is part of skincal and is not changed; start a session first, or describe your own part."
+            )
+        return files
+
+    def _use_tip(self, tool: ToolDraft, files: Sequence[Path], *, paused: bool) -> None:
+        """Write the tool into scene files, and open the session again: its pokes are found again from the bytes."""
+        from app.session.opening import addresses_of
+        from skincal.part.part_draft import save_tool
+
+        self.controller.keep()
+        folder = self.controller.folder
+        # A simulated device ends with its session.
+        read = paused and not self.controller.simulated
+        given = addresses_of(self.controller.links) if read else Addresses()
+        try:
+            for path in files:
+                save_tool(path, tool)
+        except InputError as error:
+            self.tell_failure(str(error))
+            if paused:
+                self.controller.resume()
+            return
+        if folder is not None:
+            self._open(OpenRequest(session=folder, addresses=given))
+        self.tell(Message(tip_written_words(files, is_session=folder is not None)))
+
     def ask_import(self, paths: Sequence[Path] = ()) -> None:
         """Ask for a recording of another program, make a session of it and open that."""
         from app.dialogs.import_dialog import ImportDialog
@@ -588,8 +668,15 @@ class Window(QMainWindow):
         else:
             connect()
 
-    def _offer(self, title: str, text: str, yes: str = "", accepted: Callable[[], object] = lambda: None) -> None:
-        """Show a text; with a button `yes`, call `accepted` if it is pressed."""
+    def _offer(
+        self,
+        title: str,
+        text: str,
+        yes: str = "",
+        accepted: Callable[[], object] = lambda: None,
+        refused: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Show a text; with a button `yes`, call `accepted` if it is pressed, else `refused`."""
         no = QMessageBox.StandardButton.Cancel if yes else QMessageBox.StandardButton.Close
         box = QMessageBox(QMessageBox.Icon.NoIcon, title, "", no, self)
         # Before the text: HTML in it would take effect at once.
@@ -598,6 +685,7 @@ class Window(QMainWindow):
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         if yes:
             box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(accepted)
+            box.rejected.connect(refused)
         # The space bar or a pedal may be pressed a second time before the question is read.
         box.setDefaultButton(QMessageBox.StandardButton.Cancel)
         box.open()

@@ -617,6 +617,15 @@ class Controller(QObject):
         return None if self._recording is None or self.can_keep else self._recording.storage.folder
 
     @property
+    def scene_copy(self) -> Path | None:
+        """The open session's own scene file; `None` without a session that may be changed."""
+        if self._recording is None or self._recording.pipeline.journal is None:
+            return None
+        from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER
+
+        return self._recording.storage.folder / SCENE_FOLDER / SCENE_FILE
+
+    @property
     def unsaved_pokes(self) -> int:
         """Number of pokes in a provisional session; 0 if nothing changed since it was opened."""
         if self._recording is None or not self.can_keep or _session_size(self._recording.pipeline) == self._size_at_open:

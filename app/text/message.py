@@ -50,6 +50,22 @@ def kept_messages_text(kept: Iterable[tuple[datetime, Message]]) -> str:
     return "\n\n".join(reversed(lines)) or "There is no message yet."
 
 
+def tip_words(tip_mm: Sequence[float], form: str, files: Sequence[Path]) -> str:
+    """Ask whether to write a tip that the fixed-point test found, with the form of the poses if it is another one."""
+    lines = [f"tip_mm = [{', '.join(f'{value:g}' for value in tip_mm)}]", *([f'rotation = "{form}"'] if form else [])]
+    return (
+        f"{' and '.join(lines)} will be written into [tool] of\n\n"
+        + "\n".join(plain_text(str(path)) for path in files)
+        + "\n\nThe session is then opened again, and its pokes are found again with this tip from what was recorded."
+    )
+
+
+def tip_written_words(files: Sequence[Path], *, is_session: bool) -> str:
+    """Say where a tip was written, and what follows."""
+    written = f"The tip is written into {' and '.join(plain_text(str(path)) for path in files)}."
+    return f"{written} The pokes of this session are found again with it." if is_session else written
+
+
 def refused_words(failure: str) -> str:
     """Report that the disk refuses data, for the reason `failure`."""
     return (

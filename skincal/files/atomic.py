@@ -14,24 +14,25 @@ from skincal.model.errors import InputError
 _SESSION_FILE_RE = re.compile(r"segment-\d{4}\.(mcap|jsonl)|session\.lock")
 
 
-def write_atomically(path: Path, data: bytes) -> Path | None:
+def write_atomically(path: Path, data: bytes, *, changes_session_scene: bool = False) -> Path | None:
     """Write `data` to `path` with the rights of the older file; return the path of its copy, `None` if there was none.
 
     The copy has `.bak` after its name, or `.bak-2` and so on if that is taken. The bytes are on the disk before the name
-    changes, so `path` is at every moment the old file or the new one.
+    changes, so `path` is at every moment the old file or the new one. With `changes_session_scene` it may be a file in the
+    scene's copy of a session, which the operator changes.
 
     Raises InputError: the folder is missing, the path is a folder, a link, a device or part of a recorded session, or the disk
     refuses; the older file is unchanged.
     """
     try:
-        _require_replaceable(path)
+        _require_replaceable(path, changes_session_scene=changes_session_scene)
         return _replace(path, data)
     except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
         why = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{path}: cannot be written ({why}); free some space or choose another folder.") from None
 
 
-def _require_replaceable(path: Path) -> None:
+def _require_replaceable(path: Path, *, changes_session_scene: bool) -> None:
     """Raise InputError: the path is something that an export must not replace."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected the name of a file to write.")
@@ -42,7 +43,7 @@ def _require_replaceable(path: Path) -> None:
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is a device or a pipe; expected the name of a file to write.")
     # The copy of a scene keeps the names of its files.
-    in_scene = path.parent.name == "scene" and (path.parent.parent / "segment-0001.mcap").exists()
+    in_scene = not changes_session_scene and path.parent.name == "scene" and (path.parent.parent / "segment-0001.mcap").exists()
     if _SESSION_FILE_RE.fullmatch(path.name) or in_scene:
         raise InputError(f"{path}: is part of a recorded session; choose another name.")
 

@@ -573,8 +573,13 @@ def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None 
                 file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
-        _write_all(made, path)
+        _write_all(made, path, is_change=is_same)
         return open_draft(path)
+
+
+def save_tool(path: Path, tool: ToolDraft) -> None:
+    """Write the tool into `[tool]` of a scene file, and change nothing else. Raises InputError as `save_draft`."""
+    save_draft(replace(open_draft(path), tool=tool), path)
 
 
 @contextlib.contextmanager
@@ -618,8 +623,11 @@ def copies_to(draft: PartDraft, folder: Path) -> bool:
     return draft.urdf is not None and draft.copies_robot and not is_with_robot(draft.urdf, folder)
 
 
-def _write_all(files: dict[Path, bytes], scene: Path) -> None:
-    """Write changed files; if the scene cannot be loaded then, restore the old ones."""
+def _write_all(files: dict[Path, bytes], scene: Path, *, is_change: bool) -> None:
+    """Write changed files; if the scene cannot be loaded then, restore the old ones.
+
+    A change may be that of a session's own scene.
+    """
     old = {file: file.read_bytes() if file.exists() else None for file in files}
     for file, before in old.items():
         if before is not None and b"\r\n" in before:  # of Windows
@@ -627,7 +635,7 @@ def _write_all(files: dict[Path, bytes], scene: Path) -> None:
     changed = [file for file, data in files.items() if old[file] != data]
     try:
         for file in changed:
-            backup = write_atomically(file, files[file])
+            backup = write_atomically(file, files[file], changes_session_scene=is_change)
             if backup is not None:
                 backup.unlink()
         load_scene(scene)

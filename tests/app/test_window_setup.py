@@ -17,7 +17,10 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel, QMessageBox
+from scipy.spatial.transform import Rotation
 
+from app.builder.fixed_point_dialog import FixedPointDialog
+from app.dialogs.dialog import StandardButton
 from app.dialogs.new_session import NO_DEVICE, RECORDING_PAUSED, NewSessionDialog
 from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
@@ -26,7 +29,8 @@ from app.state.view_state import LinkStatus
 from app.text.message import connect_words
 from skincal.journal.reader import SessionLog
 from skincal.model.readings import Loss, Stream
-from skincal.model.scene import resource
+from skincal.model.scene import load_scene, resource
+from skincal.part.tool_draft import ToolDraft
 from skincal.session.replay import load, replay
 from skincal.simulation.outlets import TcpOutlet
 from skincal.taxels.result import State
@@ -534,3 +538,71 @@ def test_a_recent_session_names_its_part(bench, recorded):
     bench.window.recent.fill()
     (action,) = bench.window.recent.actions()
     assert action.text().endswith(f"   {bench.window.session_view.workspace.part.scene.name}")
+
+
+TIP_TEXT = (
+    'name = "plate"\nlink = "base"\n[skin]\nchannels = 9\n'
+    '[tool]\nsensor = "none"\nrotation = "xyzw"\nunit = "m"\ntip_mm = [0, 0, 150]  # guessed\ntip_radius_mm = 2.0\n'
+)
+TIP_M, POINT_M = np.array([0.012, -0.004, 0.121]), np.array([0.4, -0.2, 0.1])
+LEANS = np.array([(0.1, 3.0, 0.0), (0.5, 2.6, 0.3), (-0.4, 2.9, 0.2), (0.2, 2.5, -0.6)])
+
+
+def open_fixed_point(bench):
+    bench.key(Key.Key_T, Qt.KeyboardModifier.ControlModifier)
+    bench.until(lambda: isinstance(QApplication.activeWindow(), FixedPointDialog), 5000)
+    return QApplication.activeWindow()
+
+
+def touch_from_all_sides(bench, pose):
+    """Make the fixed-point test of the menu on the running stream, up to its last button."""
+    dialog = open_fixed_point(bench)
+    for number, lean in enumerate(LEANS, start=1):
+        rotation = Rotation.from_rotvec(lean)
+        pose[:] = np.concatenate([POINT_M - rotation.apply(TIP_M), rotation.as_quat()])
+
+        def touched(number=number) -> bool:
+            dialog.take_touch()  # the space bar; refused until the tool has been at rest for half a second
+            return dialog.list.count() == number
+
+        bench.qtbot.wait(550)
+        bench.until(touched, VERDICT_MS)
+    assert "Tip in the tool's frame: 12.0" in dialog.said.text()
+    return dialog
+
+
+def answer_question(bench, button):
+    bench.until(lambda: isinstance(QApplication.activeWindow(), QMessageBox), 5000)
+    box = QApplication.activeWindow()
+    words = box.text()
+    QTest.mouseClick(next(each for each in box.buttons() if each.text().replace("&", "") == button), Qt.MouseButton.LeftButton)
+    return words
+
+
+def test_the_fixed_point_test_of_the_menu_writes_the_tip_with_consent_and_reads_the_devices_again(bench, device, tmp_path):
+    scene, pose = tmp_path / "part" / "scene.toml", np.array([0.4, -0.2, 0.3, 0.0, 1.0, 0.0, 0.0])
+    scene.parent.mkdir()
+    scene.write_text(TIP_TEXT)
+    skin, tool = device(noisy(9)), device(lambda: line(pose))
+    assert not bench.window.commands.actions["fixed point"].isEnabled(), "no part that a tool pokes"
+    bench.open(OpenRequest(scene=scene, addresses=Addresses(skin=skin.address, tool=tool.address)))
+    bench.until(lambda: set(looks(bench).values()) == {LinkStatus.STREAMING}, VERDICT_MS)
+    dialog = open_fixed_point(bench)
+    bench.until(lambda: bench.controller.running is Running.PAUSED, 5000)
+    dialog.accept()
+    dialog.found.emit(ToolDraft("xyzw", "m", tip_mm=(1.0, 2.0, 3.0)))
+    assert "tip_mm = [1, 2, 3] will be written" in answer_question(bench, "Cancel")
+    assert scene.read_text() == TIP_TEXT, "without consent nothing is written"
+    bench.until(lambda: bench.controller.running is Running.STREAMING, 5000)
+    dialog = touch_from_all_sides(bench, pose)
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        dialog.button(StandardButton.Ok).click()
+        asked = answer_question(bench, "Write")
+    copy = bench.controller.folder / "scene" / "scene.toml"
+    assert str(copy) in asked
+    assert str(scene) in asked
+    for path in (scene, copy):
+        assert load_scene(path).tool.tip == pytest.approx(TIP_M, abs=0.0005)
+        assert "tip_radius_mm = 2.0" in path.read_text()
+    assert bench.recording.pipeline.scene.tool.tip == pytest.approx(TIP_M, abs=0.0005)
+    bench.until(lambda: set(looks(bench).values()) == {LinkStatus.STREAMING}, VERDICT_MS)
