@@ -61,7 +61,7 @@ def tip_words(tip_mm: Sequence[float], form: str, files: Sequence[Path]) -> str:
 
 
 def tip_written_words(files: Sequence[Path], *, is_session: bool) -> str:
-    """Say where a tip was written, and what follows."""
+    """Name the files that got a tip, and the consequence for the session."""
     written = f"The tip is written into {' and '.join(plain_text(str(path)) for path in files)}."
     return f"{written} The pokes of this session are found again with it." if is_session else written
 

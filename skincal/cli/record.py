@@ -65,7 +65,7 @@ REPORT_UNOPENED_LINK_AFTER_NS = 1_500_000_000
 LINK_CHECK_PERIOD_NS = 250_000_000
 """Time between two checks of the links."""
 LATE_CHECK_NS = 1_000_000_000
-"""A check that comes so late says nothing of the links: the machine gave the program no time, nor the threads that read."""
+"""A check that comes so late is no sign of silence: the machine gave no time to the program, nor to the threads that read."""
 
 
 def add_to(app: typer.Typer) -> None:
@@ -165,9 +165,9 @@ def record(
 
 @contextlib.contextmanager
 def _ending_solve(out: Path, pipeline: Pipeline) -> Generator[None]:
-    """Say that a stopped recording is solved, and let a second Ctrl-C end that; `typer.Exit` with 130 then.
+    """Announce the estimates of a stopped recording, and let a second Ctrl-C end them; `typer.Exit` with 130 then.
 
-    The journal is closed: nothing of the recording is lost.
+    The journal is closed: the recording is complete.
     """
     pokes = plural(pipeline.session.last_poke, "poke")
     later = f"`skincal solve {out}` does it later"

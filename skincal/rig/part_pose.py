@@ -62,8 +62,7 @@ MIN_TOUCHES = 3
 DISAGREES_ABOVE_SDS = 5.0
 """Misses over expected ones. Above this the part, a landmark or the tip is another one."""
 MISFIT_MIN_RATIO = 2.5
-"""Misses over expected ones from which the touches contradict each other: a usual mistake is looked for, and none is ruled
-out."""
+"""Misses over expected ones from which the touches contradict each other: usual mistakes are then looked for."""
 RIVAL_MIN_DISTANCE_M, RIVAL_MAX_CHI2_INCREASE = 0.010, 16.0
 """m, rms over the part, between two poses that are rivals; a rival fits no worse than by 4 standard deviations."""
 FIRST_FIT_STEPS, FIT_STEPS = 5, 30

@@ -130,7 +130,7 @@ def stream_findings(pipeline: Pipeline) -> list[str]:
 
 
 def unnamed_landmarks(pipeline: Pipeline, folder: Path) -> list[str]:
-    """Say how the pokes of a recording get their landmarks: at most one sentence."""
+    """List the advice on landmarks without a poke: at most one sentence."""
     snapshot = pipeline.snapshot()
     named = set(snapshot.at_landmarks.values())
     free = [

@@ -243,7 +243,7 @@ def too_short_sentence(seen: BeforePokes, thresholds: ContactSettings, *, has_se
 
 
 def unnamed_landmarks_sentence(landmarks: Sequence[str], pokes: int, folder: str, *, is_placed: bool) -> str:
-    """Say how the pokes of a recording get their landmarks; empty without `landmarks`, or `pokes` that can be at one.
+    """Name the command that gives pokes their landmarks; empty without `landmarks`, or `pokes` that can be at one.
 
     Parameters
     ----------
