@@ -162,7 +162,8 @@ class TextEncoder(Encoder):
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
         forms = {Stream.SKIN: self._skin_format, Stream.JOINTS: "%.4f", Stream.TOOL: "%.8f"}
         form = self.WRENCH_FORMAT if stream is Stream.WRENCH else forms[stream]
-        text = form % tuple(values) if stream is Stream.WRENCH else ",".join(form % value for value in values)
+        line_form = form if stream is Stream.WRENCH else ",".join([form] * len(values))
+        text = line_form % tuple(values)
         return self._line(SKT_LETTERS[stream], self._number(stream), f"{t_us & 0xFFFFFFFF},{text}")
 
     def _line(self, letter: str, number: int, rest: str) -> bytes:

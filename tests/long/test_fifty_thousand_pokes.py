@@ -43,10 +43,12 @@ from tests.skincal.robot.plain_arm import PlainArm
 CHECKOUT = Path(__file__).resolve().parents[2]
 POKES = int(os.environ.get("SKINCAL_POKES", "50000"))
 SCENE = "whole-body"
+QUICK = PokeSettings(clearance=0.02, standoff=0.006, travel_speed=1.5, enter_speed=0.4, approach_speed=0.03, retreat_speed=0.4)
+"""A quick arm: fifty thousand pokes take 30 hours of its time."""
 NEAR_M = 0.02
 """m, from the box around the body, at which a tip may touch it."""
-PERIOD_S, PERIODS_PER_FRAME, PERIODS_AT_ONCE = 0.01, 2, 4
-"""s, of the robot's control and wrenches; a skin frame every second period; the guide looks every fourth."""
+PERIOD_S, PERIODS_PER_FRAME, PERIODS_AT_ONCE = 0.01, 3, 3
+"""s, of the robot's control and wrenches; a skin frame every third period, as the guide looks."""
 OPENING_MAX_S = 8.0
 """s of processor time to open the session of 40,000 pokes, with its first snapshot."""
 GROWTH_MAX_MB = 150.0
@@ -67,7 +69,7 @@ class BodyArm(PlainArm):
         width = rig.scene.skin.channels
         self._boards = {"wrench": make_encoder("skb", 255, 0), "skin": make_encoder("skb", 255, width)}
         self._records = {name: [board.header(0, "", width)] for name, board in self._boards.items()}
-        self._periods = 0
+        self._periods, self._searched_at, self._last_gap_m = 0, self.position, 0.0
         self._bounds = (surface.vertices.min(axis=0) - NEAR_M).tolist(), (surface.vertices.max(axis=0) + NEAR_M).tolist()
 
     def link_from_sensor(self):
@@ -77,7 +79,7 @@ class BodyArm(PlainArm):
         self.time_s += self.period_s
         self._periods += 1
         self.move()
-        gap, force, near = self.contact() if self.is_near() else (1.0, np.zeros(3), self.position)
+        gap, force, near = self.contact() if self.may_touch() else (1.0, np.zeros(3), self.position)
         self.wrench = WrenchReading(self.time_s, force, crossed(near - self._pose.reported[:3, 3], force))
         clock_us = round(self.time_s * 1e6) % 2**32
         wrench = self._rig.true_wrenches(near, force, self._pose) + self._pose.weight + self._rig.offset
@@ -89,11 +91,18 @@ class BodyArm(PlainArm):
                 rows, values = self._rig.answers(self._pressed(near, force), np.array([length_of(force)]))
                 answers[0, rows[0]] = values[0]
             frame = self._rig.skin_frame(answers, self._rng)[0]
-            self._records["skin"].append(self._boards["skin"].record(Stream.SKIN, clock_us, frame.tolist()))
+            self._records["skin"].append(self._boards["skin"].record(Stream.SKIN, clock_us, frame.astype(int).tolist()))
 
-    def is_near(self):
-        """Whether the tip may touch: on its way around the body it is farther out, and nothing is searched."""
+    def contact(self):
+        found = super().contact()
+        self._searched_at, self._last_gap_m = self.position, found[0]
+        return found
+
+    def may_touch(self):
+        """Whether the tip may touch: it is near the body, and has moved by its last distance from it."""
         low, high = self._bounds
+        if length_of(self.position - self._searched_at) < self._last_gap_m:
+            return False
         return all(a < x < b for a, x, b in zip(low, self.position.tolist(), high, strict=True))
 
     def _pressed(self, near, force):
@@ -114,7 +123,7 @@ class Robot:
     def __init__(self, rig, surface, seed):
         self.arm, self._rig = BodyArm(rig, surface, seed), rig
         self._answers: list[RobotLine | RobotChange | str] = [RobotChange.CAME]
-        self._client = PokingClient(self.arm, surface, self._answers.append, PokeSettings(frame=rig.scene.link))
+        self._client = PokingClient(self.arm, surface, self._answers.append, replace(QUICK, frame=rig.scene.link))
         self._rng, self._own, self._is_free = np.random.default_rng([seed, 1]), 1_000_000_000, False
 
     def send(self, lines):
