@@ -11,9 +11,15 @@ import sys
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
+from skincal.geometry import FloatArray
+
 LATE_FIGURES = ("matplotlib", "matplotlib.colors", "matplotlib.pyplot", "matplotlib.backends.backend_agg")
 LATE_DOWNLOADER = "pooch"
 """Names of the modules that stand-ins replace."""
+DEFAULT_MAP = "viridis"
+"""Default colour map of pyvista's themes."""
 
 
 class LateModule(ModuleType):
@@ -51,15 +57,23 @@ class LateType(type):
         return real is not None and not isinstance(real, LateModule) and isinstance(value, getattr(real, cls.__name__))
 
 
-class LateTable:
-    """A table of a module that is imported at the first look-up after `is_ready`. Before, each name has the value `None`."""
+class LateMaps:
+    """matplotlib's colour maps, imported at the first look-up of one that is not the theme's default.
 
-    def __init__(self, module: LateModule, name: str) -> None:
-        self._module, self._name = module, name
-        self.is_ready = False
+    Each new mapper of pyvista fills its table with the default map. The program's meshes have colours of their own: they get
+    grey ones.
+    """
+
+    def __init__(self, module: LateModule) -> None:
+        self._module = module
 
     def __getitem__(self, name: str) -> Any:
-        return getattr(self._module, self._name)[name] if self.is_ready else None
+        return map_to_grey if name == DEFAULT_MAP else self._module.colormaps[name]
+
+
+def map_to_grey(shares: FloatArray) -> FloatArray:
+    """Map shares, (n,) float from 0 to 1, to opaque grey, (n, 4) float."""
+    return np.column_stack([shares, shares, shares, np.ones_like(shares)])
 
 
 def import_plotter() -> None:
@@ -67,8 +81,7 @@ def import_plotter() -> None:
     if "pyvista.plotting" in sys.modules:
         return
     late: dict[str, LateModule] = {}
-    # While it is imported, pyvista checks the name of its default map.
-    maps = LateTable(LateModule("matplotlib"), "colormaps")
+    maps = LateMaps(LateModule("matplotlib"))
     if not any(name in sys.modules for name in LATE_FIGURES):
         late = {name: LateModule(name) for name in LATE_FIGURES}
         _fill_in_names(late, maps)
@@ -80,10 +93,9 @@ def import_plotter() -> None:
     finally:
         for module in late.values():
             module.withdraw()
-        maps.is_ready = True
 
 
-def _fill_in_names(late: dict[str, LateModule], maps: LateTable) -> None:
+def _fill_in_names(late: dict[str, LateModule], maps: LateMaps) -> None:
     """Add the names that pyvista imports from the stand-ins."""
     root, colors, canvas = (late[name] for name in ("matplotlib", "matplotlib.colors", "matplotlib.backends.backend_agg"))
     colors.__dict__["ListedColormap"] = LateClass(LateModule(colors.__name__), "ListedColormap")

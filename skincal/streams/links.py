@@ -42,8 +42,8 @@ QUEUED_MAX_BYTES = 1 << 20
 """Bytes of a link that may wait in the queue: a second of the fastest devices, a tenth of a second of work."""
 CHUNK_MEMORY_OVERHEAD_BYTES = 200
 """Memory of a chunk beyond its bytes, so that many small chunks count, too."""
-ITEMS_AT_ONCE = 64
-"""Items that are processed together: a second or some of a recording, and 0.01 s of work."""
+ITEMS_AT_ONCE, BYTES_AT_ONCE = 64, 1 << 15
+"""Items that are processed together, and their bytes: a second or some of a recording, and 0.01 s of work."""
 DROP_BYTES_AFTER_OVERFLOW_FOR_NS = 500_000_000
 """ns. A link that is too fast is dropped for this long, so that it causes at most two messages a second."""
 READ_TIMEOUT_S = 0.1
@@ -275,10 +275,15 @@ class ChunkQueue:
         return self._queue.qsize() >= ITEMS_AT_ONCE
 
     def get_many(self, timeout: float) -> list[Any]:
-        """Return one to `ITEMS_AT_ONCE` items. Raises `queue.Empty` if none comes within `timeout`, seconds."""
+        """Return one to `ITEMS_AT_ONCE` items, fewer once they have `BYTES_AT_ONCE`.
+
+        Raises `queue.Empty` if none comes within `timeout`, seconds.
+        """
         found = [self.get(timeout)]
-        while len(found) < ITEMS_AT_ONCE and not self._queue.empty():
+        size = _size_of(found[0])
+        while len(found) < ITEMS_AT_ONCE and size < BYTES_AT_ONCE and not self._queue.empty():
             found.append(self.get())
+            size += _size_of(found[-1])
         return found
 
     def empty(self) -> bool:
@@ -295,6 +300,10 @@ class ChunkQueue:
         with self._lock:
             for link in [link for link, (until_ns, _) in self._dropping.items() if due_ns is None or due_ns >= until_ns]:
                 self._report_dropped(link, time.monotonic_ns())
+
+
+def _size_of(item: Any) -> int:
+    return len(item.data) if isinstance(item, Chunk) else 0
 
 
 class Reader:

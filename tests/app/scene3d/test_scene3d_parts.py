@@ -193,7 +193,7 @@ chart = pv.ChartMPL()
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 import matplotlib.pyplot as plt
 import matplotlib
-assert isinstance(pv.LookupTable("viridis").cmap, matplotlib.colors.Colormap)
+assert isinstance(pv.LookupTable("magma").cmap, matplotlib.colors.Colormap)
 assert isinstance(matplotlib.colormaps["plasma"], pv.plotting.colors.colors.Colormap)
 assert pv.plotting.colors.get_cmap_safe(["red", "blue"]).N == 2
 try:
@@ -201,6 +201,23 @@ try:
 except ValueError:
     print(type(chart._canvas) is FigureCanvasAgg, chart.figure is plt.gcf(), plt is sys.modules["matplotlib.pyplot"])
 """
+
+
+MESH_WITH_OWN_COLOURS = """
+from app.scene3d.offscreen import make_plotter
+import sys
+import numpy as np
+import pyvista as pv
+plotter, mesh = make_plotter((20, 20)), pv.Plane()
+mesh["rgb"] = np.full((mesh.n_points, 3), 7, np.uint8)
+plotter.add_mesh(mesh, scalars="rgb", rgb=True)
+print({"matplotlib", "pyparsing", "unittest"} & set(sys.modules))
+"""
+
+
+def test_a_mesh_with_its_own_colours_needs_no_colour_map():
+    done = subprocess.run([sys.executable, "-c", MESH_WITH_OWN_COLOURS], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
 
 
 def test_a_chart_of_pyvista_finds_the_figures_that_were_not_imported_with_it():

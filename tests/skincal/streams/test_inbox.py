@@ -12,7 +12,14 @@ from skincal.journal.documents import event_to_json, read_document
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.streams.expected_readings import ExpectedReadings
 from skincal.streams.intake import Intake
-from skincal.streams.links import DROP_BYTES_AFTER_OVERFLOW_FOR_NS, QUEUED_MAX_BYTES, ChunkQueue, LinkSpec, Reader
+from skincal.streams.links import (
+    BYTES_AT_ONCE,
+    DROP_BYTES_AFTER_OVERFLOW_FOR_NS,
+    QUEUED_MAX_BYTES,
+    ChunkQueue,
+    LinkSpec,
+    Reader,
+)
 from skincal.streams.transports.tcp import TcpLink
 
 BLOCK = bytes(65536)
@@ -168,3 +175,15 @@ def test_a_server_that_lost_its_power_is_noticed_and_connected_anew():
         reader.stop()
         connection.close()
         server.close()
+
+
+def test_wide_frames_are_given_in_turns_of_some_milliseconds_of_work():
+    inbox = ChunkQueue()
+    for _ in range(60):
+        inbox.put(Chunk("skin", 0, b"x" * 12_000))
+        inbox.put(Chunk("wrench", 0, b"y" * 40))
+    turns = []
+    while not inbox.empty():
+        turns.append(inbox.get_many(0.0))
+    assert max(sum(len(item.data) for item in turn) for turn in turns) < BYTES_AT_ONCE + 12_000
+    assert [item.link for turn in turns for item in turn] == ["skin", "wrench"] * 60
