@@ -26,7 +26,7 @@ LISTEN_TIME_PER_PORT_S = 3.0
 WATCH_LINE_PERIOD_S = 1.0
 """s between two lines of `watch`."""
 WRENCH_VALUES = 6
-STARTED_SCHEMES = ("robotiq", "bota", "leptrino", "tsf85", "paxini")
+STARTED_SCHEMES = ("robotiq", "bota", "leptrino", "tsf85", "paxini", "ndi")
 """Schemes of serial devices that are silent until they are started."""
 
 
@@ -211,7 +211,8 @@ def devices(as_json: Json = False) -> None:
     if proposed:
         say(f"Proposed: {' '.join(f'--{stream} {address}' for stream, address in proposed.items())}", err=True)
     say(
-        "Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST, inspire://HOST."
+        "Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST, "
+        "inspire://HOST. Trackers: qtm://HOST, natnet://HOST, ndi://HOST."
     )
 
 

@@ -51,6 +51,7 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
         "inspire": Entry(("inspire",), ("inspire",)),
         "qtm": Entry(("qtm",), ("qtm",)),
         "natnet": Entry(("natnet",), ("natnet",)),
+        "ndi": Entry(("ndi",), ("ndi",)),
         "datagrams": Entry(("udp",), ("datagrams",)),
         "plain": Entry(("socket", "lines", "targets", "run")),
     }

@@ -35,7 +35,7 @@ from skincal.simulation.emulated_skins import (
     PaxiniModuleEncoder,
     Tsf85Encoder,
 )
-from skincal.simulation.emulated_trackers import NatNetEncoder, QtmEncoder
+from skincal.simulation.emulated_trackers import NatNetEncoder, NdiEncoder, QtmEncoder
 from skincal.simulation.plain_talk import PlainTalk
 from skincal.simulation.ros_outlets import Ros2Encoder
 
@@ -520,6 +520,7 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
         ),
         "qtm": Maker((Stream.TOOL,), QtmEncoder, 0.0),
         "natnet": Maker((Stream.TOOL,), NatNetEncoder, 0.0),
+        "ndi": Maker((Stream.TOOL,), NdiEncoder, 60.0),
         "ros2": Maker(SENSOR_STREAMS, Ros2Encoder, 0.0, has_vectors=True),
     }
 )

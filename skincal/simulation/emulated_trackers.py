@@ -7,6 +7,8 @@ Written from the formats' descriptions without any code of the decoders, so that
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -66,6 +68,59 @@ class QtmTalk(PlainTalk):
             self.ready = True
             return b""
         return _qtm_packet(0, b"Parse error\0")
+
+
+def _checked(text: str) -> bytes:
+    """Add check sum and end to an answer of an NDI tracker."""
+    crc = 0
+    for byte in text.encode():
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0xA001 if crc & 1 else 0)
+    return f"{text}{crc:04X}\r".encode()
+
+
+class NdiEncoder(Encoder):
+    """Answers of an NDI tracker to TX:0001: handle 01 is lost, 02 is the tool."""
+
+    def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
+        del t_us
+        state = f"00000031{self._number(stream) + 1 & 0xFFFFFFFF:08X}\n"
+        turn = "".join(f"{round(1e4 * values[at]):+06d}" for at in (6, 3, 4, 5))
+        place = "".join(f"{round(1e5 * value):+07d}" for value in values[:3])
+        return _checked(f"0201MISSING{state}02{turn}{place}+00012{state}0000")
+
+
+class NdiTalk(PlainTalk):
+    """An NDI tracker with two wired tools. It hands out the newest answer to each request for poses."""
+
+    ANSWERS: Mapping[str, str] = MappingProxyType({"PHSR:01": "00", "PHSR:02": "020100102001", "PHSR:03": "020101102011"})
+
+    def __init__(self) -> None:
+        self._newest = b""
+        self._is_tracking = False
+
+    def on_request(self, data: bytes) -> bytes:
+        self.heard += data
+        out = b""
+        while b"\r" in self.heard:
+            line, self.heard = self.heard.split(b"\r", 1)
+            command = line[:-4].decode(errors="replace")
+            out += self._answer(command) if _checked(command) == line + b"\r" else _checked("ERROR04")
+        return out
+
+    def _answer(self, command: str) -> bytes:
+        name = command.partition(":")[0]
+        if name == "TX":
+            return self._newest or _checked("ERROR0C")
+        if name in ("TSTART", "TSTOP"):
+            self._is_tracking = name == "TSTART"
+        return _checked(self.ANSWERS.get(command, "OKAY"))
+
+    def frame(self, data: bytes) -> bytes:
+        """Keep the newest answer."""
+        self._newest = data[data.rstrip(b"\r").rfind(b"\r") + 1 :] if self._is_tracking and data else self._newest
+        return b""
 
 
 def _sized(count: int, content: bytes) -> bytes:

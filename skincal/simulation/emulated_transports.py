@@ -24,7 +24,7 @@ from skincal.simulation.emulated_devices import (
     YarpTalk,
 )
 from skincal.simulation.emulated_skins import InspireTalk, make_talks, part_query
-from skincal.simulation.emulated_trackers import TOOL_BODY, QtmTalk, natnet_descriptions, natnet_server_info
+from skincal.simulation.emulated_trackers import TOOL_BODY, NdiTalk, QtmTalk, natnet_descriptions, natnet_server_info
 from skincal.simulation.outlets import Outlet, PtyOutlet, TcpOutlet
 from skincal.simulation.plain_talk import PlainTalk
 from skincal.simulation.ros_outlets import RosOutlet
@@ -41,6 +41,7 @@ TALK_OF_DEVICE: Mapping[str, tuple[Callable[[], PlainTalk], str]] = MappingProxy
     {
         "xela": (XelaTalk, "xela://127.0.0.1:{}"),
         "robotiq-text": (PlainTalk, "robotiq://127.0.0.1:{}"),
+        "ndi": (NdiTalk, "ndi://127.0.0.1:{}?body=02"),
         "qtm": (QtmTalk, f"qtm://127.0.0.1:{{}}?body={TOOL_BODY}"),
     }
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import time
 from contextlib import closing
@@ -15,6 +16,7 @@ from skincal.devices.decoding import pack
 from skincal.devices.family import HandshakeError
 from skincal.devices.link import LinkError
 from skincal.devices.natnet import NatNetDecoder, NatNetHandshake, ServerInfo, read_frame
+from skincal.devices.ndi import NdiDecoder, NdiHandshake, crc16, with_crc
 from skincal.devices.qtm import QtmDecoder, QtmHandshake
 from skincal.devices.tracked_bodies import write_options
 from skincal.model.readings import Chunk, Loss, Stream
@@ -323,10 +325,143 @@ def test_a_host_without_motive_is_named():
         open_link(spec("natnet://127.0.0.1:9", TOOL))
 
 
+# ------------------------------------------------------------------ NDI
+
+SEEN = "+09515+00381+01893+02393+010000-020000+030000+00012"
+"""q0 qx qy qz, x y z and error, as the tracker writes the pose of all vectors."""
+
+
+def ndi_answer(frame, *tools):
+    listed = "".join(f"{handle}{pose}00000031{frame:08X}\n" for handle, pose in tools)
+    return with_crc(f"{len(tools):02X}{listed}0000".encode())
+
+
+def ndi_start(body):
+    return with_crc(b"SKINCAL " + write_options(body)) + with_crc(b"OKAY") + with_crc(b"020100102001")
+
+
+def test_the_check_sum_is_that_of_the_public_library():
+    assert f"{crc16(b'TX:0001'):04X}" == "031A"
+    assert f"{crc16(b'INIT:'):04X}" == "E3A5"
+
+
+@pytest.mark.parametrize("size", [0, 1, 13])
+def test_a_tool_of_ndi_is_read_by_its_handle(size):
+    decoder = NdiDecoder(None, TOOL)
+    data = ndi_start("0A") + ndi_answer(298, ("01", "MISSING"), ("0A", SEEN), ("0B", "DISABLED"))
+    poses, _ = poses_of(decoder, data, size)
+    assert_true(poses[0], atol=1e-4)
+    assert decoder.counts.total() == 0
+    assert decoder.device_message == ""
+
+
+def test_a_lost_tool_of_ndi_is_counted_though_its_frames_go_on():
+    decoder = NdiDecoder(None, TOOL)
+    lost = b"".join(ndi_answer(frame, ("01", "MISSING")) for frame in (1, 2, 3))
+    poses, _ = poses_of(decoder, ndi_start("01") + ndi_answer(0, ("01", SEEN)) + lost)
+    assert len(poses) == 1
+    assert decoder.counts == {Loss.NO_POSE: 3}
+    assert decoder.device_message == "The tracker does not see the tool 01"
+
+
+def test_one_frame_of_ndi_that_is_read_twice_is_one_pose():
+    decoder = NdiDecoder(None, TOOL)
+    poses, _ = poses_of(
+        decoder, ndi_start("") + 3 * ndi_answer(7, ("01", SEEN)) + ndi_answer(8, ("01", SEEN)) + ndi_answer(1, ("01", SEEN))
+    )
+    assert len(poses) == 3
+    assert decoder.counts.total() == 0
+
+
+def test_two_tools_of_ndi_without_a_choice_are_named():
+    decoder = NdiDecoder(None, TOOL)
+    poses, _ = poses_of(decoder, ndi_start("") + ndi_answer(1, ("01", SEEN), ("02", SEEN)))
+    assert len(poses) == 0
+    assert decoder.device_message == "The tracker sends several bodies (01, 02): choose one by ?body=01"
+
+
+def test_a_damaged_answer_of_ndi_is_counted():
+    whole = ndi_answer(1, ("01", SEEN))
+    for at in range(len(whole) - 1):
+        decoder = NdiDecoder(None, TOOL)
+        damaged = whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :]
+        poses, _ = poses_of(decoder, ndi_start("") + damaged + ndi_answer(2, ("01", SEEN)))
+        assert len(poses) == 1, damaged
+        assert decoder.counts == {Loss.BAD_CHECKSUM: 1}
+
+
+def dialogue(handshake, answers):
+    """Commands of a handshake without check sum, each answered by the first text whose pattern fits."""
+    said, sent = [], handshake.opening()
+    while sent and len(said) < 60:
+        command = sent[:-5].decode()
+        assert with_crc(command.encode()) == sent
+        said.append(command)
+        answer = next(text for pattern, text in answers.items() if re.match(pattern, command))
+        sent = handshake.on_data(with_crc(answer.encode()))
+    return said
+
+
+def test_a_passive_tool_is_written_initialised_and_tracked_as_the_public_library_does():
+    rom = bytes(range(256)) * 2 + b"abc"
+    answers = {"TSTOP": "ERROR0C", "PHSR:01": "0109000", "PHRQ": "01", "PHSR:02": "0101001", "PHSR:03": "0101011", "": "OKAY"}
+    said = dialogue(NdiHandshake(rom), answers)
+    assert said[:5] == ["TSTOP:", "INIT:", "PHSR:01", "PHF:09", "PHRQ:*********1****"]
+    written = said[5:21]
+    assert [command[:11] for command in written] == [f"PVWR:01{64 * k:04X}" for k in range(16)]
+    assert bytes.fromhex("".join(command[11:] for command in written)) == rom.ljust(1024, b"\0")
+    assert said[21:] == ["PHSR:02", "PINIT:01", "PHSR:03", "PENA:01D", "TSTART:"]
+
+
+def test_ndi_is_asked_for_the_next_pose_after_a_pause_and_never_twice_at_once():
+    handshake = NdiHandshake()
+    dialogue(handshake, {"PHSR:01": "00", "PHSR:02": "00", "PHSR:03": "0101011", "": "OKAY"})
+    request = with_crc(b"TX:0001")
+    assert handshake.on_silence() == request
+    assert [handshake.on_silence() for _ in range(200)] == [b""] * 200
+    assert handshake.on_data(ndi_answer(1, ("01", SEEN))) == b""
+    assert handshake.on_silence() == request
+    asked_again = [handshake.on_silence() for _ in range(300)]
+    assert [each for each in asked_again if each] == [request], "an answer that was lost on the way"
+
+
+def test_a_damaged_answer_to_a_command_repeats_the_command():
+    handshake = NdiHandshake()
+    handshake.opening()
+    assert handshake.on_data(with_crc(b"OKAY")) == with_crc(b"INIT:")
+    assert handshake.on_data(b"OKAX1234\r") == with_crc(b"INIT:")
+
+
+@pytest.mark.parametrize(
+    ("answers", "sentence"),
+    [
+        (
+            {"PHSR": "00", "": "OKAY"},
+            "the tracker has no tool: name the definition file of the tool by ?rom=FILE, or plug it in",
+        ),
+        (
+            {"PHSR": "0101001", "PINIT": "ERROR13", "": "OKAY"},
+            "the tracker answers ERROR13 to PINIT: the tool cannot be initialised",
+        ),
+    ],
+)
+def test_a_tracker_without_a_usable_tool_says_so(answers, sentence):
+    with pytest.raises(HandshakeError, match=re.escape(sentence)):
+        dialogue(NdiHandshake(), answers)
+
+
+def test_a_definition_file_that_is_none_is_refused(tmp_path):
+    with pytest.raises(LinkError, match=r"missing\.rom cannot be read"):
+        open_link(spec(f"ndi://127.0.0.1:9?rom={tmp_path}/missing.rom", TOOL))
+    (tmp_path / "large.rom").write_bytes(bytes(4000))
+    with pytest.raises(LinkError, match=r"has 4000 bytes; expected a tool definition of 1 to 2048 bytes"):
+        open_link(spec(f"ndi://127.0.0.1:9?rom={tmp_path}/large.rom", TOOL))
+
+
 # ------------------------------------------------------------------ over loopback
 
 
-@pytest.mark.parametrize("maker", ["qtm", "natnet"])
+@pytest.mark.parametrize("maker", ["qtm", "natnet", "ndi"])
 def test_a_tracker_s_pose_comes_over_loopback(maker):
     outlet, encoder = MakerOutlets(64).open(maker, Stream.TOOL, tcp=True), MAKERS[maker].encoder()
     sent = [*PLACE_M, *TURN.as_quat().tolist()]
