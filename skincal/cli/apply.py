@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from skincal.cli.solve import Correct, Json, LayoutOption, MethodOption, Part, Replay
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
+
+if TYPE_CHECKING:
+    from skincal.robot.skin_manager import Positions
 
 DRY_RUN_NOTICE = "dry run: nothing was sent. A real run skips taxels whose position on the robot is already the same"
 
@@ -61,7 +64,6 @@ def apply(
         apply_positions,
         calibrated_positions,
         check_port,
-        command_text,
         file_positions,
         result_text,
     )
@@ -79,23 +81,36 @@ def apply(
         verdict = output.verdict_words(results.verdict(chosen))
     lines = [] if verdict is None else [f"{verdict}."]
     if dry_run:
-        asked = [
-            command_text(command)
-            for channel in positions.rows
-            for command in (positions.set_pose_command(channel), positions.set_confidence_command(channel))
-        ]
+        asked = _would_be_sent(positions)
         result = {"part": positions.part, "would_send": asked, "verdict": verdict}
         output.print_result(result, [*lines, *asked, f"{len(positions.rows)} taxels; {DRY_RUN_NOTICE}"], as_json)
         return
-    kept = before or (source if source.is_dir() else source.parent) / f"before-{positions.part}.txt"
-    if kept.exists() and kept.samefile(source):
-        # Going back may end half way; the same command again must find what it began with.
-        kept = kept.with_stem(f"{kept.stem}-undone")
+    kept = _file_for_old_positions(source, before, positions.part)
     applied = apply_positions(to, positions, kept, timeout, (lambda _: None) if as_json else _say)
     answers = [{"asked": asked, "answered": answered} for asked, answered in applied.answers]
     result: dict[str, Any] = {"part": positions.part, "changed": applied.changed, "same": applied.same}
     result |= {"before": applied.backup, "verdict": verdict, "answers": answers}
     output.print_result(result, [*lines, result_text(applied, positions.part)], as_json)
+
+
+def _would_be_sent(positions: Positions) -> list[str]:
+    """Return the commands of all positions, as text, in the order of sending."""
+    from skincal.robot.skin_manager import command_text
+
+    return [
+        command_text(command)
+        for channel in positions.rows
+        for command in (positions.set_pose_command(channel), positions.set_confidence_command(channel))
+    ]
+
+
+def _file_for_old_positions(source: Path, before: Path | None, part: str) -> Path:
+    """Return the file for the positions that the robot has now; it is never the applied file itself."""
+    kept = before or (source if source.is_dir() else source.parent) / f"before-{part}.txt"
+    if kept.exists() and kept.samefile(source):
+        # Going back may end half way; the same command again must find what it began with.
+        return kept.with_stem(f"{kept.stem}-undone")
+    return kept
 
 
 def _say(line: str) -> None:

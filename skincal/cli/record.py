@@ -152,12 +152,7 @@ def record(
                 reader.start()
             _loop(pipeline, items, readers, (seconds, pokes), stop, robot)
         finally:
-            # Stopped before the queue is emptied: then nothing comes any more, and nothing that came is lost.
-            for reader in readers.values():
-                reader.stop()
-            items.finish()
-            while not items.empty():
-                _handle_items(pipeline, items.get_many(READING_WAIT_TIMEOUT_S))
+            _record_the_rest(pipeline, items, readers)
             pipeline.close()
         with _ending_solve(out, pipeline) if stop.is_set() else contextlib.nullcontext():
             finish(pipeline, out, as_json)
@@ -180,6 +175,16 @@ def _ending_solve(out: Path, pipeline: Pipeline) -> Generator[None]:
         raise typer.Exit(130) from None
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _record_the_rest(pipeline: Pipeline, items: ChunkQueue, readers: Mapping[str, Reader]) -> None:
+    """Stop the readers, and record what they still read."""
+    # Stopped before the queue is emptied: then nothing comes any more, and nothing that came is lost.
+    for reader in readers.values():
+        reader.stop()
+    items.finish()
+    while not items.empty():
+        _handle_items(pipeline, items.get_many(READING_WAIT_TIMEOUT_S))
 
 
 @contextlib.contextmanager

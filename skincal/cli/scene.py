@@ -97,11 +97,8 @@ def new_scene(
 ) -> None:
     """Write the scene file of a new part."""
     from skincal.cli import output
-    from skincal.files.layout_sources import parse_grid, read_layout_file, text_with_kind
-    from skincal.model.skin import SkinKind
     from skincal.part.part import load_part
     from skincal.part.part_draft import PartDraft
-    from skincal.part.robot_copy import ROBOT_FOLDER, size_words
     from skincal.part.scene_draft import write_scene
 
     if sum((layout is not None, bool(grid), bool(paxini))) > 1:
@@ -111,17 +108,6 @@ def new_scene(
     columns = [name.strip() for name in joints.split(",") if name.strip()]
     _refuse_twice(columns, "--joints")
     modules = _paxini_modules(paxini, paxini_sdk) if paxini else []
-    layout_text = parse_grid(grid).layout_text() if grid else "" if layout is None else read_layout_file(layout)
-    if modules:
-        from skincal.files.paxini_points import layout_text as paxini_layout
-
-        layout_text = paxini_layout(modules)
-    if kind is not None:
-        if not layout_text:
-            raise InputError(
-                "--kind says what the skin of a layout is; name the layout by --layout or --grid, or leave it out."
-            )
-        layout_text = text_with_kind(layout_text, SkinKind(kind))
     draft = PartDraft(
         urdf=_saved_description(str(urdf), out) if str(urdf).startswith("ros2:") else urdf,
         link=link,
@@ -137,22 +123,52 @@ def new_scene(
         polarity=polarity,
         axes=int(axes or ("3" if modules else "1")),
         skin_unit="N" if modules and axes != "1" else "",
-        layout_text=layout_text,
+        layout_text=_layout_text(layout, grid, modules, kind),
     )
     write_scene(draft, out, _numbers(anchor_mm, 3, "--anchor-mm") if anchor_mm else None)
-    result = scene_result(load_part(out), None)
-    copied = [path for path in (out.parent / ROBOT_FOLDER).rglob("*") if path.is_file()]
-    words = size_words(len(copied), sum(path.stat().st_size for path in copied))
-    copies = f"; copied the robot, {words}" if copied else ""
-    points = _write_points(modules, out)
-    output.print_result(result, [f"wrote {out}{copies}", *points, *_lines(result)], as_json)
+    result, points = scene_result(load_part(out), None), _write_points(modules, out)
+    output.print_result(result, [f"wrote {out}{_copy_words(out)}", *points, *_lines(result)], as_json)
 
 
 def _paxini_modules(names: str, package: Path | None) -> list[PaxiniModule]:
     """Read the modules that `--paxini` names, from the user's own package."""
     from skincal.files.paxini_points import read_modules
 
-    return read_modules([name for name in names.split(",") if name.strip()], package)
+    named = [name for name in names.split(",") if name.strip()]
+    if not named:
+        raise InputError(f"--paxini {names!r} names no module; expected a part code, a model or a number of taxels.")
+    return read_modules(named, package)
+
+
+def _layout_text(layout: Path | None, grid: str, modules: Sequence[PaxiniModule], kind: str | None) -> str:
+    """Make the text of the layout file from a file, a grid, or modules of a maker; empty without a layout.
+
+    Raises InputError: the layout cannot be read, or a kind of skin is named without a layout.
+    """
+    from skincal.files.layout_sources import parse_grid, read_layout_file, text_with_kind
+    from skincal.model.skin import SkinKind
+
+    text = parse_grid(grid).layout_text() if grid else "" if layout is None else read_layout_file(layout)
+    if modules:
+        from skincal.files.paxini_points import layout_text
+
+        text = layout_text(modules)
+    if kind is None:
+        return text
+    if not text:
+        raise InputError(
+            "--kind says what the skin of a layout is; name the layout by --layout, --grid or --paxini, or leave it out."
+        )
+    return text_with_kind(text, SkinKind(kind))
+
+
+def _copy_words(out: Path) -> str:
+    """Return words for the size of the robot that was copied next to a scene; empty without a robot."""
+    from skincal.part.robot_copy import ROBOT_FOLDER, size_words
+
+    copied = [path for path in (out.parent / ROBOT_FOLDER).rglob("*") if path.is_file()]
+    size = sum(path.stat().st_size for path in copied)
+    return f"; copied the robot, {size_words(len(copied), size)}" if copied else ""
 
 
 def _write_points(modules: Sequence[PaxiniModule], out: Path) -> list[str]:

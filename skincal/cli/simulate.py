@@ -150,14 +150,11 @@ def simulate(
 
     loaded = find_scene(scene)
     if physics is not None:
-        if serve == (out is not None) or (out is not None and targets is not None) or operator is not OperatorKind.AUTO:
-            raise InputError("--physics needs --out FOLDER, or --serve and --targets PORT, and no --operator: a robot pokes.")
         others = {
             "--errors": errors is not Errors.NOISE, "--poses": poses, "--careful": careful, "--pace": pace != 1.0, "--run": run,
             "--as": speak_as, "--ros2": ros2, "--tcp": tcp and not serve, "--pokes": serve and pokes,
         }  # fmt: skip
-        if unused := [name for name, is_used in others.items() if is_used]:
-            raise InputError(f"{unused[0]} has no effect with --physics {'--serve' if serve else '--out'}: leave it out.")
+        _demand_sense_of_robot(serve, out, operator, targets, [name for name, is_used in others.items() if is_used])
         if out is not None:
             _record_robot(loaded, out, pokes, seed, effects, as_json)
         else:
@@ -247,6 +244,16 @@ def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets
         raise InputError(f"{name} is for --serve: a session is recorded at once, by an operator of its own.")
     if (targets is None) is (operator is OperatorKind.GUIDED):
         raise InputError("--operator guided and --targets [HOST:]PORT need each other: the targets are what it pokes.")
+
+
+def _demand_sense_of_robot(
+    serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, unused: list[str]
+) -> None:
+    """Refuse options that contradict `--physics`, or are `unused` by it."""
+    if serve == (out is not None) or (out is not None and targets is not None) or operator is not OperatorKind.AUTO:
+        raise InputError("--physics needs --out FOLDER, or --serve and --targets PORT, and no --operator: a robot pokes.")
+    if unused:
+        raise InputError(f"{unused[0]} has no effect with --physics {'--serve' if serve else '--out'}: leave it out.")
 
 
 def _streams(seed: int, run: int) -> list[np.random.Generator]:

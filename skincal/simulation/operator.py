@@ -422,7 +422,7 @@ class AutoOperator:
 class ScriptedOperator:
     """Obeys a queue of orders."""
 
-    done = False
+    is_finished = False
 
     def __init__(self, rig: Rig, habits: Habits, rng: np.random.Generator) -> None:
         self._rig, self._habits, self._rng = rig, habits, rng

@@ -38,5 +38,8 @@ def test_scene_new_writes_a_scene_of_three_axes_and_the_points_beside_it(run, tm
     code, _, error = run(*arguments, "--grid", "2x2@5mm", "--out", out)
     assert code == 2
     assert "exclude each other" in error
+    code, _, error = run("scene", "new", "--mesh", tmp_path / "box.obj", "--paxini", ",", "--out", tmp_path / "other.toml")
+    assert (code, "names no module" in error) == (2, True)
+    assert not (tmp_path / "other.toml").exists()
     code, _, error = run("scene", "new", "--mesh", tmp_path / "box.obj", "--paxini-sdk", package, "--out", out)
     assert (code, "name the modules by --paxini" in error) == (2, True)
