@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from skincal.axes.module_axes import ModuleTurn, find_module_noise, has_shared_turn, module_turn
+from skincal.axes.push_offset import OffsetCorrection, PushLean, TaxelOffsets
 from skincal.axes.skin_turns import (
     ReadingOfForce,
     SkinTurns,
@@ -95,6 +96,8 @@ class SessionTurns:
     """By id, of modules with pokes; empty without a layout."""
     module_of: Mapping[int, int]
     """Id of the module of each channel; empty without a layout."""
+    lean: PushLean | None = None
+    """Lean of answers to pushes next to the middle of a taxel, which the turns contain; `None` without known offsets."""
 
     @cached_property
     def is_mirrored(self) -> bool:
@@ -141,6 +144,7 @@ class TurnSolving:
         self._is_noise_stale = False
         self._skin: SkinTurns | None = None
         """`None` after a change."""
+        self._correction = OffsetCorrection()
 
     @property
     def waiting(self) -> int:
@@ -239,16 +243,31 @@ class TurnSolving:
         if before != (self._noise, self._module_noise):
             self._wait_for(list(self._rows))
 
-    def turns(self, normals: Mapping[int, FloatArray]) -> SessionTurns:
+    @property
+    def pokes(self) -> Mapping[int, AxisPokes]:
+        """Pokes of each taxel, by channel, as the last solution has them."""
+        return self._pokes
+
+    def turns(self, normals: Mapping[int, FloatArray], offsets: Mapping[int, TaxelOffsets]) -> SessionTurns:
         """Give the turns, once nothing waits.
 
-        `normals` (3,), unit, outward, are those of the skin at the taxels, by channel, where a mesh gives them.
+        Parameters
+        ----------
+        normals : (3,), unit, outward, of the skin at the taxels, by channel, where a mesh gives them
+        offsets : of the pushes, by channel, of taxels whose position is known
         """
         if self._skin is None:
             self._skin = SkinTurns(dict(sorted(self._taxels.items())), self._noise, dict(sorted(self._pokes.items())))
         taxels = self._skin.taxels
         modules = {number: module_turn(number, turn, taxels, normals) for number, turn in sorted(self._modules.items())}
-        return SessionTurns(self._skin, modules, self._module_of)
+        found = SessionTurns(self._skin, modules, self._module_of)
+        if not offsets:
+            return found
+        shared = [number for number, module in modules.items() if has_shared_turn(module, found.log_odds_shared)]
+        turns = {number: module.turn for number, module in modules.items()}
+        corrected = self._correction.correct(self._skin, turns, shared, offsets)
+        modules = {number: replace(module, turn=corrected.modules[number]) for number, module in modules.items()}
+        return SessionTurns(corrected.skin, modules, self._module_of, corrected.lean)
 
 
 def _up_to(pokes: AxisPokes, last: int) -> AxisPokes:

@@ -17,6 +17,7 @@ import numpy as np
 
 from skincal.axes.turn_fit import (
     LOG_RATIO_SD,
+    MIN_ANGULAR_NOISE,
     START_ANGULAR_NOISE,
     AxisNoise,
     AxisPokes,
@@ -42,6 +43,8 @@ MAX_FREEDOM_OF_MEAN = 60
 """Degrees of freedom of the misses below which their sum counts, too."""
 MAX_SQUARE_IN_SUM = 16.0
 """Squared miss in standard deviations: a larger one is an outlier."""
+SCALES_TRIED = 201
+"""Of the noise, from nothing to the largest."""
 MAX_ANGULAR_NOISE = 0.5
 """rad. Readings that scatter by more than half a radian carry no direction."""
 
@@ -194,15 +197,14 @@ def _likelier_noise(groups: Sequence[AxisPokes], fits: Sequence[TurnFit], noise:
     spare = [(2 * len(fit.misses)) / (2 * len(fit.misses) - UNKNOWNS_OF_TURN) for fit in fits]
     misses = np.concatenate([fit.misses**2 * factor for fit, factor in zip(fits, spare, strict=True)])
     squares = np.concatenate([fit.misses**2 for fit in fits])
-    freedom = 2 * len(squares) - UNKNOWNS_OF_TURN * len(fits)
+    # Readings of one poke share the error of its force.
+    freedom = max(1, sum(2 * len(np.unique(pokes.pokes)) - UNKNOWNS_OF_TURN for pokes in groups))
     found: list[tuple[float, AxisNoise]] = []
     for shape, name in ((1.0 / size, "reading"), (np.ones(len(size)), "angle")):
         scale = _scale_of(misses, np.maximum(force_part, 0.0), shape)
         if freedom < MAX_FREEDOM_OF_MEAN:
             # Fits of few pokes take up single misses, so that the median is too small.
-            # A scale that is itself uncertain: the variance of Student's t.
-            wider = float(np.sqrt(freedom / max(freedom - 2, 1)))
-            scale = max(scale, wider * _scale_of_sum(squares, np.maximum(force_part, 0.0), shape, freedom))
+            scale = max(scale, _expected_scale(squares, np.maximum(force_part, 0.0), shape, freedom))
         variances = np.maximum(force_part, 0.0) + (scale * shape) ** 2
         # Of two normal directions each; capped, so that outliers do not decide.
         cost = float(np.sum(np.minimum(misses / variances, 16.0) + 2.0 * np.log(variances)))
@@ -223,17 +225,19 @@ def _scale_of(misses: FloatArray, force_part: FloatArray, shape: FloatArray) -> 
     return high
 
 
-def _scale_of_sum(squares: FloatArray, force_part: FloatArray, shape: FloatArray, freedom: int) -> float:
-    """Find the scale, as `_scale_of`, for which the sum of the squared misses (n,) is that of the degrees of freedom."""
-    low, high = 0.0, MAX_ANGULAR_NOISE / float(np.median(shape))
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        variances = force_part + (middle * shape) ** 2
-        if np.minimum(squares / np.maximum(variances, 1e-12), MAX_SQUARE_IN_SUM).sum() > freedom:
-            low = middle
-        else:
-            high = middle
-    return high
+def _expected_scale(squares: FloatArray, force_part: FloatArray, shape: FloatArray, freedom: int) -> float:
+    """Compute the root mean square of the scale, given the squared misses (n,) of fits that leave `freedom` degrees of freedom.
+
+    The variances are those of `_scale_of`. Before, each scale up to `MAX_ANGULAR_NOISE` is equally likely. With few degrees of
+    freedom the likeliest scale may be 0, and errors by it are too small.
+    """
+    highest = MAX_ANGULAR_NOISE / float(np.median(shape))
+    scales = highest * np.linspace(0.0, 1.0, SCALES_TRIED) ** 2
+    variances = np.maximum(force_part + (scales[:, None] * shape) ** 2, MIN_ANGULAR_NOISE**2)
+    fitted = np.minimum(squares / variances, MAX_SQUARE_IN_SUM).sum(axis=1)
+    log_likelihood = -0.5 * (fitted + freedom * np.log(variances).mean(axis=1))
+    weights = np.exp(log_likelihood - log_likelihood.max()) * np.gradient(scales)
+    return float(np.sqrt(weights @ scales**2 / weights.sum()))
 
 
 def _with_usual_ratio(noise: AxisNoise, fits: Sequence[TurnFit]) -> AxisNoise:

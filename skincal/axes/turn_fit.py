@@ -239,6 +239,38 @@ def fit_both_hands(pokes: AxisPokes, noise: AxisNoise, start: tuple[TurnFit, Tur
     return fit_turn(pokes, noise, right), replace(fit_turn(pokes.mirrored(), noise, mirrored), is_mirrored=True)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LeanSlopes:
+    """Misses of n readings at a fit, in standard deviations, with their derivatives."""
+
+    rows: FloatArray
+    """(3 n,) float, weighted by trust."""
+    by_turn: FloatArray
+    """(3 n, 4) float, by (omega, ln rho)."""
+    by_force: FloatArray
+    """(n, 3, 3) float, of the three rows of a reading, by the direction of its force in the link frame."""
+    inverse: FloatArray
+    """(4, 4) float, inverse of J'J with the prior of ln rho."""
+
+
+def lean_slopes(pokes: AxisPokes, fit: TurnFit) -> LeanSlopes:
+    """Compute the derivatives of the misses of a fit by its unknowns, and by the directions of the forces."""
+    problem = _Problem(pokes.mirrored() if fit.is_mirrored else pokes, AxisNoise(0.0, 0.0))
+    weights = np.sqrt(fit.trust / fit.variances)[:, None]
+    rows = problem.misses(fit.rotation, fit.log_ratio) * weights
+    turned = problem.misses(fit.rotation @ _SMALL_ROTATIONS, fit.log_ratio + _STEPS_BOTH_WAYS[:, 3]) * weights
+    by_turn = ((turned[:4] - turned[4:]) / (2.0 * SMALL_TURN)).reshape(4, -1).T
+    both_ways = SMALL_TURN * np.concatenate([np.eye(3), -np.eye(3)])
+    problem.f = problem.f + both_ways[:, None]
+    moved = problem.misses(fit.rotation, fit.log_ratio) * weights
+    by_force = ((moved[:3] - moved[3:]) / (2.0 * SMALL_TURN)).transpose(1, 2, 0)
+    information = by_turn.T @ by_turn
+    information[3, 3] += 1.0 / fit.log_ratio_sd**2
+    values, vectors = np.linalg.eigh(information)
+    inverse = (vectors / np.maximum(values, UNKNOWN_ANGLE_INFORMATION)) @ vectors.T
+    return LeanSlopes(rows.ravel(), by_turn, by_force, inverse)
+
+
 def _trust_of(squares: FloatArray) -> FloatArray:
     """Compute the trust of pokes, by the squares of their misses in standard deviations; see `trust.h`."""
     if len(squares) < MIN_POKES_FOR_TRUST:
@@ -304,6 +336,10 @@ class _Problem:
         """Compute (n,) squared misses in standard deviations, and (n,) variances, rad^2: eqs. (2) and (3)."""
         misses, variances, _ = self._misses(rotation, log_ratio)
         return np.einsum("...i,...i->...", misses, misses) / variances, variances
+
+    def misses(self, rotation: FloatArray, log_ratio: FloatArray | float) -> FloatArray:
+        """Compute the misses (n, 3), rad: eq. (2)."""
+        return self._misses(rotation, log_ratio)[0]
 
     def _misses(self, rotation: FloatArray, log_ratio: FloatArray | float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Compute misses (n, 3), rad, their variances (n,), rad^2, and m (n, 3)."""

@@ -218,6 +218,15 @@ TURN_COLUMNS: Mapping[str, Callable[[_CsvRow], str | float | None]] = {
 """More columns of taxels of three axes: state of the turn, the turn, and the standard deviations of its z axis and about it."""
 
 
+def csv_columns(calibration: Calibration) -> Mapping[str, Callable[[_CsvRow], str | float | None]]:
+    """Choose the columns of a calibration; gains have the unit of the skin."""
+    axes = calibration.scene.skin.axes
+    if axes is None:
+        return CSV_COLUMNS
+    in_unit = {name.replace("raw_per_N", f"{axes.unit}_per_N"): value for name, value in CSV_COLUMNS.items()}
+    return in_unit if calibration.axes is None else {**in_unit, **TURN_COLUMNS}
+
+
 def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
     """Return the CSV text of every method; what is not known is left empty.
 
@@ -227,7 +236,7 @@ def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    columns = CSV_COLUMNS if calibration.axes is None else {**CSV_COLUMNS, **TURN_COLUMNS}
+    columns = csv_columns(calibration)
     writer.writerow(columns)
     for method, estimates in calibration.estimates.items():
         for estimate, gain in zip(estimates, calibration.gains(method), strict=True):
@@ -328,7 +337,11 @@ ESTIMATE_KEYS = {
     "worst_direction": "weakest", "sd": "sd_m", "rms": "rms_m", "triangle": "triangle",
 }  # fmt: skip
 
-GAIN_KEYS = {"pokes": "pokes", "mean": "raw_per_N", "spread": "sd_raw_per_N"}
+
+def _gain_keys(scene: Scene) -> dict[str, str]:
+    """Name the fields of a taxel's gain, with the unit of the skin."""
+    unit = "raw" if scene.skin.axes is None else scene.skin.axes.unit
+    return {"pokes": "pokes", "mean": f"{unit}_per_N", "spread": f"sd_{unit}_per_N"}
 
 
 def json_text(calibration: Calibration, _method: Method | None = None) -> str:
@@ -471,13 +484,14 @@ def _axes(calibration: Calibration) -> dict[str, Any]:
         return {}
     from skincal.words.axis_words import axis_sentences, reading_words
 
-    noise = found.turns.skin.noise
+    noise, lean = found.turns.skin.noise, found.turns.lean
     return {
         "axes": {
             "reading": f"force on the taxel, z out of the skin: {reading_words(axes)}",
             "quaternion_order": "wxyz",
             "unit": axes.unit,
             "shear_over_normal_gain": math.exp(noise.log_ratio),
+            "push_lean_rad_per_m": None if lean is None else {"value": lean.value, "sd": lean.sd},
             "findings": {method.value: list(axis_sentences(axes, found.findings(method))) for method in calibration.estimates},
             "modules": [
                 {"module": module.id, "taxels": module.taxels, "log_odds_shared": float(module.log_odds_shared)}
@@ -504,7 +518,7 @@ def _turn(frame: TaxelFrame | None) -> dict[str, Any]:
 
 
 def _estimate(calibration: Calibration, method: Method, estimate: Estimate, gain: TaxelGain) -> dict[str, Any]:
-    rival = estimate.rival
+    rival, gain_keys = estimate.rival, _gain_keys(calibration.scene)
     return {
         "channel": int(estimate.channel),
         "module": calibration.module_id(estimate.channel),
@@ -515,7 +529,7 @@ def _estimate(calibration: Calibration, method: Method, estimate: Estimate, gain
             "position_m": _plain(rival.position), "triangle": int(rival.triangle), "odds": float(rival.odds),
         },
         "doubted": {str(poke): trust for poke, trust in sorted(estimate.doubted.items())},
-        "gain": _written(gain, GAIN_KEYS),
+        "gain": _written(gain, gain_keys),
         **_turn(calibration.frame(estimate.channel, method)),
     }  # fmt: skip
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from skincal.axes.turn_differences import compare_turns
 from skincal.words.axis_words import FRAME_STATE_WORDS, odds_words, reading_words, shared_sentence, turn_summary
-from skincal.words.turn_words import turn_difference_words
+from skincal.words.turn_words import push_lean_sentence, turn_difference_words
 from skincal.words.units import DASH, degrees
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ def turn_words_of(facts: SessionFacts, found: AxisResults, axes: SkinAxes) -> tu
         f"{summary[:1].upper()}{summary[1:]}.",
         f"A reading is the force on the taxel, z out of the skin: {reading_words(axes)}.",
         shared_sentence(findings),
+        push_lean_sentence(found.turns.lean),
     ]
     if facts.truth is not None and facts.truth.axes:
         known = {channel: frame.rotation for channel, frame in frames.items() if frame.rotation is not None}

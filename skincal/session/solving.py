@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 MODULES_AT_ONCE, SHEETS_AT_ONCE, TAXELS_AT_ONCE = 4, 1, 64
 """Solved between two looks at the clock: some 40 ms by the modules method, less for taxels alone."""
 
+
+PLACING_METHODS = (Method.MODULES, Method.SURFACE, Method.FREE)
+"""Methods that place taxels for the offsets of pushes, the best first."""
 PARTS_JOINED_WITHOUT_LIMIT = 12
 """Parts that are solved together without a limit of time: 48 modules."""
 
@@ -122,10 +125,22 @@ class Solving:
         """Turns of the taxels in the frame of the contacts, once nothing waits; `None` for taxels of one axis."""
         if self._turns is None or not self.is_placed:
             return None
-        if Method.SURFACE not in self._estimates:
-            return self._turns.turns({})
-        on_mesh = self._estimates[Method.SURFACE].items()
-        return self._turns.turns({channel: each.normal for channel, each in on_mesh if each.normal is not None})
+        from skincal.axes.push_offset import measure_offsets  # other scenes do without
+
+        on_mesh = self._estimates.get(Method.SURFACE, OrderedEstimates())
+        normals = {channel: each.normal for channel, each in on_mesh.items() if each.normal is not None}
+        pokes = self._turns.pokes
+        return self._turns.turns(normals, measure_offsets(self._table.evidence(pokes.keys()), self._placed(pokes), pokes))
+
+    def _placed(self, channels: Iterable[int]) -> dict[int, Estimate]:
+        """Find the best estimate of each channel that has a position: by the plan of a module it follows no poke of its own."""
+        found = dict[int, Estimate]()
+        for channel in channels:
+            every = (self._estimates[method].get(channel) for method in PLACING_METHODS if method in self._estimates)
+            best = next((each for each in every if each is not None and each.position is not None), None)
+            if best is not None:
+                found[channel] = best
+        return found
 
     def poke_changed(self, poke: int, channels: Iterable[int]) -> None:
         """Mark a contact as changed, with the channels that answered."""

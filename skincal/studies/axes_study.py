@@ -15,11 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skincal.axes.module_axes import AxisMistakeKind, ModulePlan, find_axes
+from skincal.axes.module_axes import AxisMistakeKind, ModulePlan, find_axes, has_shared_turn
+from skincal.axes.push_offset import OffsetCorrection, TaxelOffsets
 from skincal.axes.skin_turns import MIN_SHARE_OF_STRONGEST, find_turns
 from skincal.axes.turn_fit import AxisPokes, TurnFit
 from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts, count_strongest
-from skincal.geometry import FloatArray, rotation_by, rotation_vector
+from skincal.geometry import FloatArray, mean_rows, rotation_by, rotation_vector
 from skincal.model.errors import InputError
 from skincal.model.skin_axes import ResponseRule, SkinAxes, ValueOrder
 from skincal.palette import BLUE, GREEN, VERMILION
@@ -33,6 +34,8 @@ SPACING_M = 0.004
 """m, of the taxels: PaXini's are 1.2 to 4.1 mm apart, XELA's 4.7 mm."""
 AIM_SD_M = 0.001
 FORCE_NOISE_N = 0.05
+MOMENT_NOISE_NM = 0.005
+"""N m: it gives the place of a contact to 0.6 to 1.3 mm. An FT45 resolves 0.005 N m."""
 FORCES_N = (4.0, 8.0)
 FRAMES_IN_MEAN = 15
 """Skin frames of a still window."""
@@ -104,6 +107,8 @@ class Poked:
     """(n, 3) float, N, as measured."""
     readings: FloatArray
     """(n, taxels, 3) float, N, as measured, axes of each taxel."""
+    contacts: FloatArray
+    """(n, 3) float, m: places of the contacts, as measured."""
 
 
 def measure(bench: Bench, sizes: AxesSizes) -> Findings:
@@ -164,7 +169,9 @@ def poke_skin(task: Task, count: int, rng: np.random.Generator) -> Poked:
     forces = directions * size[:, None]
     true = skin.readings(pressed, forces)
     readings = np.mean([skin.measured(true, rng) for _ in range(FRAMES_IN_MEAN)], axis=0)
-    return Poked(skin, plans, forces + FORCE_NOISE_N * rng.standard_normal((count, 3)), readings)
+    measured = forces + FORCE_NOISE_N * rng.standard_normal((count, 3))
+    off = MOMENT_NOISE_NM / size[:, None] * rng.standard_normal((count, 2))
+    return Poked(skin, plans, measured, readings, points + off[:, :1] * e1 + off[:, 1:] * e2)
 
 
 def _lay_modules(rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray, tuple[ModulePlan, ...]]:
@@ -194,6 +201,23 @@ def collect(forces: FloatArray, readings: FloatArray) -> dict[int, AxisPokes]:
     }
 
 
+def offsets_of(poked: Poked, pokes: Mapping[int, AxisPokes]) -> dict[int, TaxelOffsets]:
+    """Measure the offsets of the pushes from taxels, which lie as planned on modules that the contacts place."""
+    found = dict[int, TaxelOffsets]()
+    for plan in poked.plans:
+        own = [channel for channel in plan.channels if channel in pokes]
+        if not own:
+            continue
+        gaps = {channel: poked.contacts[pokes[channel].pokes] - poked.skin.places[channel] for channel in own}
+        every = np.concatenate([gaps[channel] for channel in own])
+        shift = mean_rows(every)
+        spread = float(np.sum((every - shift) ** 2)) / (2.0 * len(every))
+        covariance = spread / len(every) * np.eye(3)
+        for channel in own:
+            found[channel] = TaxelOffsets(gaps[channel] - shift, covariance, poked.skin.normals[channel])
+    return found
+
+
 def run_session(task: Task) -> dict[str, Any]:
     """Simulate a session and find its turns: errors in degrees, and the time."""
     rng = np.random.default_rng([task.seed, task.pokes, int(10 * task.lean_deg), int(task.by_module)])
@@ -202,15 +226,19 @@ def run_session(task: Task) -> dict[str, Any]:
     begin = process_time()
     turns = find_turns(collect(poked.forces, poked.readings), FORCE_NOISE_N)
     findings = find_axes(turns, poked.plans)
+    modules = {module.id: module.turn for module in findings.modules}
+    shared = [module.id for module in findings.modules if has_shared_turn(module, findings.log_odds_shared)]
+    corrected = OffsetCorrection().correct(turns, modules, shared, offsets_of(poked, turns.pokes))
     seconds = process_time() - begin
     if task.by_module:
-        fits = [(module.turn.fit, poked.skin.axes[module.turn.channels[0]]) for module in findings.modules]
+        fits = [(turn.fit, poked.skin.axes[turn.channels[0]]) for turn in corrected.modules.values()]
     else:
-        fits = [(turn.fit, poked.skin.axes[channel]) for channel, turn in turns.taxels.items()]
+        fits = [(turn.fit, poked.skin.axes[channel]) for channel, turn in corrected.skin.taxels.items()]
     errors = [_errors(fit, true) for fit, true in fits]
     return {
         "normal": [each[0] for each in errors], "plane": [each[1] for each in errors], "inside": [each[2] for each in errors],
         "known": [fit.is_in_plane_known for fit, _ in fits],
+        "lean": [corrected.lean.value],
         "ms": 1e3 * seconds / len(turns.taxels),
         "right": [(module.is_shared if task.by_module else module.is_separate) for module in findings.modules],
         "wrong": [(module.is_separate if task.by_module else module.is_shared) for module in findings.modules],

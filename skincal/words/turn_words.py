@@ -13,12 +13,14 @@ from skincal.geometry import FloatArray
 from skincal.words.units import DASH, count, degrees, direction
 
 if TYPE_CHECKING:
+    from skincal.axes.push_offset import PushLean
     from skincal.axes.session_turns import ShownTurn
     from skincal.axes.turn_differences import TurnDifferences
 
 TURN_ROWS = ("x points to", "y points to", "z points to", "z from normal", "Turn's error", "Turn")
 MIN_ANGLE_WITHOUT_DECIMAL = float(np.radians(9.95))
 """rad. Smaller predictions have a decimal."""
+CERTAIN_LEAN_SDS = 4.0
 NO_TURN_YET = "unknown: no poke has pressed it"
 IN_PLANE_UNKNOWN = "turn in the plane is unknown: press leaning"
 
@@ -51,6 +53,17 @@ def turn_error_words(turn: ShownTurn | None) -> str:
         return "unknown"
     about = degrees(turn.in_plane_sd, 1) if turn.is_in_plane_known else "unknown"
     return f"z {degrees(turn.normal_sd, 1)}, in the plane {about}"
+
+
+def push_lean_sentence(lean: PushLean | None) -> str:
+    """State how far pushes next to the middle of a taxel lean its answer; empty unless it is certain."""
+    if lean is None or abs(lean.value) < CERTAIN_LEAN_SDS * lean.sd:
+        return ""
+    way = "outward" if lean.value > 0 else "inward"
+    return (
+        f"A push 1 mm next to the middle of a taxel leans its answer {degrees(1e-3 * abs(lean.value), 1)} {way} "
+        f"(sd {degrees(1e-3 * lean.sd, 1)}); the turns are corrected for it."
+    )
 
 
 def turn_gain_words(now: float, after: float) -> str:

@@ -1,5 +1,7 @@
 """One turn or many on a mesh: a dome with a poke on each taxel shares none, and a flat module with leaning pokes does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,8 @@ def odds(seed, bend_deg, own_turn, pokes, lean, with_normals=True):
     for channel, angle in enumerate(leans.tolist()):
         turn = rng.uniform(-np.pi, np.pi) if own_turn else 0.3
         axes = rotation_by(np.array([0.0, angle, 0.0])) @ rotation_by(np.array([0.0, 0.0, turn]))
-        made[channel] = make_pokes(rng, axes, pokes, lean)
+        own = make_pokes(rng, axes, pokes, lean)
+        made[channel] = replace(own, pokes=own.pokes + 100 * channel)
         # A mesh of triangles: normals are off by some degrees.
         normal = axes[:, 2] + np.radians(3.0) * rng.normal(size=3)
         normals[channel] = normal / np.linalg.norm(normal)
@@ -62,6 +65,7 @@ def test_modules_are_fitted_with_the_ratio_of_gains_of_their_taxels():
     """Alone, a ratio of 0.02 would press the readings of a dome into one turn."""
     rng = np.random.default_rng(3)
     dome = [make_pokes(rng, rotation_by(np.array([0.0, angle, 0.0])), 4, 5.0) for angle in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    dome = [replace(own, pokes=own.pokes + 100 * place) for place, own in enumerate(dome)]
     own, alone = find_noise(dome, FORCE_NOISE_N), find_noise([joined(dome)], FORCE_NOISE_N)
     assert np.exp(alone.log_ratio) < 0.1
     assert find_module_noise([joined(dome)], own).log_ratio == own.log_ratio == pytest.approx(np.log(0.6), abs=0.3)

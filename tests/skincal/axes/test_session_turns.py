@@ -25,7 +25,7 @@ def fed(session, contacts):
     for contact in contacts:
         solving.poke_changed(contact.poke, contact)
     solving.solve()
-    return solving.turns({})
+    return solving.turns({}, {})
 
 
 def numbers(turns):
@@ -47,15 +47,15 @@ def test_a_growing_session_has_the_turns_of_all_its_contacts(session):
             solving.solve(0.0)
     solving.poke_changed(contacts[3].poke, None)
     solving.solve()
-    assert numbers(solving.turns({})) != numbers(once)
-    assert numbers(solving.turns({})) == numbers(fed(session, [each for each in contacts if each is not contacts[3]]))
+    assert numbers(solving.turns({}, {})) != numbers(once)
+    assert numbers(solving.turns({}, {})) == numbers(fed(session, [each for each in contacts if each is not contacts[3]]))
     solving.poke_changed(contacts[3].poke, contacts[3])
     steps = 0
     while solving.waiting or not steps:
         solving.solve(0.0)
         steps += 1
     assert steps > 5
-    assert numbers(solving.turns({})) == numbers(once)
+    assert numbers(solving.turns({}, {})) == numbers(once)
 
 
 def test_the_tare_after_an_early_poke_changes_the_noise_that_all_share(session):
@@ -67,7 +67,7 @@ def test_the_tare_after_an_early_poke_changes_the_noise_that_all_share(session):
     solving.solve()
     solving.pokes_changed([later.poke], [later])
     solving.solve()
-    assert numbers(solving.turns({})) == numbers(fed(session, [*contacts[:2], later, *contacts[3:]]))
+    assert numbers(solving.turns({}, {})) == numbers(fed(session, [*contacts[:2], later, *contacts[3:]]))
 
 
 def test_a_poke_changes_the_taxels_that_it_presses_alone(session):
@@ -76,11 +76,11 @@ def test_a_poke_changes_the_taxels_that_it_presses_alone(session):
     for contact in session.contacts[:20]:
         solving.poke_changed(contact.poke, contact)
     solving.solve()
-    before = solving.turns({})
+    before = solving.turns({}, {})
     solving.poke_changed(session.contacts[20].poke, session.contacts[20])
     assert solving.waiting == 1
     solving.solve()
-    after = solving.turns({})
+    after = solving.turns({}, {})
     changed = [channel for channel, turn in after.skin.taxels.items() if turn is not before.skin.taxels.get(channel)]
     assert changed == session.contacts[20].channels.tolist()
     own = pokes_by_taxel(session.contacts[:21])[changed[0]]
@@ -110,9 +110,9 @@ def test_a_contact_that_counts_no_more_leaves_nothing(session):
     solving.solve()
     solving.poke_changed(first.poke, None)
     solving.solve()
-    assert not solving.turns({}).skin.taxels
-    assert not solving.turns({}).modules
-    assert solving.turns({}).of_channel(0) is None
+    assert not solving.turns({}, {}).skin.taxels
+    assert not solving.turns({}, {}).modules
+    assert solving.turns({}, {}).of_channel(0) is None
 
 
 def test_a_snapshot_has_turns_that_follow_its_decisions(tmp_path):

@@ -64,6 +64,13 @@ def test_json_and_npz_have_the_turn_with_covariance_and_state(turned):
     # A skin in newtons has no raw threshold.
     assert "response_min_N" in document["contact_settings"]
     assert {"responses_N", "readings_N"} <= document["contacts"][0].keys()
+    gains = [each["gain"] for each in document["estimates"]["surface"]]
+    rows = [row for row in csv.DictReader(io.StringIO(csv_text(calibration))) if row["method"] == "surface"]
+    assert any(gain["pokes"] > 2 for gain in gains)
+    for gain, row in zip(gains, rows, strict=True):
+        assert gain.keys() == {"pokes", "N_per_N", "sd_N_per_N"}
+        written = "" if gain["N_per_N"] is None else repr(gain["N_per_N"])
+        assert (row["gain_N_per_N"], row["gain_pokes"]) == (written, str(gain["pokes"]))
 
 
 def test_a_skin_of_one_axis_has_nothing_of_it(part):
