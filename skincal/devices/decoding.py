@@ -180,10 +180,14 @@ class GapCounter:
             return step // self._usual - 1
         return 0
 
+    def is_continued_by(self, numbers: IntArray) -> bool:
+        """Check whether `numbers` (n,) go on in the usual step. The question changes nothing."""
+        step, last = self._usual, self._last
+        return bool(step and step == self._step and last is not None and (np.diff(numbers, prepend=last) == step).all())
+
     def missing_among(self, numbers: IntArray) -> int:
         """Count the numbers missing before and among `numbers` (n,)."""
-        step, last = self._usual, self._last
-        if step and step == self._step and last is not None and numbers[0] == last + step and (np.diff(numbers) == step).all():
+        if self.is_continued_by(numbers):
             self._last = int(numbers[-1])
             return 0
         return sum(map(self.missing_before, numbers.tolist()))

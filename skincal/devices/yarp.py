@@ -40,7 +40,7 @@ from skincal.devices.family import DeviceAddress, Family, Form, Handshake, Hands
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.errors import InputError
 from skincal.model.given import read_regular
-from skincal.model.readings import Loss, Stream
+from skincal.model.readings import Batch, Loss, Stream
 
 YARP_INT_STRUCT = struct.Struct("<2si2s")
 FAST_TCP, MESSAGE = 7780, 10
@@ -54,7 +54,7 @@ READER_NAME = b"skincal\x00"
 """No slash in front: that would announce a port."""
 READER_HELLO = YARP_INT_STRUCT.pack(b"YA", FAST_TCP, b"RP") + INT32_STRUCT.pack(len(READER_NAME)) + READER_NAME
 BECOME_READER = struct.pack("<2si2s2B8si4s4s", b"YA", MESSAGE, b"RP", 1, 1, b"\xff" * 8, 8, bytes(4), bytes(4)) + b"~r\x00\x01"
-_LIST, _DICT, _STRING, _BLOB, _VOCAB = 256, 512, 4, 12, 9
+_LIST, _DICT, _STRING, _BLOB, _VOCAB, _DOUBLE = 256, 512, 4, 12, 9, 10
 _DTYPE_OF_TAG = {32: "<i1", 64: "<i2", 1: "<i4", 17: "<i8", 128: "<f4", 10: "<f8"}
 """Numbers by their tag; a list of one kind has 256 more."""
 NAME_LINE = re.compile(r"registration name (\S+) ip (\S+) port (\d+) type (\S+)")
@@ -110,12 +110,16 @@ class MessageSplitter(LengthSplitter):
     """Cuts the bytes of a port into the bodies of its messages. The port's number comes before the first one."""
 
     def __init__(self) -> None:
-        super().__init__(self._next_message)
+        super().__init__(self.next_message)
         self.port: int | None = None
         """Number of the port; `None` before the port has sent it."""
         self._is_first = True
 
-    def _next_message(self, data: bytes, at: int) -> tuple[bytes, int] | None:
+    def next_message(self, data: bytes, at: int) -> tuple[bytes, int] | None:
+        """Return the body of the message at a place of the bytes, and the place of its end; `None` while it is incomplete.
+
+        Raises ProtocolError: it is no message.
+        """
         if self._is_first:
             if len(data) < YARP_INT_STRUCT.size:
                 return None
@@ -272,7 +276,36 @@ class YarpPortDecoder(FrameDecoder):
     starts_whole: ClassVar[bool] = True
 
     def _make_splitter(self) -> FrameSplitter:
-        return MessageSplitter()
+        self._messages = MessageSplitter()
+        return self._messages
+
+    def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
+        """Decode chunks of one whole message each, a vector of doubles, with no number missing. Else take nothing."""
+        stream, width = self._carries[0], self._widths[self._carries[0]]
+        if len(self._carries) > 1 or width is None or self._messages.port is None or self._messages.has_partial_frame:
+            return None
+        head = struct.pack("<2i", _LIST | _DOUBLE, width)
+        numbers: list[int] = []
+        stamps: list[float] = []
+        payloads: list[bytes] = []
+        try:
+            for chunk in chunks:
+                body, end = self._messages.next_message(chunk, 0) or (b"", 0)
+                seq, stamp, payload = split_envelope(body)
+                if end != len(chunk) or len(payload) != len(head) + 8 * width or not payload.startswith(head):
+                    return None
+                numbers.append(seq)
+                stamps.append(stamp)
+                payloads.append(payload[len(head) :])
+        except ProtocolError:
+            return None
+        seq, device_s = np.array(numbers), np.array(stamps)
+        values = np.frombuffer(b"".join(payloads), "<f8").reshape(len(chunks), width)
+        if not (self._gaps.is_continued_by(seq) and np.isfinite(device_s).all() and np.isfinite(values).all()):
+            return None
+        self._gaps.missing_among(seq)
+        self.valid_records += len(chunks)
+        return self._batch(stream, seq, device_s, values), list(range(1, len(chunks) + 1))
 
     def _decode(self, frame: bytes) -> Loss | None:
         try:

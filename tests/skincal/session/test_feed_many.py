@@ -258,6 +258,7 @@ RECORDINGS: dict[str, Callable] = {
 OTHER_DEVICES: dict[str, tuple[tuple[LinkSpec, ...], Callable]] = {
     "makers": (MAKER_LINKS, lambda scene: by_makers(as_items(turned(scene)))),
     "makers, lost wrenches": (MAKER_LINKS, lambda scene: without(by_makers(as_items(plain(scene))), "wrench", 0.05)),
+    "makers, lost frames": (MAKER_LINKS, lambda scene: without(by_makers(as_items(plain(scene))), "skin", 0.1)),
     "makers, cut records": (MAKER_LINKS, lambda scene: cut_anywhere(by_makers(as_items(plain(scene))))),
     "makers, frozen": (MAKER_LINKS, lambda scene: by_makers(as_items(plain(scene), frozen=range(60, 140)))),
     "makers, status": (MAKER_LINKS, lambda scene: status_in_the_middle(by_makers(as_items(plain(scene))))),
