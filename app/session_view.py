@@ -47,7 +47,7 @@ from app.state.view_state import ViewState, focused_channel
 from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORT_IN_PROGRESS, REPORT_WORK, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
-from app.text.part_pose_text import unplaced_note
+from app.text.part_pose_text import tool_state, unplaced_note
 from app.text.rig_text import corrected_words, offer_news, rig_state
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
@@ -487,9 +487,14 @@ class SessionView(QObject):
         found = None if state.review is None else state.review.rig
         verdict = self.guided.guide.verdict(state.snapshot, state.method, found)
         used = state.snapshot.decisions.corrections.values()
-        rig = rig_state(state.offers, used, state.review, has_arm=verdict.has_arm)
+        has_tool = state.scene.tool is not None
+        is_corrected = bool(state.offers) or bool(used)
+        rig = rig_state(state.offers, used, state.review, has_arm=verdict.has_arm) if is_corrected or not has_tool else ""
+        rig = "\n".join(filter(None, (rig, tool_state(state)))) if has_tool else rig
         can_export, settled = state.may.export, not state.offers
-        dialog = VerdictDialog(verdict, self.workspace.names, parent, rig=rig, can_export=can_export, settled=settled)
+        dialog = VerdictDialog(
+            verdict, self.workspace.names, parent, rig=rig, has_tool=has_tool, can_export=can_export, settled=settled
+        )
         dialog.taxel_wanted.connect(self.select_taxel)
         dialog.export_wanted.connect(self.ask_export)
         dialog.report_wanted.connect(self.ask_report)

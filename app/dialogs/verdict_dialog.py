@@ -42,7 +42,8 @@ class VerdictDialog(Dialog):
 
     Parameters
     ----------
-    rig : sentence on the errors of the rig
+    rig : sentences on the errors of the rig
+    has_tool : they are about the tip of a tool, the part's pose and the delay of the tool's poses
     settled : no correction is available that would change the estimates
     """
 
@@ -57,6 +58,7 @@ class VerdictDialog(Dialog):
         parent: QWidget | None = None,
         *,
         rig: str = "",
+        has_tool: bool = False,
         can_export: bool = True,
         settled: bool = True,
     ) -> None:
@@ -65,7 +67,8 @@ class VerdictDialog(Dialog):
         self._channels = [left.channel for left in verdict.left]
         self.sentence = QLabel(verdict_headline(verdict), wordWrap=True)
         self.details = QLabel(verdict_details(verdict), wordWrap=True)
-        shown = (*figures(verdict), *((("Sensor and arm" if verdict.has_arm else "Sensor", rig),) if rig else ()))
+        thing = "Tool and part" if has_tool else "Sensor and arm" if verdict.has_arm else "Sensor"
+        shown = (*figures(verdict), *(((thing, rig),) if rig else ()))
         self.figures = [(name, QLabel(value, wordWrap=True)) for name, value in shown]
         self.heading = secondary_label(f"{count(len(verdict.left), 'taxel')} not finished. Enter selects one in the views.")
         self.left = table("unfinished taxels", HEADINGS)

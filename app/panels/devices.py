@@ -96,7 +96,7 @@ class LinkCard(QFrame):
             frames = count(unpaired, "skin frame")
             late = f"{frames} had no force/torque reading at their time: it came late, in bursts, or not at all."
         read = DOT_SEPARATOR.join(filter(None, (health.units, beside_words(health.beside), said)))
-        self.losses.setText("\n".join(filter(None, (read, late))))
+        self.losses.setText("\n".join(filter(None, (read, late, health.pose_delay))))
 
 
 class DevicesPanel(Panel):

@@ -14,6 +14,7 @@ from app.panels.widgets import fit_columns, fit_rows, put_rows, secondary_label,
 from app.state.memo import is_same
 from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
+from app.text.part_pose_text import tool_state
 from app.text.rig_text import landmark_rows, offer_text, review_words
 from app.theme import WIDGET_GAP_PX
 from skincal.contacts.outcome import Contact
@@ -126,7 +127,7 @@ class RigPanel(Panel):
     def depends_on(self, state: ViewState) -> tuple[object, ...]:
         snapshot = state.snapshot
         shown = state.revision, state.live.pose, snapshot.decisions, state.review, state.offers, state.guidance, state.method
-        return *shown, self._setup.sentences
+        return *shown, self._setup.sentences, *(link.pose_delay for link in state.live.links)
 
     def update_view(self, state: ViewState) -> None:
         guidance = state.guidance
@@ -178,17 +179,7 @@ def _words(state: ViewState) -> str:
 
 def _tip_words(state: ViewState) -> str:
     """Describe the tip's positions, or the tip of a tool and the part's pose in the base; empty without them."""
-    snapshot = state.snapshot
     if state.scene.tool is not None:
-        from skincal.words.part_words import tool_rig_sentences
-
-        return "\n".join(
-            tool_rig_sentences(
-                snapshot.tip_frame,
-                snapshot.part_pose,
-                snapshot.typed_pose_error,
-                snapshot.at_landmarks,
-                snapshot.off_mesh,
-            )
-        )
+        return tool_state(state)
+    snapshot = state.snapshot
     return "" if snapshot.tip_frame is None else tip_sentence(snapshot.tip_frame)

@@ -1,4 +1,4 @@
-"""The note in the 3D view while the part's pose in the base of a tool's poses is unknown."""
+"""Texts on the tip of a tool and the part's pose: the note in the 3D view, the Rig tab, and the verdict."""
 
 from __future__ import annotations
 
@@ -27,3 +27,14 @@ def unplaced_note(state: ViewState, tip: FloatArray | None) -> str:
         what, at = ("sensor", pose[:3, 3]) if tip is None else ("tip", pose[:3] @ np.append(tip, 1.0))
         lines.append(f"The {what} of the tool is at ({point_mm(at)}) mm in the base now.")
     return "\n".join(lines)
+
+
+def tool_state(state: ViewState) -> str:
+    """Describe the tip of the tool, the part's pose in the base, and the delay of the poses, a line each."""
+    from skincal.words.part_words import tool_rig_sentences
+
+    snapshot = state.snapshot
+    of_rig = tool_rig_sentences(
+        snapshot.tip_frame, snapshot.part_pose, snapshot.typed_pose_error, snapshot.at_landmarks, snapshot.off_mesh
+    )
+    return "\n".join(filter(None, (*of_rig, *(link.pose_delay for link in state.live.links))))

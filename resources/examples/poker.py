@@ -3,9 +3,10 @@
     skincal record --targets 7010 ...            # or the window: skincal --targets 7010 ...
     python3 poker.py --port 7010
 
-Fill in the frame and the three functions of `Arm`; docs/robot.md has those for UR by RTDE and for ROS 2. All places are metres
-in that frame: convert with the measured pose of the part in the robot's base. Try it first on a soft part, with a low
-`FORCE_LIMIT`, and a hand on the emergency stop.
+Fill in the frame and the three functions of `Arm`; docs/robot.md has those for UR by RTDE and for ROS 2. All places of `Arm`
+are metres in the robot's base. With `[tool]` in the scene nobody measures the part: skincal finds its pose in the base of
+`--tool`, and sends it. Until then the robot waits if `Arm.part` is `None`: move the tip to the first landmarks by hand. Try it
+first on a soft part, with a low `FORCE_LIMIT`, and a hand on the emergency stop.
 
 Between other directions the tip goes back by `CLEAR`, more than the part is wide. It skips the far side of the part.
 """
@@ -20,6 +21,9 @@ import time
 from urllib.parse import unquote
 
 Vector = tuple[float, float, float]
+Pose = tuple[float, float, float, float, float, float, float]
+"""Position, m, and quaternion x y z w."""
+AT_BASE: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 STANDOFF, SEARCH, CLEAR = 0.03, 0.012, 0.15
 """m: before the place, where a poke begins and ends; behind it, where the search ends; back before another direction."""
@@ -38,6 +42,9 @@ class Arm:
 
     frame = ""
     """Name of the part's frame: the link that the scene calibrates. A target in another frame is a fault."""
+    part: Pose | None = None
+    """Pose of the part in the robot's base, as measured; `None` until skincal has found it. A rough one lets the robot touch
+    the first landmarks. `AT_BASE` if the three functions work in the part's frame."""
 
     def read(self) -> tuple[Vector, float, float]:
         """Return the place of the tip's end; the force along the push, N, not tared; and its age, s."""
@@ -65,6 +72,9 @@ class Poker:
 
     def __init__(self, arm: Arm, host: str, port: int) -> None:
         self.arm, self.place, self.side = arm, (host, port), None
+        self.part = arm.part
+        """The newest pose of the part: that of the arm, then that of skincal."""
+        self._used = self.part or AT_BASE
         self._reported_s = 0.0
 
     def say(self, line: str) -> None:
@@ -84,9 +94,11 @@ class Poker:
 
     def _serve_target(self) -> None:
         """Wait for a target, poke it, and answer."""
-        while self.target is None:
+        while self.target is None or self.part is None:
             self._wait()
         (number, place, push, force, hold), self.target, self.held = self.target, None, False
+        self._used = self.part
+        place, push = _moved(_turned(self._used[3:], place), self._used[:3], 1.0), _turned(self._used[3:], push)
         turn = 1.0 if self.side is None else sum(a * b for a, b in zip(self.side, push, strict=True))
         ends = [_moved(place, push, way) for way in (-CLEAR, -STANDOFF, 0.0)]
         if turn < NEAR_SIDE or not all(self.arm.can_reach(end, push) for end in ends):
@@ -167,7 +179,9 @@ class Poker:
         self.arm.move_tip(tip, push)
         if time.monotonic() - self._reported_s > 0.1:
             self._reported_s = time.monotonic()
-            self.say("tip " + " ".join(f"{value:.6f}" for value in (*tip, *push)))
+            back = (*(-value for value in self._used[3:6]), self._used[6])
+            there = (*_turned(back, _moved(tip, self._used[:3], -1.0)), *_turned(back, push))
+            self.say("tip " + " ".join(f"{value:.6f}" for value in there))
         self._wait()
 
     def _wait(self) -> None:
@@ -198,6 +212,9 @@ class Poker:
             x, y, z, px, py, pz, force, hold = map(float, rest[4:])
             self.target = int(rest[0]), (x, y, z), (px, py, pz), force, hold
             return True
+        if word == "part" and unquote(rest[0]) == self.arm.frame:
+            x, y, z, qx, qy, qz, qw = map(float, rest[1:])
+            self.part = x, y, z, qx, qy, qz, qw
         if word in ("wait", "stop", "any", "enough"):
             self.target = () if word == "enough" else None
             return True
@@ -209,6 +226,15 @@ class Poker:
 
 def _moved(place: Vector, push: Vector, way: float) -> Vector:
     return tuple(p + way * d for p, d in zip(place, push, strict=True))
+
+
+def _turned(quaternion: tuple[float, ...], point: Vector) -> Vector:
+    """Turn a point by a unit quaternion x y z w."""
+    x, y, z, w = quaternion
+    a, b, c = point
+    across = y * c - z * b + w * a, z * a - x * c + w * b, x * b - y * a + w * c
+    i, j, k = across
+    return a + 2.0 * (y * k - z * j), b + 2.0 * (z * i - x * k), c + 2.0 * (x * j - y * i)
 
 
 def main() -> None:

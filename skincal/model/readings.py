@@ -301,6 +301,8 @@ class LinkHealth:
     address: str = ""
     warning: str = ""
     """What is suspicious about good readings, such as a joint outside its limits; empty for nothing."""
+    pose_delay: str = ""
+    """Sentence on the delay of a tool's poses; empty while it is unknown, and for other streams."""
     freezes: tuple[Freeze, ...] = ()
     """In order of time, without short ones."""
     levels: tuple[float, ...] = ()

@@ -329,7 +329,19 @@ class Pipeline:
 
     def _links(self, now_ns: int) -> tuple[LinkHealth, ...]:
         """State of the links, with a warning: an angle lies outside the limits of the URDF, or the skin is binary."""
-        return tuple(replace(link, warning=self._warning(link)) for link in self._intake.health(now_ns))
+        delay = self._pose_delay_words()
+        return tuple(
+            replace(link, warning=self._warning(link), pose_delay=delay if Stream.TOOL in link.carries else "")
+            for link in self._intake.health(now_ns)
+        )
+
+    def _pose_delay_words(self) -> str:
+        delays = self._own_pose_delays()
+        if delays is None:
+            return ""
+        from skincal.words.tool_words import pose_delay_sentence  # other rigs do without
+
+        return pose_delay_sentence(delays)
 
     def _warning(self, link: LinkHealth) -> str:
         # The noise of a skin at rest may have two values as well.

@@ -114,11 +114,8 @@ def repeated_pose_sentence(contacts: Sequence[Contact]) -> str:
     of_pose: dict[bytes, list[Contact]] = {}
     for contact in contacts:
         of_pose.setdefault(contact.link_from_sensor.tobytes(), []).append(contact)
-    taxels, _, pokes = max(
-        ((len({poke.strongest_channel for poke in each}), len(each), each) for each in of_pose.values()),
-        key=lambda found: found[:2],
-        default=(0, 0, []),
-    )
+    counted = [(len({poke.strongest_channel for poke in each}), len(each), each) for each in of_pose.values()]
+    taxels, _, pokes = max(counted or [(0, 0, list(contacts))], key=lambda found: found[:2])
     if taxels < REPEATED_POSE_MIN_TAXELS:
         return ""
     return (

@@ -309,6 +309,12 @@ def test_what_speaks_against_it_or_is_offered_goes_before_the_file(qtbot):
     assert shown(qtbot, rig="nothing to correct").focusWidget().text().startswith("Export")
 
 
+def test_of_a_rig_with_a_tool_the_row_is_about_tool_and_part(qtbot):
+    names = [name for name, _ in shown(qtbot, rig="Part: known to 1 mm.", has_tool=True).figures]
+    assert "Tool and part" in names
+    assert not any("Sensor" in name for name in names)
+
+
 def test_all_that_is_said_is_seen(qtbot):
     dialog = VerdictDialog(verdict(checked=Check(14, 7)), NAMES, rig=30 * "The rig can be corrected. ")
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)

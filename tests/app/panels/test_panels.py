@@ -257,6 +257,8 @@ def test_devices_show_rate_losses_and_faults(qtbot):
     warm = link(beside={TEMPERATURE_NAME: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
     said = show(warm, 200.0).losses.text()
     assert said.startswith(DOT_SEPARATOR.join(("Fx Fy Fz in N, Mx My Mz in N m", "temperature 31.0 degC (30.5 to 33.2)")))
+    late = "Poses of the tool come 16 ms later than the skin."
+    assert show(link(pose_delay=late), 300.0).losses.text().endswith(late)
     with qtbot.waitSignal(panel.command_wanted) as wanted:
         panel.change.click()
     assert wanted.args == ["addresses"]

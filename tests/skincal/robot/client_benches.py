@@ -48,6 +48,7 @@ class FlatPart:
     """An arm above a flat part at height 0, in its own time, four times as fast: faster, its reports were a flood."""
 
     frame = "flat part"
+    part = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     def __init__(self):
         self.now_s, self.place, self.force_age_s, self.stiffness = 0.0, (0.0, 0.0, 0.2), 0.0, STIFFNESS
@@ -157,8 +158,8 @@ class Program(Client):
 class Template(Client):
     gave_up_kind = AnswerKind.FAULT
 
-    def __init__(self, server):
-        self.server, self.arm, self.answers, self.ended = server, FlatPart(), [], None
+    def __init__(self, server, arm):
+        self.server, self.arm, self.answers, self.ended = server, arm, [], None
         self.example = load_example()
         self.example.time = self.arm
         self.poker, self.standoff_m = self.example.Poker(self.arm, server.host, server.port), self.example.STANDOFF
@@ -218,10 +219,10 @@ class Template(Client):
 
 
 @contextmanager
-def template():
+def template(arm=None):
     server = TargetServer(*parse_port("0"))
     try:
-        client = Template(server)
+        client = Template(server, arm or FlatPart())
         yield client
         server.send([NoTarget.ENOUGH])
         client.thread.join(PATIENCE_S)

@@ -5,6 +5,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from skincal.mesh.load import load_surface
 from skincal.model.scene import load_scene, resource
@@ -15,12 +16,13 @@ from skincal.robot.target_lines import (
     AnswerKind,
     Judged,
     NoTarget,
+    PartPlace,
     RobotPace,
     TipPose,
     read_answer_line,
     write_line,
 )
-from tests.skincal.robot.client_benches import DOWN, PATIENCE_S, load_example, template
+from tests.skincal.robot.client_benches import DOWN, PATIENCE_S, FlatPart, load_example, template
 
 
 @pytest.fixture
@@ -74,11 +76,53 @@ def test_after_a_lost_connection_it_first_goes_back(client):
     assert client.poker.side == tuple(DOWN)
 
 
+class ArmInBase(FlatPart):
+    """The same arm, whose functions are in its base; nobody has measured the part."""
+
+    part = None
+    BASE_FROM_PART = np.eye(4)
+    BASE_FROM_PART[:3, :3] = Rotation.from_euler("xyz", [20, -35, 70], degrees=True).as_matrix()
+    BASE_FROM_PART[:3, 3] = 0.4, -0.3, 0.1
+
+    def read(self):
+        place, force, age = super().read()
+        return tuple(self.BASE_FROM_PART[:3] @ np.append(place, 1.0)), force, age
+
+    def move_tip(self, place, push):
+        np.testing.assert_allclose(push, self.BASE_FROM_PART[:3, :3] @ DOWN, atol=1e-6)
+        super().move_tip(tuple(self._in_part(place)), push)
+
+    def can_reach(self, place, push):
+        return super().can_reach(tuple(self._in_part(place)), push)
+
+    def _in_part(self, place):
+        return self.BASE_FROM_PART[:3, :3].T @ (np.array(place) - self.BASE_FROM_PART[:3, 3])
+
+
+def test_a_part_that_nobody_measured_is_poked_once_skincal_sends_its_pose():
+    with template(ArmInBase()) as client:
+        client.ask(1).rest(1.0)
+        assert client.arm.course == [], "it waits"
+        client.say(PartPlace("another part", np.eye(4))).rest(0.5)
+        assert client.arm.course == []
+        off = client.arm.BASE_FROM_PART.copy()
+        off[:3, 3] += 0.003 * off[:3, 0]
+        client.say(PartPlace("flat part", off)).until_answers()
+        assert client.said() == [(AnswerKind.REACHED, 1)]
+        tips = np.array([item.place for item in client.answers if isinstance(item, TipPose)])
+        assert np.abs(tips[:, :2] - [0.01, 0.02]).max() < 0.15, "in the frame of the targets"
+        assert client.arm.place[:2] == pytest.approx((0.013, 0.02), abs=1e-6), "3 mm off, as that pose"
+        client.say(PartPlace("flat part", client.arm.BASE_FROM_PART)).ask(2).until_answers(2)
+        assert client.said()[1] == (AnswerKind.REACHED, 2)
+        assert client.arm.place[:2] == pytest.approx((0.01, 0.02), abs=1e-6), "the newest pose is used"
+
+
 class PhysicsArm:
     """The simulated robot behind the three functions of the template, and the clock of its simulated time."""
 
     def __init__(self, robot):
         self.robot, self.monotonic, self.frame = robot, lambda: robot.time_s, robot.scene.link
+        self.part = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
 
     def sleep(self, seconds):
         for _ in range(round(seconds / self.robot.period_s)):

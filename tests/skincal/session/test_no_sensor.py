@@ -290,6 +290,8 @@ def test_results_say_nothing_of_a_sensor_and_landmarks_check_the_part(recorded):
     said, of_delay = results.tool
     assert said.startswith("Part: its pose in the base is known to")
     assert re.match(r"Poses of the tool come \d ms (later|earlier) than the skin \(known to \d ms", of_delay)
+    shown = {link.link: link.pose_delay for link in recorded.live(0).links}
+    assert shown == {"skin": "", "tool": of_delay}, "the Devices tab has it, too"
     names = ChannelNames(None)
     contact = next(each for each in outcomes_of(recorded) if isinstance(each, Contact))
     assert outcome_headline(contact, names) == f"accepted: taxel {contact.strongest_channel}"
