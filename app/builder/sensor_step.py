@@ -23,7 +23,7 @@ from skincal.part.draft_preview import PartPreview
 from skincal.part.part_changes import sensors_between
 from skincal.part.part_draft import IDENTITY_POSE, pose_rows
 from skincal.part.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
-from skincal.part.tool_draft import NO_ROBOT_WITH_TOOL, Rig
+from skincal.part.tool_draft import NO_ARM_WITH_TOOL, Rig
 
 POINTS_PICKED_ON_FLANGE = 3
 PICK_WORDS = (
@@ -109,7 +109,7 @@ class SensorStep(Step):
     def update_fields(self, preview: PartPreview) -> None:
         draft, robot = preview.draft, preview.robot
         has_robot = draft.urdf is not None or draft.has_dh_arm
-        self.rig.show_rig(draft.rig, NO_ROBOT_WITH_TOOL if has_robot else "")
+        self.rig.show_rig(draft.rig, NO_ARM_WITH_TOOL if draft.has_dh_arm else "")
         self.tool.setVisible(draft.rig is not Rig.BELOW)
         self.sign_row.setVisible(draft.rig is not Rig.NONE)
         self.robot_form.setVisible(draft.urdf is not None and draft.rig is Rig.BELOW)
@@ -144,7 +144,7 @@ class SensorStep(Step):
         for index, words in enumerate((TOOL_SIGN_WORDS if is_on_tool else SIGN_CHOICES).values()):
             self.sign.setItemText(index, words)
         first = TOOL_SIGN_WORDS[""] if is_on_tool else "the force on the part (usual)"
-        if preview.draft.urdf is not None:
+        if preview.draft.urdf is not None and not is_on_tool:
             says = {1: "the force on the part", -1: "its reaction", None: "the URDF does not say; the force is assumed"}
             first = f"by the URDF: {says[preview.sign]}" if preview.sign is not None else says[None]
         self.sign.setItemText(0, first)

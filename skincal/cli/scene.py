@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from skincal.model.robot import RobotSpec
     from skincal.model.scene import Scene
     from skincal.part.part import Part
+    from skincal.part.tool_draft import Rig, ToolDraft
 
 _scenes = typer.Typer(
     help="Write the scene file of a new part, or show the content of one.",
@@ -32,7 +33,8 @@ def add_to(app: typer.Typer) -> None:
     of_robot = "skincal scene new --urdf robot.urdf --link forearm --sensor arm_ft --layout modules.toml --out part/scene.toml"
     of_mesh = "skincal scene new --mesh part.stl --unit mm --grid 6x8@9mm --out part/scene.toml"
     of_tip = "skincal scene new --mesh tip.stl --paxini PXSR-STDDP03D --out tip/scene.toml"
-    _scenes.command("new", epilog=f"Examples: {of_robot}; {of_mesh}; {of_tip}")(new_scene)
+    of_tool = "skincal scene new --urdf robot.urdf --link hand --sensor none --tip 0,0,120 --grid 6x8@9mm --out hand/scene.toml"
+    _scenes.command("new", epilog=f"Examples: {of_robot}; {of_mesh}; {of_tip}; {of_tool}")(new_scene)
     _scenes.command("show", epilog="Example: skincal scene show part/scene.toml --joints 94,0")(show_scene)
     app.add_typer(_scenes, name="scene")
 
@@ -44,7 +46,24 @@ def new_scene(
         typer.Option(help="URDF of the robot that carries the part; ros2:/robot_description takes it from a running robot."),
     ] = None,
     link: Annotated[str, typer.Option(help="Link of the part: the frame of every position.")] = "part",
-    sensor: Annotated[str, typer.Option(help="Force/torque sensor of the URDF, or a joint or link at it.")] = "",
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help="Force/torque sensor of the URDF, or a joint or link at it; tool for one on the tool that pokes, none for a "
+            "rig without one (docs/tool.md)."
+        ),
+    ] = "",
+    tip: Annotated[
+        str, typer.Option(help="X,Y,Z of the tool's tip in the frame of its poses, mm; with --sensor tool or none.")
+    ] = "",
+    tip_radius: Annotated[float | None, typer.Option(min=0.0, help="Radius of the tip's ball, mm.")] = None,
+    poses: Annotated[
+        str,
+        typer.Option(
+            help="Form and unit of the tool's poses, such as vector:m, xyzw:mm or rpy:mm:degrees. Default: as the stream "
+            "defines them (ROS, RTDE, P records)."
+        ),
+    ] = "",
     joints: Annotated[str, typer.Option(help="Columns of the joint stream, by joint name, separated by commas.")] = "",
     fixed: Annotated[list[str] | None, typer.Option(help="NAME=DEGREES of a joint that is not streamed; repeatable.")] = None,
     package: Annotated[
@@ -100,6 +119,7 @@ def new_scene(
     from skincal.part.part import load_part
     from skincal.part.part_draft import PartDraft
     from skincal.part.scene_draft import write_scene
+    from skincal.part.tool_draft import Rig
 
     if sum((layout is not None, bool(grid), bool(paxini))) > 1:
         raise InputError("--layout, --grid and --paxini exclude each other; keep one.")
@@ -108,10 +128,16 @@ def new_scene(
     columns = [name.strip() for name in joints.split(",") if name.strip()]
     _refuse_twice(columns, "--joints")
     modules = _paxini_modules(paxini, paxini_sdk) if paxini else []
+    rig = _rig_of(sensor)
+    tool = _tool_of(rig, tip, tip_radius, poses)
+    if rig is not Rig.BELOW:
+        _refuse_chain(urdf, sensor, [("--joints", columns), ("--fixed", fixed)], is_meant=bool(tip or poses))
     draft = PartDraft(
+        rig=rig,
+        tool=tool,
         urdf=_saved_description(str(urdf), out) if str(urdf).startswith("ros2:") else urdf,
         link=link,
-        sensor=sensor,
+        sensor=sensor if rig is Rig.BELOW else "",
         joints=tuple(columns),
         fixed=tuple((name, _degrees(name, text)) for name, text in _pairs(fixed or [], "--fixed", "DEGREES")),
         packages=tuple((name, Path(folder)) for name, folder in _pairs(package or [], "--package", "FOLDER")),
@@ -128,6 +154,58 @@ def new_scene(
     write_scene(draft, out, _numbers(anchor_mm, 3, "--anchor-mm") if anchor_mm else None)
     result, points = scene_result(load_part(out), None), _write_points(modules, out)
     output.print_result(result, [f"wrote {out}{_copy_words(out)}", *points, *_lines(result)], as_json)
+
+
+def _rig_of(sensor: str) -> Rig:
+    """Read `--sensor`: a rig of a tool, or the name of a sensor below the part."""
+    from skincal.part.tool_draft import Rig
+
+    return {"tool": Rig.ON_TOOL, "none": Rig.NONE}.get(sensor, Rig.BELOW)
+
+
+def _refuse_chain(urdf: Path | None, sensor: str, others: list[tuple[str, Any]], *, is_meant: bool) -> None:
+    """Refuse options of a sensor below the part, and a word that may also be the name of a link or a joint of the URDF."""
+    from skincal.model.urdf import read_urdf
+
+    given = next((option for option, value in others if value), None)
+    if given is not None:
+        raise InputError(f"{given} is of joints between part and sensor, and --sensor {sensor} needs none; leave it out.")
+    robot = None if urdf is None or str(urdf).startswith("ros2:") else read_urdf(urdf)
+    if robot is not None and not is_meant and (sensor in robot.links or sensor in robot.joints):
+        raise InputError(
+            f"--sensor {sensor} means a rig, and {robot.path.name} has a link or joint of this name. For the rig also give "
+            "--tip or --poses; for a sensor there name another joint or link at it."
+        )
+
+
+def _tool_of(rig: Rig, tip: str, radius: float | None, poses: str) -> ToolDraft:
+    """Read the options of a tool. Raises InputError: they make no sense, or the sensor is below the part."""
+    from skincal.model.length_units import METRES_PER_UNIT
+    from skincal.part.tool_draft import FORM_OF_NAME, NO_TOOL, Rig, ToolDraft
+
+    given = [name for name, value in (("--tip", tip), ("--tip-radius", radius), ("--poses", poses)) if value not in ("", None)]
+    if rig is Rig.BELOW:
+        if given:
+            raise InputError(f"{given[0]} is of a tool that pokes; expected --sensor tool or --sensor none with it.")
+        return NO_TOOL
+    form, _, rest = poses.partition(":")
+    unit, _, angles = rest.partition(":")
+    has_angles = form in FORM_OF_NAME and FORM_OF_NAME[form].has_angles
+    is_right = form in FORM_OF_NAME and unit in METRES_PER_UNIT and angles in ("", "radians", "degrees")
+    if poses and (not is_right or (angles and not has_angles)):
+        forms, units = ", ".join(FORM_OF_NAME), ", ".join(METRES_PER_UNIT)
+        raise InputError(
+            f"--poses is {poses}; expected FORM:UNIT, or FORM:UNIT:degrees for a form with angles, with one of {forms}; and of "
+            f"{units}."
+        )
+    point = None if not tip else _numbers(tip, 3, "--tip")
+    return ToolDraft(
+        rotation=form,
+        unit=unit,
+        degrees=angles == "degrees" if has_angles else None,
+        tip_mm=None if point is None else (float(point[0]), float(point[1]), float(point[2])),
+        tip_radius_mm=radius,
+    )
 
 
 def _paxini_modules(names: str, package: Path | None) -> list[PaxiniModule]:
@@ -225,7 +303,7 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
     return {
         "scene": str(scene.path),
         "link": scene.link,
-        "sensor": None if robot is None else robot.sensor,
+        "sensor": None if robot is None else robot.sensor or None,
         "chain": [] if robot is None else [
             {
                 "joint": step.joint.name, "kind": step.joint.kind, "streamed": step.joint in robot.chain.moving,
@@ -289,7 +367,8 @@ def _scene_findings(part: Part, pose: FloatArray) -> list[str]:
     if robot is not None:
         findings += robot_findings(robot, scene.link, scene.wrench_sign)
         if scene.surface is None:
-            seen = describe_shapes(robot.urdf, scene.link, robot.urdf.sensor_named(robot.sensor, str(scene.path)).joint)
+            joint = robot.urdf.sensor_named(robot.sensor, str(scene.path)).joint if robot.sensor else ""
+            seen = describe_shapes(robot.urdf, scene.link, joint)
             findings.append(f"no mesh: {seen}. Name the part's mesh by --mesh of scene new, or in [surface]")
     findings += frame_findings(scene.skin)
     findings += _placement_findings(part, pose[:3, 3] if is_placed else None)
@@ -315,11 +394,13 @@ def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:
     from skincal.words.robot_words import replaced_mesh_findings, sensor_findings
 
     findings: list[str] = []
-    if robot.sign is None:
+    if not robot.sensor:
+        pass  # [tool] says where it is
+    elif robot.sign is None:
         findings.append("the URDF does not say whether the sensor reports the force or its reaction: see [wrench] sign")
     elif robot.sign != wrench_sign:
         findings.append(f"[wrench] sign is {wrench_sign:+d}, and the URDF says {robot.sign:+d}: check one of them")
-    findings += sensor_findings(robot.urdf, robot.sensor, link)
+    findings += sensor_findings(robot.urdf, robot.sensor, link) if robot.sensor else []
     if robot.mesh is not None and robot.mesh[3]:
         findings += replaced_mesh_findings(robot.urdf.meshes[robot.mesh_link], robot.mesh[0])
     if robot.mesh_link and robot.mesh_link != link:

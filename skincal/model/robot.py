@@ -26,7 +26,7 @@ class RobotSpec:
 
     urdf: Robot
     sensor: str
-    """Name of a force/torque sensor, a joint or a link."""
+    """Name of a force/torque sensor, a joint or a link; empty if a tool pokes the part: then the chain is empty."""
     chain: UrdfChain
     columns: tuple[str, ...]
     """Joint names of the joint stream's columns."""
@@ -44,7 +44,12 @@ class RobotSpec:
     """Link whose visual mesh that is; empty without a mesh."""
 
 
-def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> RobotSpec:
+NO_CHAIN = UrdfChain(joints=(), moving=(), steps=(), fixed={}, sensor=np.eye(4))
+"""Of a part that a tool pokes: the sensor is on the tool, or there is none."""
+_KEYS_OF_A_CHAIN = ("sensor", "joints", "fixed", "poses", "tolerance_deg")
+
+
+def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool, *, has_tool: bool = False) -> RobotSpec:
     """Read `[robot]`.
 
     Parameters
@@ -52,15 +57,21 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
     link : the part's link, frame of all positions
     folder : of the scene file
     needs_mesh : the mesh of the part's link is looked for; otherwise the scene has its own
+    has_tool : a tool pokes the part, so the URDF says nothing of a sensor
 
     Raises InputError: the URDF is not usable, or a name is not in it.
     """
     where = table.where
     urdf = read_urdf(folder / table.path("urdf"))
-    sensor = table.take("sensor", str)
+    if has_tool:
+        _refuse_chain(table)
+    sensor = "" if has_tool else table.take("sensor", str)
     columns = tuple(table.words("joints", []))
     fixed = _degrees(table.table("fixed"), urdf)
-    chain, sign = urdf.chain(link, sensor, columns, fixed, where)
+    if has_tool:
+        urdf.require_link(link, where)
+    chain, sign = (NO_CHAIN, None) if has_tool else urdf.chain(link, sensor, columns, fixed, where)
+    sensor_joint = "" if has_tool else urdf.sensor_named(sensor, where).joint
     poses, turn_max = read_poses(table, len(columns))
     poses = {name: angles[list(chain.joints)] for name, angles in poses.items()}
     packages_table, packages = table.table("packages"), dict[str, Path]()
@@ -71,7 +82,7 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
     # Older scenes name no unit: the scale of the URDF's own mesh.
     unit = table.choice("unit", METRES_PER_UNIT) if "unit" in table.keys else None
     mesh = None
-    found = urdf.mesh_for(link, urdf.sensor_named(sensor, where).joint)
+    found = urdf.mesh_for(link, sensor_joint)
     if own and (found is None or not needs_mesh):
         raise InputError(f"{where}: mesh is {own}, but the link has no visual mesh or [surface] names one; use [surface].")
     if unit is not None and not own:
@@ -82,6 +93,14 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
         mesh = file, *scale_and_pose, unit is not None
     table.refuse_unknown_keys()
     return RobotSpec(urdf, sensor, chain, columns, fixed, sign, poses, turn_max, mesh, found[0].link if mesh and found else "")
+
+
+def _refuse_chain(table: Table) -> None:
+    named = [key for key in _KEYS_OF_A_CHAIN if key in table.keys]
+    if named:
+        raise InputError(
+            f"{table.where}: {named[0]} is of a sensor below the part, and the scene has [tool]; leave one of them out."
+        )
 
 
 def read_poses(table: Table, joints: int) -> tuple[dict[str, FloatArray], float]:

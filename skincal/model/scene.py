@@ -219,7 +219,7 @@ class Scene:
 
     def wrench_frame(self, name: str) -> WrenchFrame:
         """Find the frame that messages name for a wrench; empty: they name none."""
-        return find_wrench_frame(self.robot, self.wrench_place, name)
+        return find_wrench_frame(self.robot if self.tool is None else None, self.wrench_place, name)
 
 
 _TABLE_OF_KEY = {
@@ -248,14 +248,16 @@ def load_scene(path: Path) -> Scene:
     wrench, contacts, noise = root.table("wrench"), root.table("contacts"), root.table("noise")
     if sum(each is not None for each in (arm, sensor, robot)) > 1:
         raise InputError(f"{path}: [arm], [sensor] and [robot] exclude each other; keep the one that places the sensor.")
-    if tool is not None and (arm is not None or sensor is not None or robot is not None):
-        raise InputError(f"{path}: [tool] excludes [arm], [sensor] and [robot]; keep the one that places the sensor.")
+    if tool is not None and (arm is not None or sensor is not None):
+        raise InputError(f"{path}: [tool] excludes [arm] and [sensor]; keep the one that places the sensor.")
     states_response_min = contacts is not None and "response_min" in contacts.keys
     spec, name, link = _read_skin(skin, path), root.take("name", str), root.take("link", str)
     made_tool = None if tool is None else read_tool(tool)
     if made_tool is not None and not made_tool.has_sensor:
         _refuse_sensor_keys(path, wrench, noise)
-    made = None if robot is None else read_robot(robot, link, path.parent, surface is None)
+    made = None if robot is None else read_robot(robot, link, path.parent, surface is None, has_tool=tool is not None)
+    # Frames of a wrench are those of a sensor that the URDF places.
+    of_wrench = made if tool is None else None
     scene = Scene(
         name=name,
         link=link,
@@ -271,7 +273,7 @@ def load_scene(path: Path) -> Scene:
         distances=_read_distances(root, spec.layout),
         text=text,
         robot=made,
-        wrench_place=read_wrench_place(wrench, made),
+        wrench_place=read_wrench_place(wrench, of_wrench),
         tool=made_tool,
         states_response_min=states_response_min,
     )

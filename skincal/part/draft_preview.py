@@ -131,7 +131,8 @@ class PartPreviewer:
         ----------
         angles : rad, shown angles of joints, by name; others are at 0 or their nearest limit
         """
-        work = _Work(self, draft, angles)
+        # With a tool no sensor of the URDF is below the part.
+        work = _Work(self, draft if draft.rig is Rig.BELOW else replace(draft, sensor="", joints=(), fixed=()), angles)
         for step in (work.read_part, work.find_sensor, work.lay_skin, work.check_landmarks):
             step()
         return PartPreview(draft, problems=work.problems, findings=work.findings, **work.values)
@@ -276,7 +277,7 @@ class _Work:
         """Compute the pose of the chosen sensor; with a tool it has another one at each poke."""
         draft = self.draft
         if draft.rig is not Rig.BELOW:
-            problem = tool_problem(draft.rig, draft.tool, has_robot=draft.urdf is not None or draft.has_dh_arm)
+            problem = tool_problem(draft.rig, draft.tool, has_arm=draft.has_dh_arm)
             if problem:
                 self.problems["sensor"] = problem
             return

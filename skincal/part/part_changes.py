@@ -25,7 +25,6 @@ from skincal.part.part_draft import (
     rounded,
 )
 from skincal.part.robot_mesh import with_own_mesh
-from skincal.part.tool_draft import Rig
 
 
 def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
@@ -44,7 +43,7 @@ def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
             fresh, mesh=path, unit=choose_unit(path), is_unit_guessed=has_no_unit(path), name=draft.name or path.stem
         )
     robot = read_urdf(path)
-    fresh = replace(fresh, urdf=path, link="", rig=Rig.BELOW)
+    fresh = replace(fresh, urdf=path, link="")
     return with_link(fresh, robot, next(iter(robot.meshes))) if len(robot.meshes) == 1 else fresh
 
 

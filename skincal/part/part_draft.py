@@ -335,12 +335,15 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
 
 
 def _robot_entries(draft: PartDraft, urdf: Path, folder: Path) -> dict[Key, Any]:
-    entries: dict[Key, Any] = {("robot", "urdf"): _named(urdf, folder), ("robot", "sensor"): draft.sensor}
+    entries: dict[Key, Any] = {("robot", "urdf"): _named(urdf, folder)}
+    if draft.rig is Rig.BELOW:
+        entries[("robot", "sensor")] = draft.sensor
     if draft.mesh is not None and draft.mesh_pose is None:
         entries[("robot", "mesh")] = _named(draft.mesh, folder)
         entries[("robot", "unit")] = draft.unit or None
-    entries[("robot", "joints")] = draft.joints or None
-    entries |= {("robot", "fixed", name): angle for name, angle in draft.fixed}
+    if draft.rig is Rig.BELOW:
+        entries[("robot", "joints")] = draft.joints or None
+        entries |= {("robot", "fixed", name): angle for name, angle in draft.fixed}
     return entries | {("robot", "packages", name): _named(path, folder) for name, path in draft.packages}
 
 

@@ -26,8 +26,8 @@ def robot_places(scene: Scene) -> TaxelPositions | None:
     modules = {} if layout is None else {channel: number for number, channel in centres.items()}
     taxels = {channel: channel for channel in (range(scene.skin.channels) if layout is None else layout.channels.tolist())}
     series: dict[str, dict[int, FloatArray]] = {}
-    sensor = robot.urdf.sensor_named(robot.sensor, str(scene.path))
-    for name, pose in robot.urdf.fixed_frames(scene.link, sensor.joint).items():
+    joint = robot.urdf.sensor_named(robot.sensor, str(scene.path)).joint if robot.sensor else ""
+    for name, pose in robot.urdf.fixed_frames(scene.link, joint).items():
         match = _NUMBERED_SKIN_FRAME.fullmatch(name)
         known = taxels if match is not None and "taxel" in match[1].lower() else centres
         if match is not None and (channel := known.get(int(match[2]))) is not None:

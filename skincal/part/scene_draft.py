@@ -20,6 +20,7 @@ from skincal.part.layout_placing import anchor_at
 from skincal.part.mesh_units import unit_without_option
 from skincal.part.part_draft import AnchorDraft, PartDraft, save_draft
 from skincal.part.robot_mesh import with_own_mesh
+from skincal.part.tool_draft import Rig
 from skincal.words.units import millimetres
 
 PROPOSED_POINT = "position of the layout: the middle of the largest face away from the sensor; move it"
@@ -44,12 +45,9 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     robot = None if draft.urdf is None else read_urdf(draft.urdf)
     if robot is None and not draft.unit and draft.mesh is not None:
         draft = replace(draft, unit=unit_without_option(draft.mesh))
+    is_below = draft.rig is Rig.BELOW
     if robot is not None:
-        if not draft.sensor:
-            raise InputError(f"{robot.path}: name the force/torque sensor (--sensor); {_list_sensors(robot)}.")
-        robot.require_link(draft.link, str(robot.path))
-        robot.sensor_named(draft.sensor, str(robot.path))
-        _require_joints(robot, [name for name, _ in draft.fixed])
+        _check_names(draft, robot)
         draft = with_own_mesh(draft, robot, draft.mesh, draft.unit)
     if not draft.layout_text and draft.channels is None:
         raise InputError(f"{out}: say how many values a frame of the skin has (--channels), or name its layout.")
@@ -58,15 +56,17 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
         raise InputError(preview.problems["part"])
     if "skin" in preview.problems:
         raise InputError(preview.problems["skin"])
+    if not is_below and "sensor" in preview.problems:
+        raise InputError(f"{out}: {preview.problems['sensor']}")
     part, comments = completed_draft(preview), dict[tuple[str, ...], str]()
-    if robot is not None:
+    if robot is not None and is_below:
         fixed = {name: float(np.radians(degrees)) for name, degrees in part.fixed}
         robot.chain(part.link, part.sensor, part.joints, fixed, str(robot.path))
     if preview.layout is not None and (preview.surface is not None or anchor_mm is not None):
         part = replace(part, anchor=_anchor(preview, anchor_mm))
         if anchor_mm is None:
             comments["skin", "anchor"] = PROPOSED_POINT
-    if draft.urdf is not None and part.sign is None and preview.sign is None:
+    if draft.urdf is not None and is_below and part.sign is None and preview.sign is None:
         part = replace(part, sign=1)
         comments["wrench", "sign"] = UNKNOWN_SIGN
     save_draft(part, out, comments)
@@ -89,6 +89,20 @@ def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:
             "the mesh's unit."
         )
     return AnchorDraft.from_anchor(anchor)
+
+
+def _check_names(draft: PartDraft, robot: Robot) -> None:
+    """Raise InputError: the sensor is missing, or a name is not in the URDF."""
+    is_below = draft.rig is Rig.BELOW
+    if is_below and not draft.sensor:
+        raise InputError(
+            f"{robot.path}: name the force/torque sensor (--sensor); {_list_sensors(robot)}. If it is on the tool that pokes, "
+            "write --sensor tool, and for a rig without one --sensor none."
+        )
+    robot.require_link(draft.link, str(robot.path))
+    if is_below:
+        robot.sensor_named(draft.sensor, str(robot.path))
+    _require_joints(robot, [name for name, _ in draft.fixed])
 
 
 def _require_joints(robot: Robot, fixed: list[str]) -> None:

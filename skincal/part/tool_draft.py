@@ -13,8 +13,8 @@ Vector: TypeAlias = tuple[float, ...]
 Pose: TypeAlias = tuple[Vector, ...]
 """Four rows of four numbers, metres."""
 FORM_OF_NAME = {form.value: form for form in RotationForm}
-NO_ROBOT_WITH_TOOL = (
-    "With a URDF or an [arm] the sensor is below the part. For a sensor on the tool, or none, begin with the mesh of the "
+NO_ARM_WITH_TOOL = (
+    "With an [arm] the sensor is below the part. For a sensor on the tool, or none, begin with the mesh or the URDF of the "
     "part: step 1, Part."
 )
 UNIT_MISSING = "Choose the unit of the lengths in the poses."
@@ -89,17 +89,17 @@ def read_tool_draft(table: Mapping[str, Any] | None) -> tuple[Rig, ToolDraft]:
     return Rig(table["sensor"]), ToolDraft(**known, kept=kept)
 
 
-def tool_problem(rig: Rig, tool: ToolDraft, *, has_robot: bool) -> str:
+def tool_problem(rig: Rig, tool: ToolDraft, *, has_arm: bool) -> str:
     """Name the first missing thing of a rig; empty if it is complete.
 
     Parameters
     ----------
-    has_robot : the part comes from a URDF, or has an arm
+    has_arm : the scene has an `[arm]`, at whose end the sensor is
     """
     if rig is Rig.BELOW:
         return ""
-    if has_robot:
-        return NO_ROBOT_WITH_TOOL
+    if has_arm:
+        return NO_ARM_WITH_TOOL
     if tool.form is not None and not tool.unit:
         return UNIT_MISSING
     if tool.form is not None and tool.form.has_angles and tool.degrees is None:

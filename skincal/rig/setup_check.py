@@ -370,7 +370,7 @@ def _wrench_frames(asked: _TaxelEvidence, scene: Scene, frames: Sequence[WrenchF
 
     Drivers that turn the axes alone keep the moments about the sensor, or about another point that is fixed to it.
     """
-    if len(frames) != 1 or frames[0].kind is not FrameKind.RIGID or scene.robot is None:
+    if len(frames) != 1 or frames[0].kind is not FrameKind.RIGID or scene.robot is None or scene.tool is not None:
         return
     frame = frames[0]
     turn, point = frame.sensor_from_frame[:3, :3], frame.sensor_from_frame[:3, 3]

@@ -1,5 +1,7 @@
 """The step for the sensor: three pictures, and for a tool the fields of its poses, its tip and its sensor."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
@@ -8,7 +10,7 @@ from PySide6.QtTest import QTest
 from app.builder.sensor_step import SensorStep
 from skincal.part.draft_preview import PartPreview
 from skincal.part.part_draft import PartDraft
-from skincal.part.tool_draft import NO_ROBOT_WITH_TOOL, Rig, tool_problem
+from skincal.part.tool_draft import NO_ARM_WITH_TOOL, Rig, tool_problem
 
 
 @pytest.fixture
@@ -70,11 +72,11 @@ def test_the_form_of_the_poses_is_asked_until_it_is_complete(step):
     step.rig.buttons[Rig.ON_TOOL].click()
     choose(step.tool.form, "vector")
     assert {"unit", "angles"} < shown(step)
-    assert "unit of the lengths" in tool_problem(step.draft.rig, step.draft.tool, has_robot=False)
+    assert "unit of the lengths" in tool_problem(step.draft.rig, step.draft.tool, has_arm=False)
     choose(step.tool.unit, "m")
-    assert "radians or degrees" in tool_problem(step.draft.rig, step.draft.tool, has_robot=False)
+    assert "radians or degrees" in tool_problem(step.draft.rig, step.draft.tool, has_arm=False)
     choose(step.tool.angles, "radians")
-    assert tool_problem(step.draft.rig, step.draft.tool, has_robot=False) == ""
+    assert tool_problem(step.draft.rig, step.draft.tool, has_arm=False) == ""
     choose(step.tool.form, "xyzw")
     assert "angles" not in shown(step)
 
@@ -93,10 +95,21 @@ def test_the_sensor_on_the_tool_is_placed_and_turned(step):
     assert step.draft.tool.flange is None, "the identity is not written"
 
 
-def test_a_part_of_a_robot_has_its_sensor_below_and_says_why(step):
+def test_a_part_with_a_denavit_hartenberg_arm_has_its_sensor_below_and_says_why(step):
     step.changed.emit(PartDraft(has_dh_arm=True), "")
     assert not step.rig.buttons[Rig.ON_TOOL].isEnabled()
-    assert step.rig.buttons[Rig.NONE].toolTip() == NO_ROBOT_WITH_TOOL
+    assert step.rig.buttons[Rig.NONE].toolTip() == NO_ARM_WITH_TOOL
+
+
+def test_a_part_of_a_urdf_may_be_poked_by_a_tool_and_asks_for_no_sensor_of_the_urdf(step):
+    step.changed.emit(PartDraft(urdf=Path("robot.urdf")), "")
+    assert step.robot_form.isVisibleTo(step)
+    step.rig.buttons[Rig.NONE].click()
+    assert step.draft.rig is Rig.NONE
+    assert not step.robot_form.isVisibleTo(step)
+    assert {"form", "tip"} < shown(step)
+    step.rig.buttons[Rig.BELOW].click()
+    assert step.robot_form.isVisibleTo(step)
 
 
 def test_the_pictures_differ_and_are_drawn_in_the_colours_of_the_theme(step):

@@ -14,7 +14,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
 from skincal.part.draft_preview import PartPreviewer
 from skincal.part.part import load_part
-from skincal.part.part_draft import PartDraft, open_draft
+from skincal.part.part_draft import PartDraft, open_draft, save_draft
 from skincal.part.robot_places import robot_places
 from skincal.part.scene_draft import write_scene
 from skincal.session.arm_poses import ArmPoses
@@ -351,3 +351,58 @@ def test_what_is_wrong_with_the_place_of_a_layout_is_said_by_both_commands(tmp_p
         seen = PartPreviewer().preview(open_draft(scene), {})
         assert "".join(seen.findings["place"]) in said
         assert bool(seen.findings["place"]) is bool(words)
+
+
+TOOL = ["--tip", "1,-2,130.5", "--tip-radius", "2", "--poses", "vector:mm:degrees"]
+
+
+@pytest.mark.parametrize("rig", ["tool", "none"])
+def test_a_part_of_a_urdf_is_poked_by_a_tool(tmp_path, urdf, capsys, rig):
+    """The URDF gives link and mesh; the sensor is on the tool, or there is none, so no joint is streamed."""
+    out = tmp_path / "scenes/new/scene.toml"
+    command = ["scene", "new", "--urdf", str(urdf), "--link", "part", "--grid", "3x4@8mm", "--out", str(out)]
+    assert main([*command, "--sensor", rig, *TOOL, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["sensor"], said["chain"], said["link_from_sensor"]) == (None, [], None)
+    assert said["tool"]["sensor"] == {"tool": "on the tool", "none": "none"}[rig]
+    assert not any("URDF says" in each or "does not say" in each for each in said["findings"])
+    scene = load_scene(out)
+    assert scene.tool.has_sensor is (rig == "tool")
+    assert (scene.tool.tip.tolist(), scene.tool.tip_radius) == ([0.001, -0.002, 0.1305], 0.002)
+    assert (scene.tool.form.rotation.value, scene.tool.form.degrees, scene.tool.metres_per_unit) == ("vector", True, 1e-3)
+    assert (scene.arm, scene.robot.sensor, scene.finds_part_pose) == (None, "", True)
+    below = write(tmp_path / "below", urdf)
+    np.testing.assert_array_equal(scene.surface.link_from_mesh, below.surface.link_from_mesh)
+    np.testing.assert_allclose(load_part(out).surface.vertices, load_part(below.path).surface.vertices)
+    copied = load_scene(copy_scene(scene, tmp_path / "session/scene"))
+    assert copied.tool.tip.tolist() == scene.tool.tip.tolist()
+    assert robot_places(scene) is None
+    assert main(["scene", "show", str(out)]) == 0
+    draft = open_draft(out)
+    assert (draft.rig.value, draft.urdf is not None, draft.sensor) == (rig, True, "")
+    preview = PartPreviewer().preview(draft, {})
+    assert not {"sensor", "joints", "part"} & preview.problems.keys()
+    assert save_draft(draft, out).text == draft.text
+
+
+def test_a_sensor_below_a_part_that_a_tool_pokes_is_refused(tmp_path, urdf, capsys):
+    command = ["scene", "new", "--urdf", str(urdf), "--link", "part", "--grid", "3x4@8mm", "--out", str(tmp_path / "s.toml")]
+
+    def refused(*words):
+        assert main([*command, *words]) == 2
+        assert not (tmp_path / "s.toml").exists()
+        return capsys.readouterr().err
+
+    assert "--sensor tool" in refused()
+    assert "fixed-point test" in refused("--sensor", "none")
+    assert "--joints is of joints between" in refused("--sensor", "tool", "--joints", "elbow")
+    assert "--tip is of a tool" in refused("--sensor", "wrist_ft", "--tip", "0,0,1")
+    assert "expected FORM:UNIT" in refused("--sensor", "tool", "--poses", "vector")
+    assert "expected FORM:UNIT" in refused("--sensor", "tool", "--poses", "xyzw:m:degrees")
+    urdf.write_text(urdf.read_text().replace('"mount"', '"tool"'))
+    assert "means a rig" in refused("--sensor", "tool")
+    assert main([*command, "--sensor", "tool", "--tip", "0,0,1"]) == 0
+    text = (tmp_path / "s.toml").read_text()
+    (tmp_path / "s.toml").write_text(text.replace("[robot]\n", '[robot]\nsensor = "ft"\n'))
+    with pytest.raises(InputError, match="sensor is of a sensor below the part"):
+        load_scene(tmp_path / "s.toml")

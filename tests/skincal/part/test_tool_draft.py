@@ -72,4 +72,4 @@ def test_a_missing_tip_or_form_is_said_before_a_session_starts():
     marks = tuple(LandmarkDraft(f"m{n}", (0.01 * n, 0.0, 0.0)) for n in range(3))
     lines = [line.text for line in summarize(previewer.preview(replace(draft_of(Rig.ON_TOOL), landmarks=marks), {}))]
     assert "3 landmarks" in lines
-    assert tool_problem(Rig.ON_TOOL, ToolDraft(), has_robot=True)
+    assert tool_problem(Rig.ON_TOOL, ToolDraft(), has_arm=True)
