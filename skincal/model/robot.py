@@ -57,7 +57,7 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool, *, has_t
     link : the part's link, frame of all positions
     folder : of the scene file
     needs_mesh : the mesh of the part's link is looked for; otherwise the scene has its own
-    has_tool : a tool pokes the part, so the URDF says nothing of a sensor
+    has_tool : a tool pokes the part, so the URDF gives link and mesh alone
 
     Raises InputError: the URDF is not usable, or a name is not in it.
     """
