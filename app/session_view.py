@@ -492,9 +492,7 @@ class SessionView(QObject):
         rig = rig_state(state.offers, used, state.review, has_arm=verdict.has_arm) if is_corrected or not has_tool else ""
         rig = "\n".join(filter(None, (rig, tool_state(state)))) if has_tool else rig
         can_export, settled = state.may.export, not state.offers
-        dialog = VerdictDialog(
-            verdict, self.workspace.names, parent, rig=rig, has_tool=has_tool, can_export=can_export, settled=settled
-        )
+        dialog = VerdictDialog(verdict, self.workspace.names, parent, rig=rig, can_export=can_export, settled=settled)
         dialog.taxel_wanted.connect(self.select_taxel)
         dialog.export_wanted.connect(self.ask_export)
         dialog.report_wanted.connect(self.ask_report)

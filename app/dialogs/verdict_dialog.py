@@ -43,7 +43,6 @@ class VerdictDialog(Dialog):
     Parameters
     ----------
     rig : sentences on the errors of the rig
-    has_tool : they are about the tip of a tool, the part's pose and the delay of the tool's poses
     settled : no correction is available that would change the estimates
     """
 
@@ -58,7 +57,6 @@ class VerdictDialog(Dialog):
         parent: QWidget | None = None,
         *,
         rig: str = "",
-        has_tool: bool = False,
         can_export: bool = True,
         settled: bool = True,
     ) -> None:
@@ -67,7 +65,7 @@ class VerdictDialog(Dialog):
         self._channels = [left.channel for left in verdict.left]
         self.sentence = QLabel(verdict_headline(verdict), wordWrap=True)
         self.details = QLabel(verdict_details(verdict), wordWrap=True)
-        thing = "Tool and part" if has_tool else "Sensor and arm" if verdict.has_arm else "Sensor"
+        thing = "Tool and part" if verdict.has_tool else "Sensor and arm" if verdict.has_arm else "Sensor"
         shown = (*figures(verdict), *(((thing, rig),) if rig else ()))
         self.figures = [(name, QLabel(value, wordWrap=True)) for name, value in shown]
         self.heading = secondary_label(f"{count(len(verdict.left), 'taxel')} not finished. Enter selects one in the views.")

@@ -214,7 +214,10 @@ class SessionGuide:
         closings = closings_of(snapshot, noise)
         has_arm = self._scene.arm is not None
         off_mesh = None if snapshot.off_mesh is None else snapshot.off_mesh.distance
-        verdict = replace(verdict, closings=closings, frame_in_doubt=doubt, has_arm=has_arm, off_mesh=off_mesh)
+        has_tool = self._scene.tool is not None
+        verdict = replace(
+            verdict, closings=closings, frame_in_doubt=doubt, has_arm=has_arm, has_tool=has_tool, off_mesh=off_mesh
+        )
         return replace(verdict, unchecked=unchecked, left=left, axes=self._axis_findings(snapshot, method))
 
     def _axis_findings(self, snapshot: Snapshot, method: Method) -> AxisFindings | None:

@@ -310,7 +310,9 @@ def test_what_speaks_against_it_or_is_offered_goes_before_the_file(qtbot):
 
 
 def test_of_a_rig_with_a_tool_the_row_is_about_tool_and_part(qtbot):
-    names = [name for name, _ in shown(qtbot, rig="Part: known to 1 mm.", has_tool=True).figures]
+    dialog = VerdictDialog(replace(verdict(), has_tool=True), NAMES, rig="Part: known to 1 mm.")
+    qtbot.addWidget(dialog)
+    names = [name for name, _ in dialog.figures]
     assert "Tool and part" in names
     assert not any("Sensor" in name for name in names)
 
