@@ -36,7 +36,7 @@ from skincal.ros.dds import message_types, read_domain
 from skincal.ros.layouts import RunReader
 from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.patches import SkinPatches
-from skincal.ros.tool_poses import ToolPoseReader
+from skincal.ros.tool_poses import ToolPoseReader, static_topic
 from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
 from skincal.ros.types import MessageError, MessageTypes
 
@@ -183,23 +183,28 @@ class TopicDecoder(FrameDecoder):
         self._stream, self._clocks[topic] = wanted, TopicClock()
 
     def _use_pose_type(self, topic: int, type_name: str, choice: TopicChoice) -> None:
+        # The static transforms belong to the tree of the others.
+        others = [each for each in self._readers.values() if isinstance(each, ToolPoseReader)]
         try:
-            self._readers[topic] = ToolPoseReader(type_name, choice.frame, choice.base)
+            self._readers[topic] = others[0] if others else ToolPoseReader(type_name, choice.frame, choice.base)
         except InputError as error:
             self._type_problem = str(error).rstrip(".")
             return
         self._stream, self._clocks[topic] = Stream.TOOL, TopicClock()
 
+    def _is_static(self, topic: int) -> bool:
+        return self._choice is not None and topic > 0 and self._choice.topics[topic] == static_topic(self._choice.topics[0])
+
     def _take_pose(self, topic: int, reader: ToolPoseReader, message: Any, source_s: float, arrival_s: float) -> Loss | None:
         """Add the tool's pose of a message; a message about other frames of `/tf` is no loss."""
         try:
-            found = reader.find_pose(message)
+            found = reader.find_pose(message, is_static=self._is_static(topic))
         except MessageError as error:
             self._problem = f"A message cannot be read: {error}"
             return Loss.UNREADABLE
         self._status = reader.problem
         if found is None:
-            return Loss.OTHER_FRAME if reader.problem else None
+            return None if not reader.problem else Loss.NO_POSE if reader.is_late else Loss.OTHER_FRAME
         stamp = self._date(topic, found.stamp_s, source_s, arrival_s)
         self.units[Stream.TOOL] = f"pose of {found.child or 'the tool'} in {found.parent or 'a frame without a name'}, m"
         return self._add(Stream.TOOL, NO_SEQ, stamp, found.values)

@@ -20,11 +20,14 @@ from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.ros2 import HEAD_KIND, MESSAGE_MAX_BYTES, TopicDecoder, has_topics, topics_of, write_head
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
+from skincal.ros.tool_poses import static_topic
 from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
 from skincal.ros.types import full_type_name, read_definition
 
 TYPE_SERVICE = "/rosapi/topic_type"
 SERVER_TEXT_SHOWN_MAX_CHARS = 80
+ABSENT_TYPE = "-"
+"""Of an optional topic without a publisher."""
 
 
 def _read_json(payload: bytes) -> dict[str, Any]:
@@ -49,10 +52,14 @@ def _answered_type(message: dict[str, Any], topics: Sequence[str]) -> tuple[int,
 
 
 class RosbridgeHandshake(Handshake):
-    """Asks for the types of the topics, then subscribes to all of them. Each line is a message of its own."""
+    """Asks for the types of the topics, then subscribes to all of them. Each line is a message of its own.
 
-    def __init__(self, topics: Sequence[str], type_name: str = "") -> None:
+    A topic of `optional` without a publisher is left out.
+    """
+
+    def __init__(self, topics: Sequence[str], type_name: str = "", optional: Sequence[str] = ()) -> None:
         self._topics = tuple(topics)
+        self._optional = frozenset(optional)
         self._types = [type_name] * len(topics)
         self._packets = packet_splitter(MESSAGE_MAX_BYTES)
 
@@ -79,6 +86,8 @@ class RosbridgeHandshake(Handshake):
             if answer is None:
                 continue
             topic, found = answer
+            if not found and self._topics[topic] in self._optional:
+                found = ABSENT_TYPE
             if not found:
                 raise HandshakeError(
                     f"it knows no type of {self._topics[topic]}; start its publisher and the node rosapi, or name the type by "
@@ -91,7 +100,9 @@ class RosbridgeHandshake(Handshake):
 
     def _subscriptions(self) -> bytes:
         wanted = [
-            {"op": "subscribe", "topic": topic, "type": name} for topic, name in zip(self._topics, self._types, strict=True)
+            {"op": "subscribe", "topic": topic, "type": name}
+            for topic, name in zip(self._topics, self._types, strict=True)
+            if name != ABSENT_TYPE
         ]
         return "\n".join(map(json.dumps, wanted)).encode()
 
@@ -130,6 +141,10 @@ def _with_handshake(address: DeviceAddress, questions: Questions) -> DeviceAddre
     """Fill in the first packet and the handshake. Raises LinkError: the definition of a type is not usable."""
     del questions
     choice, definitions = topics_of(address), dict[str, str]()
+    optional: tuple[str, ...] = ()
+    if choice.frame and choice.base and len(choice.topics) == 1:  # a tree, whose fixed transforms have a topic of their own
+        optional = (static_topic(choice.topics[0]),)
+        choice = replace(choice, topics=(*choice.topics, *optional))
     try:
         type_name = full_type_name(address.options["type"]) if "type" in address.options else ""
         if choice.msg is not None:
@@ -139,7 +154,8 @@ def _with_handshake(address: DeviceAddress, questions: Questions) -> DeviceAddre
     except InputError as error:
         raise LinkError(FailureKind.ADDRESS, f"{address.text}: {error}") from error
     head = write_head(choice, [type_name] * len(choice.topics), definitions)
-    return replace(address, first_bytes=head, handshake=RosbridgeHandshake(choice.topics, address.options.get("type", "")))
+    handshake = RosbridgeHandshake(choice.topics, address.options.get("type", ""), optional)
+    return replace(address, first_bytes=head, handshake=handshake)
 
 
 _VECTOR_ANSWER = {"op": "service_response", "id": "/ft", "values": {"type": "geometry_msgs/WrenchStamped"}, "result": True}

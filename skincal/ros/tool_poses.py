@@ -1,7 +1,8 @@
-"""Poses of a tool from ROS messages: `PoseStamped`, `TransformStamped`, and one transform of a `tf2_msgs/TFMessage`.
+"""Poses of a tool from ROS messages: `PoseStamped`, `TransformStamped`, and the frames of a `tf2_msgs/TFMessage`.
 
 All three have metres and a quaternion x y z w, in the frame of their header. A pose names no body. A transform names the child
-frame, whose pose it is; a `TFMessage` has those of many bodies, so the wanted child must be chosen.
+frame, whose pose it is. A `TFMessage` has those of many bodies, so frame and base must be chosen. They may be some transforms
+apart (`TransformTree`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.ros.messages import member_of
+from skincal.ros.transform_tree import TransformTree
 from skincal.ros.types import MessageError, full_type_name
 
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
@@ -52,6 +54,7 @@ class ToolPoseReader:
         self._frame, self._base = frame.removeprefix("/"), base.removeprefix("/")
         self.problem = ""
         """Sentence on the last message without the wanted pose; empty after one with it."""
+        self._tree = TransformTree(self._frame, self._base) if self.type_name == TF_MESSAGE else None
         if self.type_name not in (*_PLACE_AND_TURN, TF_MESSAGE):
             raise InputError(
                 f"Messages of {self.type_name} hold no pose of a tool; expected {POSE_STAMPED}, {TRANSFORM_STAMPED} or "
@@ -64,12 +67,26 @@ class ToolPoseReader:
                 "ros2:/tf?frame=tool0&base=base."
             )
 
-    def find_pose(self, message: Any) -> StampedPose | None:
-        """Return the wanted pose of a message, or `None` if it has none.
+    @property
+    def is_late(self) -> bool:
+        """Whether a transform between base and frame has stopped to come."""
+        return self._tree is not None and self._tree.is_late
 
-        Raises MessageError: the message has not the fields of its type.
+    def find_pose(self, message: Any, *, is_static: bool = False) -> StampedPose | None:
+        """Return the wanted pose of a message, or `None` if it gives none.
+
+        Parameters
+        ----------
+        is_static : of a `TFMessage`, whether it is of `/tf_static`, whose transforms hold for all times
+
+        Raises
+        ------
+        MessageError
+            The message has not the fields of its type.
         """
         found = stamped_poses(message, self.type_name)
+        if self._tree is not None:
+            return self._find_in_tree(self._tree, found, is_static=is_static)
         of_child = [each for each in found if self._frame in ("", each.child) or not each.child]
         wanted = [each for each in of_child if self._base in ("", each.parent)]
         if not wanted:
@@ -78,12 +95,35 @@ class ToolPoseReader:
         self.problem, self._base = "", wanted[-1].parent
         return wanted[-1]
 
+    def _find_in_tree(self, tree: TransformTree, found: list[StampedPose], *, is_static: bool) -> StampedPose | None:
+        direct = [each for each in found if (each.parent, each.child) == (self._base, self._frame)]
+        changes = [
+            tree.add(each.parent, each.child, each.stamp_s, tuple(each.values.tolist()), is_static=is_static) for each in found
+        ]
+        if direct and not is_static:
+            self.problem = ""
+            return direct[-1]
+        taken = tree.take_pose() if any(changes) else None
+        if taken is not None:
+            self.problem = ""
+            return StampedPose(self._base, self._frame, taken[0], np.array(taken[1]))
+        self.problem = tree.problem
+        other = next((each.parent for each in found if each.child == self._frame), "")
+        if other and not any(changes):
+            self.problem = f"The pose comes in the frame {other}; expected {self._base}"
+        return None
+
     def _describe(self, found: list[StampedPose], of_child: list[StampedPose]) -> None:
         """Name the frames in place of the wanted ones; a message of other frames alone is usual on `/tf`."""
         if of_child:
             self.problem = f"The pose comes in the frame {of_child[0].parent}; expected {self._base}"
         elif not self.problem and self.type_name != TF_MESSAGE:
             self.problem = f"The pose is that of {found[0].child}; expected {self._frame}"
+
+
+def static_topic(topic: str) -> str:
+    """Name the topic of the transforms that hold for all times, next to one of moving ones."""
+    return f"{topic}_static"
 
 
 def stamped_poses(message: Any, type_name: str) -> list[StampedPose]:

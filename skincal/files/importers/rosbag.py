@@ -32,7 +32,7 @@ from skincal.ros.layouts import RunReader
 from skincal.ros.messages import MessageReader, is_seldom_a_skin, number_fields, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.proposals import is_command, natural_order
-from skincal.ros.tool_poses import TF_MESSAGE
+from skincal.ros.tool_poses import TF_MESSAGE, static_topic
 from skincal.ros.topics import TopicChoice
 from skincal.ros.types import MessageError, MessageTypes, full_type_name
 from skincal.streams.decoders.records import POSE_KIND
@@ -263,6 +263,9 @@ class _Recorded:
         found = [f"{self.choice} ({reader.type_name}){field_words}{frame_words(self.frames)}."]
         if isinstance(reader, BagPoseReader) and reader.parent:
             found.append(f"its poses are in the frame {reader.parent}.")
+        if isinstance(reader, BagPoseReader) and reader.left_out:
+            why = f" ({reader.missing_joints})" if reader.missing_joints else ""
+            found.append(f"{plural(reader.left_out, 'message')} gave no pose{why}.")
         if self.stream is Stream.JOINTS and reader.joints:
             found.append(f"the order of the joints is {', '.join(name or 'unused' for name in reader.joints)}.")
         for name, silence in reader.silences.items():
@@ -348,7 +351,8 @@ def _prepare(bag: Bag, stream: Stream, text: str, joints: Sequence[str]) -> _Rec
         else:
             bag.define(name)
         if stream is Stream.TOOL:
-            readers[name] = _pose_reader(bag, topic, choice)
+            reader = readers[name] = _pose_reader(bag, topic, choice)
+            _add_static_transforms(bag, topic, reader)
             continue
         try:
             readers[name] = MessageReader(bag.types, topic.type_name, stream, choice.field, choice.joints or joints)
@@ -376,6 +380,17 @@ def _pose_reader(bag: Bag, topic: BagTopic, choice: TopicChoice) -> BagPoseReade
         raise InputError(
             f"{bag.path}: {topic.name} has poses of many frames; name the tool's and its base, as in {named}."
         ) from None
+
+
+def _add_static_transforms(bag: Bag, topic: BagTopic, reader: BagPoseReader) -> None:
+    """Read the topic of fixed transforms next to one of moving ones, before all others: they hold for all times."""
+    static = bag.topics.get(static_topic(topic.name))
+    if full_type_name(topic.type_name) != TF_MESSAGE or static is None or full_type_name(static.type_name) != TF_MESSAGE:
+        return
+    bag.define(static.name)
+    for _, _, data in bag.messages([static.name]):
+        with contextlib.suppress(MessageError):
+            reader.add_static(bag.types.decode(data, static.type_name))
 
 
 def _read_messages(bag: Bag, streams: Sequence[_Recorded], go_on: Callable[[float], bool]) -> None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 
 from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.ros2 import MESSAGE_MAX_BYTES, TIMES_STRUCT, topics_of, write_head, write_losses, write_message
 from skincal.model.errors import InputError
+from skincal.model.readings import Stream
 from skincal.ros.dds import DdsError, Message, Participant, TopicReader, default_domain
+from skincal.ros.tool_poses import TF_MESSAGE, static_topic
+from skincal.ros.topics import TopicChoice
 from skincal.ros.types import MessageError, read_definition
 from skincal.streams.transports import Opening
 
@@ -45,6 +49,8 @@ class DdsLink:
         self._participant = Participant(default_domain() if domain is None else int(domain))
         types = self._participant.types
         self._readers: list[TopicReader] = []
+        self._static: TopicReader | None = None
+        """Of `/tf_static`; `None` unless poses are read from `/tf`."""
         try:
             self._types = self._find_types(opening)
             definitions = dict[str, str]()
@@ -53,19 +59,33 @@ class DdsLink:
                     definitions[name] = read_definition(Path(self._choice.msg), name)
                     types.add_definition(name, definitions[name])
                 self._readers.append(self._participant.reader(topic, name))
+            self._static = self._open_static(opening)
         except MessageError as error:
             self.close()
             raise LinkError(FailureKind.OTHER, f"{self._label}: {error}.") from error
         except BaseException:
             self.close()
             raise
-        self._head = write_head(self._choice, self._types, definitions)
+        self._head = write_head(*self._described(), definitions)
         self._check_s = time.monotonic()
         self._last_s = [self._check_s] * len(self._readers)
         """When each topic sent last."""
         self._too_long = 0
         self._failure: LinkError | None = None
         """Raised once the messages that came before it are read."""
+
+    def _open_static(self, opening: Opening) -> TopicReader | None:
+        """Open the reader of `/tf_static`, next to one of `/tf`: its transforms are latched."""
+        if opening.carries != (Stream.TOOL,) or self._types != [TF_MESSAGE]:
+            return None
+        return self._participant.reader(static_topic(self._choice.topics[0]), TF_MESSAGE, latched=True)
+
+    def _described(self) -> tuple[TopicChoice, list[str]]:
+        """Return the topics that are read, and their types."""
+        if self._static is None:
+            return self._choice, self._types
+        (topic,) = self._choice.topics
+        return replace(self._choice, topics=(topic, static_topic(topic))), [*self._types, TF_MESSAGE]
 
     def _find_types(self, opening: Opening) -> list[str]:
         """Wait for a publisher of each topic and return the types. Raises LinkError."""
@@ -102,6 +122,7 @@ class DdsLink:
         arrival_ns, now_s = time.time_ns(), time.monotonic()
         waiting = [self._take_messages(reader) for reader in self._readers]
         self._last_s = [now_s if messages else last for messages, last in zip(waiting, self._last_s, strict=True)]
+        waiting += [] if self._static is None else [self._take_messages(self._static)]
         # In turn: the patches of one moment stay together, although several messages of each are read at once.
         packets = [
             write_message(topic, message.source_ns, arrival_ns, message.data)
@@ -156,4 +177,5 @@ class DdsLink:
 
     def close(self) -> None:
         self._readers.clear()
+        self._static = None
         self._participant.close()

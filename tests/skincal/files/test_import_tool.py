@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 from skincal.cli import main
 from skincal.files.importers.preview import guess_streams, preview_recording
 from skincal.files.importers.registry import RecordedPlace
+from skincal.files.importers.rosbag import open_recording as open_bag
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import load_scene
 from skincal.session.importing import check_recorded_tool, find_topics, of_scene
 from skincal.session.replay import load
+from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.taxels.result import Method
 from tests.skincal.files.test_robometry import MatFile
 from tests.skincal.ros_support import SKIN_TYPE, BagFile, header, skin_message
@@ -65,6 +67,57 @@ def write_bag(path, streams, kind):
             bag.add("/tf", TREE, ns, {"transforms": [transform(ns, "shoulder", "upper_arm", joint)]})
             bag.add("/tf", TREE, ns, {"transforms": [transform(ns, "base", "tool0", row)]})
     return bag.path
+
+
+def write_arm_bag(path, streams):
+    """Write a bag whose tool hangs at an arm: a `/tf` of two joints, each in a message of its own, and a latched `/tf_static`.
+
+    The first joint turns as it likes, so the second one's place and turn are those that put the tool where it is.
+    """
+    mount = [0.0, 0.0, 0.1, *Rotation.from_rotvec([0.0, 0.0, -np.pi / 2]).as_quat()]
+    base = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+
+    def matrix(pose):
+        found = np.eye(4)
+        found[:3, :3], found[:3, 3] = Rotation.from_quat(pose[3:]).as_matrix(), pose[:3]
+        return found
+
+    with BagFile(path, "mcap") as bag:
+        for t, row in zip(*streams["skin"], strict=True):
+            bag.add("/skin", SKIN_TYPE, START_NS + round(1e9 * t), skin_message(row))
+        for k, (t, row) in enumerate(zip(*streams["tool"], strict=True)):
+            ns = START_NS + round(1e9 * t)
+            shoulder = [0.0, 0.1, 0.3, *Rotation.from_rotvec([0.0, 0.0, np.sin(t)]).as_quat()]
+            rest = np.linalg.inv(matrix(shoulder)) @ matrix(base) @ matrix(row) @ np.linalg.inv(matrix(mount))
+            elbow = [*rest[:3, 3], *Rotation.from_matrix(rest[:3, :3]).as_quat()]
+            bag.add("/tf", TREE, ns, {"transforms": [transform(ns, "base_link", "upper_arm", shoulder)]})
+            bag.add("/tf", TREE, ns, {"transforms": [transform(ns, "upper_arm", "flange", elbow)]})
+            if k == 1:  # late, as in a bag that began before its publisher
+                fixed = [transform(ns, "flange", "tool0", mount), transform(ns, "base_link", "base", base)]
+                bag.add("/tf_static", TREE, ns, {"transforms": fixed})
+    return bag.path
+
+
+def test_a_tool_at_an_arm_of_several_transforms_gives_the_poses_of_one(made, tmp_path, capsys):
+    folder, streams = made
+    short = {name: (times[:200], rows[:200]) for name, (times, rows) in streams.items()}
+    bag = write_arm_bag(tmp_path / "arm", short)
+    found = open_bag({Stream.SKIN: RecordedPlace(bag, "/skin"), Stream.TOOL: RecordedPlace(bag, "/tf?frame=tool0&base=base")})
+    decoder = make_decoder("records", None, (Stream.TOOL,))
+    poses = np.concatenate(
+        [batch.values for chunk in found.chunks() if chunk.link == "tool" for batch in decoder.feed(chunk.data)]
+    )
+    expected = np.concatenate([Rotation.from_quat(short["tool"][1][:, 3:]).as_matrix(), short["tool"][1][:, :3, None]], axis=2)
+    np.testing.assert_allclose(poses.reshape(-1, 3, 4), expected, atol=1e-9)
+    assert any("its poses are in the frame base" in each for each in found.findings)
+    assert not any("gave no pose" in each for each in found.findings)
+    guesses = guess_streams([bag], 9)
+    assert guesses.places[Stream.TOOL].topic == "/tf?frame=tool0&base=base_link", "the root and the frame with a tool's name"
+    scene, topics = folder / "scene.toml", ["--skin", "/skin", "--tool", "/tf?frame=tool0&base=wall"]
+    assert main(["import", "rosbag", str(bag), *topics, "--scene", str(scene), "--out", str(tmp_path / "out")]) == 2
+    assert "No transform of wall has come; frames that came: base, base_link, flange" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def write_tables(folder, streams, names=("x", "y", "z", "qx", "qy", "qz", "qw")):

@@ -119,6 +119,52 @@ def test_a_laboratorys_own_type_is_read_and_replayed_without_its_file(tmp_path):
     assert np.concatenate([each.device_s for each in again]).tobytes() == batch.device_s.tobytes()
 
 
+def tree(types, *transforms):
+    """A TFMessage of (parent, child, seconds, x y z and quaternion x y z w)."""
+
+    def make(name, **fields):
+        package = "std_msgs" if name == "Header" else "builtin_interfaces" if name == "Time" else "geometry_msgs"
+        return types.make(f"{package}/msg/{name}", **fields)
+
+    def one(parent, child, seconds, pose):
+        stamp = make("Time", sec=int(seconds), nanosec=int(1e9 * (seconds % 1.0)))
+        place = make("Vector3", x=pose[0], y=pose[1], z=pose[2])
+        turn = make("Quaternion", x=pose[3], y=pose[4], z=pose[5], w=pose[6])
+        return make(
+            "TransformStamped",
+            header=make("Header", stamp=stamp, frame_id=parent),
+            child_frame_id=child,
+            transform=make("Transform", translation=place, rotation=turn),
+        )
+
+    return types.make("tf2_msgs/msg/TFMessage", transforms=[one(*each) for each in transforms])
+
+
+def test_a_tool_behind_several_transforms_is_read_with_those_that_are_latched():
+    root_half = 0.5**0.5
+    arm, tool = (0.3, 0.0, 0.5, 0.0, 0.0, root_half, root_half), (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    with closing(dds.Participant(DOMAIN)) as robot:
+        static = robot.writer("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+        moving = robot.writer("/tf", "tf2_msgs/msg/TFMessage")
+        # Before anybody listens.
+        static.write(tree(robot.types, ("flange", "tool0", 0.0, tool)))
+
+        def send(over):
+            while not over.wait(0.01):
+                now = time.time()
+                moving.write(tree(robot.types, ("base", "link1", now, arm)))
+                moving.write(tree(robot.types, ("link1", "flange", now, arm)))
+
+        with meanwhile(send), closing(open_link(spec("/tf", Stream.TOOL, frame="tool0", base="base"))) as link:
+            decoder, rows, end_s = make_decoder("ros2", None, (Stream.TOOL,)), [], time.monotonic() + PATIENCE_S
+            while len(rows) < 5 and time.monotonic() < end_s:
+                rows += [row for batch in decoder.feed(link.read(0.1)) for row in batch.values]
+    # Rz(90) at (0.3, 0, 0.5), twice, then 0.1 along x: x of the tool is -x of the base.
+    expected = [[-1.0, 0.0, 0.0, 0.2], [0.0, -1.0, 0.0, 0.3], [0.0, 0.0, 1.0, 1.0]]
+    np.testing.assert_allclose(rows[-1].reshape(3, 4), expected, atol=1e-9)
+    assert decoder.device_message == ""
+
+
 class Recorded:
     """A reader and what it brought."""
 
