@@ -6,6 +6,7 @@ import numpy as np
 
 from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
+from skincal.session.tool_sentences import session_tool_sentences
 from skincal.words.units import point_mm
 
 
@@ -31,10 +32,5 @@ def unplaced_note(state: ViewState, tip: FloatArray | None) -> str:
 
 def tool_state(state: ViewState) -> str:
     """Describe the tip of the tool, the part's pose in the base, and the delay of the poses, a line each."""
-    from skincal.words.part_words import tool_rig_sentences
-
-    snapshot = state.snapshot
-    of_rig = tool_rig_sentences(
-        snapshot.tip_frame, snapshot.part_pose, snapshot.typed_pose_error, snapshot.at_landmarks, snapshot.off_mesh
-    )
+    of_rig = session_tool_sentences(state.snapshot, state.scene)
     return "\n".join(filter(None, (*of_rig, *(link.pose_delay for link in state.live.links))))

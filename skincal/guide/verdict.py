@@ -49,6 +49,7 @@ from skincal.taxels.solve import Solution, solve
 if TYPE_CHECKING:
     from skincal.axes.module_axes import AxisFindings
     from skincal.mesh.surface import Surface
+    from skincal.rig.part_scale import WrongScale
 
 POKES_PER_HELD_OUT_POKE = 6
 """One poke in this many is held out."""
@@ -317,6 +318,8 @@ class Verdict:
     """Frame that messages of the wrench name, if it is not settled what their readings mean; else empty."""
     off_mesh: float | None = None
     """m, median distance of a tool's touches from the mesh; `None` if it is within their error."""
+    wrong_scale: WrongScale | None = None
+    """Scale of the part's drawing that a tool's touches contradict; `None` if they agree with it."""
     states: Mapping[State, int] = field(default_factory=dict[State, int])
     """Number of used taxels in each state."""
     contradicted: tuple[int, ...] = ()
@@ -341,6 +344,7 @@ class Verdict:
         """Whether anything contradicts the predicted errors."""
         contradicted = not self.check.believed or self.check.off_plan is not None or bool(self.frame_in_doubt)
         contradicted |= bool(self.contradicted) or self.off_mesh is not None or self.is_value_order_wrong
+        contradicted |= self.wrong_scale is not None
         return self.has_moved or contradicted or (self.landmarks is not None and not self.landmarks.agrees)
 
     @property
@@ -357,7 +361,7 @@ class Verdict:
     def believed(self) -> bool:
         """Whether the predicted errors are confirmed (see `is_believed`)."""
         is_open = bool(self.frame_in_doubt) or bool(self.contradicted) or self.off_mesh is not None
-        is_open |= self.is_value_order_wrong
+        is_open |= self.is_value_order_wrong or self.wrong_scale is not None
         return not is_open and is_believed(self.check, self.landmarks)
 
 

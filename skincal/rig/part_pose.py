@@ -21,7 +21,8 @@ A small motion of the part turns by w about the centre c of the touched points a
 W = B'B the equation of a point that should lie at y is B (x + R'(t - y)) = 0, and its derivative B R' [-S(y - c), I]: exact for
 a force axis, too, whose point x may be far from y. Gauss-Newton steps from many starts (`part_pose_starts`) with Huber's
 weights give the pose. Its covariance is the inverse of the normal equations, without the rows of b, b_m and h. It grows by
-chi-square over its degrees of freedom where that is above 1.
+chi-square over its degrees of freedom where that is above 1. A scale of the drawing that the touches leave open adds to the
+error (`part_scale`).
 
 Directions with a large error are named (`open_motions`), as the shift along the axis of a cylinder whose mesh alone is known.
 Poses that differ and fit as well are rivals: a box fits turned by half a turn.
@@ -37,6 +38,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, inverse_pose
 from skincal.rig.part_pose_starts import DROPPED_ABOVE_COST_FACTOR, DROPPED_ABOVE_COST_INCREASE, start_poses
+from skincal.rig.part_scale import NO_SCALES, PartScales, WrongScale, find_landmarks_off_mesh, find_scales, scale_rows
 from skincal.rig.part_touches import (
     HUBER_THRESHOLD_SDS,
     LANDMARK_SD_M,
@@ -48,6 +50,7 @@ from skincal.rig.part_touches import (
     OpenMotion,
     PartShape,
     PartTouches,
+    PoseRows,
     find_open_motions,
     motion_rows,
     moved_pose,
@@ -97,7 +100,8 @@ class PartPose:
     centre: FloatArray
     """(3,) float, metres, link frame: c."""
     with_tip: FloatArray
-    """(9, 9) float: covariance of the turn w (rad) about the centre, of the shift s (m), link frame, and of `tip_shift`."""
+    """(9, 9) float: covariance of the turn w (rad) about the centre, of the shift s (m), link frame, and of `tip_shift`, for a
+    drawing of the right scale."""
     landmarks: int
     """Touches at landmarks that it was fitted to..."""
     taxels: int
@@ -128,6 +132,8 @@ class PartPose:
     """The largest first."""
     rival: FloatArray | None = None
     """(4, 4) float, metres: link_from_base of another pose that fits as well; `None` without one."""
+    scales: PartScales = NO_SCALES
+    """Scale of landmarks and mesh, as the touches show it."""
 
     @property
     def base_from_link(self) -> FloatArray:
@@ -148,20 +154,29 @@ class PartPose:
         return self.state is PartPoseState.KNOWN
 
     @property
+    def wrong_scale(self) -> WrongScale | None:
+        """Scale of the drawing that the touches contradict; `None` if they agree with it."""
+        return self.scales.wrong
+
+    @property
     def covariance(self) -> FloatArray:
         """(6, 6) float: of the turn w (rad) about the centre, and of the shift s (m), link frame."""
         return self.with_tip[:6, :6]
 
-    def error_shifts(self, points: FloatArray, tool_turns: FloatArray) -> FloatArray:
-        """Compute the shifts (..., 3, 9), metres, of points (..., 3) of the link by independent errors of unit variance.
+    def error_shifts(self, points: FloatArray, tool_turns: FloatArray, normals: FloatArray) -> FloatArray:
+        """Compute the shifts (..., 3, 14), metres, of points (..., 3) of the link by independent errors of unit variance.
 
         Parameters
         ----------
         tool_turns : (..., 3, 3) float: mean rotation of the tip's frame into the link, at the pokes that measured each point
+        normals : (..., 3) float, unit: of the mesh at points bound to it, else zero
         """
-        values, axes = np.linalg.eigh(self.with_tip)
-        rows = np.concatenate([motion_rows(points - self.centre), tool_turns], axis=-1)
-        return rows @ (axes * np.sqrt(np.maximum(values, 0.0)))
+        values, axes = np.linalg.eigh(self.scales.moment)
+        off_mesh = np.concatenate([np.zeros_like(points[..., :1]), -normals * points], axis=-1)
+        by_scales = normals[..., :, None] * off_mesh[..., None, :]
+        rows = np.concatenate([motion_rows(points - self.centre), tool_turns, by_scales], axis=-1)
+        by_mesh = self.scales.landmarks_off_mesh * normals[..., :, None]
+        return np.concatenate([rows @ (axes * np.sqrt(np.maximum(values, 0.0))), by_mesh], axis=-1)
 
 
 NO_PART_POSE = PartPose(PartPoseState.FEW_TOUCHES, np.eye(4), np.zeros(3), np.eye(9), 0, 0, 0)
@@ -190,8 +205,16 @@ class _Fit:
     """Huber's cost, with the priors of the plan's shift and the height."""
     chi2: float
     """Sum of the trusted squares."""
-    at_landmarks: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-    """Of k touches: derivatives (k, 3, u), misses (k, 3) in standard deviations, trust (k,); normal equations (u, u)."""
+    rows: PoseRows
+    """Equations without the shifts of the plan, the tip and the height..."""
+    slopes: FloatArray
+    """(e, u) float: ...all derivatives, of three rows for each target, then of one for each point on the mesh..."""
+    misses: FloatArray
+    """(e,) float: ...misses with these shifts, in standard deviations..."""
+    trust: FloatArray
+    """(e,) float: ...Huber's weights..."""
+    normal: FloatArray
+    """(u, u) float: ...and normal equations with priors."""
 
     @classmethod
     def at(cls, touches: PartTouches, shape: PartShape, turn: FloatArray, shift: FloatArray) -> _Fit:
@@ -233,13 +256,9 @@ class _Fit:
         of_prior = float(rest @ prior[6:, 6:] @ rest)
         cost = float(np.sum(_huber_cost(sizes))) + of_prior
         chi2 = float(np.sum(trust * left**2)) + of_prior
-        own = (
-            slopes[: 3 * landmarks].reshape(landmarks, 3, slopes.shape[1]),
-            left[: 3 * landmarks].reshape(-1, 3),
-            trust[: 3 * landmarks : 3],
-        )
         skin = float(rest[3]), float(np.sqrt(inverse[9, 9]))
-        return cls(turn, shift, rows.centres[0], inverse[:9, :9], rest[:3], skin, step, cost, chi2, (*own, normal))
+        of_tip, equations = (inverse[:9, :9], rest[:3]), (rows, slopes, left, trust, normal)
+        return cls(turn, shift, rows.centres[0], *of_tip, skin, step, cost, chi2, *equations)
 
     def next(self, touches: PartTouches, shape: PartShape) -> _Fit:
         turn, shift = moved_pose(self.turn[None], self.shift[None], self.centre[None], self.step[None])
@@ -316,7 +335,8 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
         equations -= int(np.isin(touches.on_plan, touches.on_mesh).sum())
     ratio = float(np.sqrt(best.chi2 / max(equations - 6, 1)))
     covariance = best.covariance * max(1.0, ratio) ** 2
-    open_motions, sd = find_open_motions(covariance[:6, :6], best.centre, shape.corners)
+    scales = _scales_of(best, touches, shape, equations - 6)
+    open_motions, sd = find_open_motions(scales.moment[:6, :6], best.centre, shape.corners)
     rival = _find_rival(best, fits, shape.corners, max(1.0, ratio) ** 2)
     worst_landmark, worst_miss = _worst_landmark(best, touches)
     state = PartPoseState.KNOWN
@@ -331,6 +351,7 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
         link_from_base=best.link_from_base,
         centre=best.centre,
         with_tip=covariance,
+        scales=scales,
         landmarks=counts[0],
         taxels=counts[1],
         points=counts[2],
@@ -349,6 +370,20 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
     )
 
 
+def _scales_of(best: _Fit, touches: PartTouches, shape: PartShape, freedom: int) -> PartScales:
+    """Find the scale of the drawing at the best pose, whose chi-square has `freedom` degrees of freedom."""
+    own = scale_rows(touches, shape, best.turn, best.shift, best.rows)
+    slopes = np.concatenate([own.of_targets.reshape(-1, own.of_mesh.shape[1]), own.of_mesh])
+    weighted = slopes * best.trust[:, None]
+    across, count = best.slopes.T @ weighted, len(best.normal)
+    normal = np.block([[best.normal, across], [across.T, slopes.T @ weighted]])
+    landmarks = np.unique(touches.landmark[touches.at_landmark], axis=0)
+    pull = np.concatenate([np.zeros(count), weighted.T @ best.misses])
+    found = find_scales(normal, pull, (best.chi2, freedom), (len(landmarks), len(own.of_mesh)))
+    off_mesh = 0.0 if shape.surface is None else find_landmarks_off_mesh(landmarks, shape.surface)
+    return replace(found, landmarks_off_mesh=off_mesh)
+
+
 def _held_out_ratio(best: _Fit, places: FloatArray, ranks: IntArray) -> float:
     """Compute the rms ratio of the misses of landmarks to those predicted from all other touches; NaN without a landmark.
 
@@ -360,8 +395,9 @@ def _held_out_ratio(best: _Fit, places: FloatArray, ranks: IntArray) -> float:
     places : (k, 3) float, metres: landmark of each touch
     ranks : (k,) directions that each touch measures
     """
-    slopes, misses, trust, normal = best.at_landmarks
-    squares, equations = 0.0, 0
+    normal, count = best.normal, len(places)
+    slopes, misses = best.slopes[: 3 * count].reshape(count, 3, len(normal)), best.misses[: 3 * count].reshape(count, 3)
+    trust, squares, equations = best.trust[: 3 * count : 3], 0.0, 0
     for place in np.unique(places, axis=0):
         own = np.flatnonzero((places == place).all(axis=1))
         rows, off = slopes[own].reshape(-1, normal.shape[0]), misses[own].ravel()

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,9 +38,12 @@ from skincal.geometry import FloatArray, length_of
 from skincal.model.scene import NoiseSettings
 from skincal.rig.tip_frame import TipFrame, TipPokes
 from skincal.solver.tables import NEIGHBOURS_SHARE_ONE_OFFSET_FROM
-from skincal.taxels.contact_table import Evidence
+from skincal.taxels.contact_table import ContactTable, Evidence
 from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import POSITION_MAX_SD_M, Cause, Estimate, Method, State
+
+if TYPE_CHECKING:
+    from skincal.mesh.surface import Surface
 
 CHI2_2DOF_QUANTILE_9999 = 18.4
 """Exceeded by one in 10,000 (chi-square, two degrees of freedom)."""
@@ -53,6 +57,18 @@ class TipFusion:
         self._frame, self._noise = frame, noise
         self._tips: dict[int, tuple[FloatArray, FloatArray]] = {}
         """Position (3,), metres, link frame, and gradient (3, 6), by poke; without outliers."""
+
+    @property
+    def places_pokes(self) -> bool:
+        """Whether the tip alone says where a poke is, and its wrench does not."""
+        return self._frame.places_pokes
+
+    def joined_on_mesh(self, estimates: Sequence[Estimate], table: ContactTable, surface: Surface) -> tuple[Estimate, ...]:
+        """Estimate taxels of the surface method again by the centres of the answers; `table` has moved axes."""
+        from skincal.rig.answer_centres import join_by_centres  # other rigs do without
+
+        evidence = table.evidence([each.channel for each in estimates if each.position is not None])
+        return tuple(join_by_centres(estimates, evidence, surface, self._noise, self._frame.tip_sd))
 
     def moved_axes(self, contacts: Sequence[Contact]) -> list[Contact]:
         """Move the force axes of contacts towards their tips; contacts without a usable tip are not changed."""

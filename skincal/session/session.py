@@ -394,6 +394,7 @@ class Session:
             part_misfit=None if self.tool is None else self.tool.misfit,
             typed_pose_error=None if self.tool is None else self.tool.typed_error,
             off_mesh=None if self.tool is None else self.tool.off_mesh,
+            wrong_scale=None if self.tool is None else self.tool.wrong_scale,
             wrench_frames=self.wrench_frames,
             value_order=self._value_order,
             part_size=self._part_size(estimates),

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
     from skincal.rig.mesh_distance import MeshDistance
     from skincal.rig.part_pose import PartPose
+    from skincal.rig.part_scale import WrongScale
     from skincal.session.tool_findings import PartMisfit
 
 UNPLACED = StateReason(Cause.PART_UNPLACED)
@@ -123,6 +124,8 @@ class Snapshot:
     """Touches that the best pose of the part misses, for a slow search for the mistake; `None` if they fit."""
     typed_pose_error: PartPose | None = None
     """Pose of the part that the pokes show in place of a given one; `None` if they agree with it."""
+    wrong_scale: WrongScale | None = None
+    """Scale of the part's drawing that a tool's touches contradict; `None` if they agree with it."""
     off_mesh: MeshDistance | None = None
     """Distance of a tool's touches from the mesh that is far beyond their error; `None` if they agree with a given pose."""
     wrench_frames: tuple[WrenchFrame, ...] = ()

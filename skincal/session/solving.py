@@ -229,7 +229,11 @@ class Solving:
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
         """Look up by method the estimates of some channels, one a channel."""
-        return {method: of.of_channels(channels) for method, of in self._estimates.items()}
+        found = {method: of.of_channels(channels) for method, of in self._estimates.items()}
+        on_mesh, surface, tips = found.get(Method.SURFACE), self._surface, self.tips
+        if on_mesh is not None and surface is not None and tips is not None and tips.places_pokes and self.is_placed:
+            found[Method.SURFACE] = tips.joined_on_mesh(on_mesh, self._shown, surface)
+        return found
 
     def take_fresh(self) -> IntArray:
         """Give the channels that were solved since the last call, ascending."""

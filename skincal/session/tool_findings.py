@@ -23,6 +23,7 @@ from skincal.pokes import Pokes
 from skincal.rig.mesh_distance import MeshDistance, find_mesh_distance
 from skincal.rig.part_pose import MISFIT_MIN_RATIO, NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
 from skincal.rig.part_pose_starts import closed_start
+from skincal.rig.part_scale import WrongScale
 from skincal.rig.part_touches import MESH_SD_M, PartShape, PartTouches, motion_rows
 from skincal.rig.scene_mistakes import Mistake
 from skincal.rig.tip_frame import REFIT_AT_POKE_COUNT_RATIO, TipState, pokes_of_fit
@@ -85,6 +86,8 @@ class ToolFindings:
         """Pose of the part; `None` if the scene gives it, or has none."""
         self.typed_error: PartPose | None = None
         """Pose that the touches show, in place of the given one; `None` if they agree, or show nothing."""
+        self.wrong_scale: WrongScale | None = None
+        """Scale of the part's drawing that the touches contradict; `None` if they agree with it."""
         self.off_mesh: MeshDistance | None = None
         """Distance of the touches from the mesh if it is far beyond their error and the scene gives the part's pose."""
         self.misfit: PartMisfit | None = None
@@ -147,6 +150,7 @@ class ToolFindings:
             self.off_mesh = None if surface is None else find_mesh_distance(touches, surface, self._scene.noise)
             return
         self.part, self.misfit = self._below_balls(fit_part_pose(touches, shape), touches, shape), None
+        self.wrong_scale = self.part.wrong_scale if self.part.is_known else None
         self._with_error.clear()
         if self.part.ratio > MISFIT_MIN_RATIO:
             # A copy keeps the tip of now.
@@ -378,7 +382,11 @@ class ToolFindings:
         moves = [height_sd * inward[:, :, None]]
         places = places + height * inward
         if part is not None:
-            moves += [part.error_shifts(places, pokes.tip_moves[of]), ROBOT_SCALE_SD * (places - part.centre)[:, :, None]]
+            normals = np.array([_mesh_normal(each) for each in some])
+            moves += [
+                part.error_shifts(places, pokes.tip_moves[of], normals),
+                ROBOT_SCALE_SD * (places - part.centre)[:, :, None],
+            ]
         elif self.part is None:
             moves += self._errors_in_base(places, pokes.tip_moves[of])
         shifts = np.concatenate(moves, axis=2)
@@ -460,6 +468,12 @@ def add_shared_error(estimate: Estimate, moves: FloatArray) -> Estimate:
         rms=float(np.sqrt(np.trace(covariance))),
         moved=moves if estimate.moved is None else np.concatenate([estimate.moved, moves], axis=1),
     )
+
+
+def _mesh_normal(estimate: Estimate) -> FloatArray:
+    """Give the normal (3,) of the mesh that an estimate is bound to; zero without one."""
+    is_bound = estimate.triangle is not None and estimate.normal is not None
+    return np.asarray(estimate.normal, dtype=np.float64) if is_bound else np.zeros(3)
 
 
 def _pokes_of_part_fit(count: int) -> int:

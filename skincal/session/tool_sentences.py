@@ -23,6 +23,7 @@ def session_tool_sentences(snapshot: Snapshot, scene: Scene, delays: PoseDelays 
         snapshot.typed_pose_error,
         snapshot.at_landmarks,
         snapshot.off_mesh,
+        snapshot.wrong_scale,
     )
     of_delay = pose_delay_sentence(delays)
     return (*of_rig, of_delay) if of_delay else of_rig

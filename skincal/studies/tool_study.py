@@ -196,7 +196,8 @@ def _believed(session: Session) -> dict[str, bool]:
     rig = correct_rig(session.rig_request()) if scene.has_sensor else None
     landmarks = agreement_at_landmarks(rig, None, snapshot.part_pose, snapshot.tip_frame)
     return {
-        method.value: is_believed(
+        method.value: snapshot.wrong_scale is None
+        and is_believed(
             check(snapshot, session.channels, method, scene.noise, session.surface, session.module_model), landmarks
         )
         for method in session.methods

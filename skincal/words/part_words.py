@@ -9,6 +9,7 @@ import numpy as np
 
 from skincal.rig.mesh_distance import MeshDistance
 from skincal.rig.part_pose import MIN_TOUCHES, MISFIT_MIN_RATIO, PartPose, PartPoseState
+from skincal.rig.part_scale import DrawnThing, WrongScale
 from skincal.rig.part_touches import OpenMotion
 from skincal.rig.tip_frame import TIP_FRAME_MIN_POKES, TipFrame, TipState
 from skincal.rig.tool_tip import TIP_SPREAD_MAX_M, ToolTip
@@ -23,6 +24,14 @@ MISFIT_ADVICE = (
     "The cause may be the tip, a landmark with another name or place, or a part that moved. Make the fixed-point test (Session "
     "menu, or `skincal tool`), and touch more landmarks: with six or more the mistake is named."
 )
+_WORDS_OF_THING = {
+    DrawnThing.LANDMARKS: ("landmarks lie", "too far apart", "too close together"),
+    DrawnThing.DRAWING: ("landmarks and mesh are", "too large", "too small"),
+    DrawnThing.MESH: ("mesh is", "too large", "too small"),
+    DrawnThing.MESH_X: ("mesh is", "too wide along x", "too narrow along x"),
+    DrawnThing.MESH_Y: ("mesh is", "too wide along y", "too narrow along y"),
+    DrawnThing.MESH_Z: ("mesh is", "too wide along z", "too narrow along z"),
+}
 
 
 def open_motion_words(motion: OpenMotion) -> str:
@@ -104,6 +113,35 @@ def typed_pose_sentence(found: PartPose) -> str:
     )
 
 
+def _scale_words(thing: DrawnThing, excess: float) -> str:
+    who, large, small = _WORDS_OF_THING[thing]
+    return f"the {who} {abs(excess):.1%} {large if excess > 0.0 else small}"
+
+
+def wrong_scale_sentence(found: WrongScale) -> str:
+    """Warn of a drawing with another scale than the touched part, and name its likely errors."""
+    words = [_scale_words(found.thing, found.excess), *(_scale_words(*other) for other in found.others)]
+    counted = (
+        count(found.landmarks, "landmark") if found.landmarks else "",
+        count(found.points, "place") if found.points else "",
+    )
+    of = " and ".join(filter(None, counted))
+    return (
+        f"The drawing of the part seems to have another scale: {', or '.join(words)}. The touches of {of} say "
+        f"{1.0 - found.excess:.3f} of the drawn length, known to {found.sd:.3f}. "
+        "Measure one length of the part, and correct the scene."
+    )
+
+
+def landmarks_off_mesh_sentence(distance: float) -> str:
+    """Warn of landmarks at a `distance` (rms, metres) from the mesh of the scene, negative if most are inside."""
+    side = "outside" if distance > 0.0 else "inside"
+    return (
+        f"The landmarks of the scene lie {millimetres(abs(distance))} {side} its mesh, and the predicted errors contain that. "
+        "If they are on the surface of the part, landmarks or mesh have another scale than the part."
+    )
+
+
 def off_mesh_sentence(found: MeshDistance) -> str:
     """Warn of touches that miss the mesh, with the settings to check."""
     side = "outside" if found.height > 0.0 else "inside"
@@ -120,11 +158,16 @@ def tool_rig_sentences(
     typed_error: PartPose | None,
     at_landmarks: Mapping[int, str],
     off_mesh: MeshDistance | None = None,
+    wrong_scale: WrongScale | None = None,
 ) -> tuple[str, ...]:
     """Describe the tip of a tool and the part's pose in the base; `at_landmarks` has the landmark of each poke at one."""
     found = [tool_tip_sentence(tip)] if isinstance(tip, ToolTip) and not tip.is_given_alone else []
     if part is not None:
         found.append(part_pose_sentence(part, at_landmarks.get(part.worst_landmark, "")))
+    if part is not None and part.is_known and part.scales.landmarks_off_mesh:
+        found.append(landmarks_off_mesh_sentence(part.scales.landmarks_off_mesh))
+    if wrong_scale is not None:
+        found.append(wrong_scale_sentence(wrong_scale))
     if typed_error is not None:
         found.append(typed_pose_sentence(typed_error))
     if off_mesh is not None:

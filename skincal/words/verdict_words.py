@@ -87,6 +87,8 @@ def _doubts(verdict: Verdict) -> list[str]:
         found.append("the frame of the force/torque readings is not settled")
     if verdict.off_mesh is not None:
         found.append(f"the touches lie {millimetres(verdict.off_mesh, 0)} off the mesh")
+    if verdict.wrong_scale is not None:
+        found.append("the drawing of the part seems to have another scale")
     if verdict.has_moved:
         found.append("something has moved since the start")
     elif not verdict.frame_in_doubt:
