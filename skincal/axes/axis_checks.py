@@ -4,6 +4,8 @@
 then reads at least (g rho L) rms, however the taxel is turned: g is the gain across the skin and rho the usual ratio of gains.
 An axis that reads less than `WEAK_MAX_SHARE` of it does not answer.
 
+A taxel with a dead z never answers where the push counts. It shows in pokes that its x and y answer, and its z never does.
+
 **Another shear.** The skin and the force/torque sensor measure the same force. All pressed taxels of a poke read it in another
 direction than their other pokes say: the tip slipped, something else was touched, or the tare is wrong. Taxels have the noise
 of the whole skin, so a miss of `ZERO_TRUST_SDS` is rare (1 in 1400), and material that bulges stays below `MIN_SHEAR_MISS`.
@@ -25,6 +27,7 @@ from skincal.axes.module_axes import AXIS_NAMES
 from skincal.axes.skin_turns import SkinTurns
 from skincal.axes.turn_fit import AxisPokes
 from skincal.contacts.outcome import Contact
+from skincal.contacts.value_order import ValueOrderCounts
 from skincal.geometry import FloatArray
 from skincal.solver.tables import ZERO_TRUST_SDS
 
@@ -54,7 +57,7 @@ class DeadAxis:
 
     channel: int
     axis: str
-    """`"x"` or `"y"`."""
+    """`"x"`, `"y"` or `"z"`."""
     is_stuck: bool
     """It keeps one value; else it answers much less than the pokes lean."""
     pokes: int
@@ -89,6 +92,16 @@ def find_dead_axes(turns: SkinTurns) -> tuple[DeadAxis, ...]:
         for channel, pokes in turns.pokes.items()
         if len(pokes) >= MIN_POKES_OF_DEAD_AXIS
         for found in _dead_axes_of(channel, pokes, ratio, turns.noise.reading)
+    )
+
+
+def find_dead_z(counts: ValueOrderCounts) -> tuple[DeadAxis, ...]:
+    """Find taxels whose z never answers, in pokes that their x and y answer, by channel."""
+    each = zip(counts.pushed or (), counts.sheared or (), strict=True)
+    return tuple(
+        DeadAxis(channel, "z", is_stuck=False, pokes=sheared)
+        for channel, (pushed, sheared) in enumerate(each)
+        if not pushed and sheared >= MIN_POKES_OF_DEAD_AXIS
     )
 
 

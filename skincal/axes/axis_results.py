@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from skincal.axes.axis_checks import DeadAxis, find_dead_z
 from skincal.axes.module_axes import AxisFindings, ModulePlan, find_axes
 from skincal.axes.session_turns import SessionTurns, ShownTurn
 from skincal.axes.taxel_frames import FrameState, TaxelFrame, frames_of_taxels
@@ -48,9 +49,13 @@ class AxisResults:
         """Choose the frame of each taxel."""
         if method not in self._frames:
             channels = [estimate.channel for estimate in self._estimates[method]]
-            found = frames_of_taxels(self.turns, self.findings(method), channels)
-            self._frames[method] = found
+            dead_z = [each.channel for each in self.dead_z(method)]
+            self._frames[method] = frames_of_taxels(self.turns, self.findings(method), channels, dead_z)
         return self._frames[method]
+
+    def dead_z(self, method: Method) -> tuple[DeadAxis, ...]:
+        """Find taxels whose z does not answer; none while the axes of the scene are wrong."""
+        return () if self._order is None or self.findings(method).mistakes else find_dead_z(self._order.counts)
 
     def usable_turns(self, method: Method) -> dict[int, ShownTurn]:
         """Give the turn of each taxel that has one; not of a taxel with a dead axis, or with the readings of another taxel."""

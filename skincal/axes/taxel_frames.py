@@ -15,7 +15,7 @@ from skincal.axes.skin_turns import TurnState
 from skincal.geometry import FloatArray
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
 
 class FrameState(Enum):
@@ -32,7 +32,7 @@ class FrameState(Enum):
     WRONG_ORDER = "order of values wrong"
     """The frames have another order of values than the scene: its readings are those of other taxels."""
     DEAD_AXIS = "an axis does not answer"
-    """x or y of the taxel is dead or stuck."""
+    """x, y or z of the taxel is dead or stuck."""
     UNKNOWN = "unknown"
     """No poke has a reading of it."""
 
@@ -74,9 +74,14 @@ class TaxelFrame:
         return self.rotation.T @ self.covariance @ self.rotation
 
 
-def frames_of_taxels(turns: SessionTurns, findings: AxisFindings, channels: Iterable[int]) -> dict[int, TaxelFrame]:
-    """Choose the frame of each channel: the turn of its module if its taxels share one, else its own; with its state."""
-    dead = {each.channel for each in find_dead_axes(turns.skin)}
+def frames_of_taxels(
+    turns: SessionTurns, findings: AxisFindings, channels: Iterable[int], dead_z: Collection[int] = ()
+) -> dict[int, TaxelFrame]:
+    """Choose the frame of each channel: the turn of its module if its taxels share one, else its own; with its state.
+
+    `dead_z` are the channels whose z does not answer.
+    """
+    dead = {each.channel for each in find_dead_axes(turns.skin)}.union(dead_z)
     mirrored = {mistake.module for mistake in findings.mistakes if mistake.is_mirrored}
     if turns.is_mirrored:
         mirrored.add(None)

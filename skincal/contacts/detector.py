@@ -18,7 +18,7 @@ back with another offset.
 * A steady press of `TARE_AGE_MAX_S` is rejected as "no quiet time to tare", and the tare is dropped.
 * While untared, skin that answers against its last rest shows that something still leans on it, for `TARE_AGE_MAX_S` at most.
 * Something that pressed from the first sample on is tared away. When it leaves, skin falls below its baseline. This drops the
-  tare until a taxel has answered a poke.
+  tare until a taxel has answered a poke. With a wrong polarity it looks alike: but then force and skin return to that tare.
 
 The stream of the joints may pause: the arm may move unseen, or rest while a device sends changes only. A poke with late angles
 is rejected as "arm pose unknown". If the next angles are the same, the arm rested, and the poke is judged again.
@@ -55,6 +55,9 @@ SAMPLES_FOR_MEDIAN_PERIOD = 15
 """Samples whose median spacing is the period; enough to outvote a few missing frames."""
 MAX_GAP_IN_GROUP_INTERVALS = 1.5
 """Times between two groups of frames, for frames that come in groups. A longer gap means that a group was lost."""
+
+REST_MIN_S = 1.5
+"""s. A tare that lasted longer before the first press was at rest: nobody begins with so long a press."""
 
 
 class ContactDetector:
@@ -100,6 +103,9 @@ class ContactDetector:
         self._arm_pose: ArmPose | None = None
         self._tare_pose: ArmPose | None = None
         self._has_answer = False
+        self._rest_tare: Tare | None = None
+        """Tare of the newest press that its taxels answered below their baseline, if it lasted as only rest does."""
+        self._has_returned_to_rest = False
         self._press: Press | None = None
         self._pokes = last_poke
         self._pending: list[FinishedPress] = []
@@ -359,13 +365,29 @@ class ContactDetector:
         if outcomes := self._feed_held(press, sample, pose):
             return outcomes
         if not self._has_answer and press.is_steady and self._was_tared_while_pressed(press, sample):
-            outcomes = self._reject_untared(press, sample, 0.0, self._thresholds.quiet_s)
-            self._tares.forget_rest()
-            # The steady samples are the quiet time that was missing.
-            for item, its_pose in press.latest:
-                outcomes += self._feed_idle(item, its_pose, 0.0)
-            return outcomes
+            first_s = press.start_s if self._times_s is None else self._times_s[0]
+            is_rest = self._has_returned_to_rest or press.start_s - max(first_s, self._untared_since) > REST_MIN_S
+            self._rest_tare = press.tare if is_rest else None
+            return self._reject_untared(press, sample, 0.0, self._thresholds.quiet_s) + self._rest_since(press)
+        if not self._has_answer and press.is_steady and self._is_back_at_rest(sample):
+            # Against the polarity each press is taken for rest, and its release for a press.
+            self._press, self._rest_tare, self._has_returned_to_rest = None, None, True
+            self._drop_tare(sample.host_s)
+            return self._rest_since(press)
         return []
+
+    def _rest_since(self, press: Press) -> list[Outcome]:
+        """Take the steady samples of a press for the quiet time that was missing."""
+        self._tares.forget_rest()
+        return [outcome for item, pose in press.latest for outcome in self._feed_idle(item, pose, 0.0)]
+
+    def _is_back_at_rest(self, sample: Sample) -> bool:
+        """Whether force and skin are again as before a press that taxels answered below their baseline."""
+        tare = self._rest_tare
+        if tare is None or _force(sample, tare) >= self._thresholds.release_force:
+            return False
+        above, below = self._beyond_limit(sample, tare)
+        return not (above.any() or below.any())
 
     def _was_tared_while_pressed(self, press: Press, sample: Sample) -> bool:
         """Whether the skin was pressed during its tare: some channels are below their baseline, none above."""

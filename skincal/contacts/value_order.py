@@ -8,12 +8,13 @@ one are k ln(3 p) + (n - k) ln(3 (1 - p)/2), with p = `SHARE_ON_Z`.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.geometry import FloatArray
+from skincal.geometry import BoolArray, FloatArray
+from skincal.model.codec import OPTIONAL_FIELD
 
 if TYPE_CHECKING:  # a skin of one axis loads no such module
     from skincal.model.skin_axes import SkinAxes, ValueOrder
@@ -35,13 +36,21 @@ class ValueOrderCounts:
     on_z_by_taxel: int = 0
     """Pokes whose strongest value is a z if values are grouped by taxel."""
     on_z_by_axis: int = 0
+    pushed: tuple[int, ...] | None = field(default=None, metadata=OPTIONAL_FIELD)
+    """For each taxel the pokes that its z answered, in the scene's order; `None` without pokes."""
+    sheared: tuple[int, ...] | None = field(default=None, metadata=OPTIONAL_FIELD)
+    """The same of pokes that its x and y answered, and its z did not."""
 
     def plus(self, newer: ValueOrderCounts | None) -> ValueOrderCounts:
         """Add the counts of a later part of the session."""
         if newer is None:
             return self
         return ValueOrderCounts(
-            self.pokes + newer.pokes, self.on_z_by_taxel + newer.on_z_by_taxel, self.on_z_by_axis + newer.on_z_by_axis
+            self.pokes + newer.pokes,
+            self.on_z_by_taxel + newer.on_z_by_taxel,
+            self.on_z_by_axis + newer.on_z_by_axis,
+            _sum_by_taxel(self.pushed, newer.pushed),
+            _sum_by_taxel(self.sheared, newer.sheared),
         )
 
     def on_z(self, order: ValueOrder) -> int:
@@ -87,6 +96,12 @@ class OrderOfValues:
         return self.log_odds_wrong > LOG_PRIOR_OF_WRONG_ORDER and other >= OPEN_MIN_SHARE_ON_Z * self.counts.pokes
 
 
+def _sum_by_taxel(first: tuple[int, ...] | None, second: tuple[int, ...] | None) -> tuple[int, ...] | None:
+    if first is None or second is None:
+        return second if first is None else first
+    return tuple(map(int.__add__, first, second))
+
+
 def sum_of_counts(counts: Iterable[ValueOrderCounts]) -> ValueOrderCounts:
     """Add up the counts of pokes."""
     total = ValueOrderCounts()
@@ -104,4 +119,13 @@ def count_strongest(axes: SkinAxes, change: FloatArray, least: float = 0.0) -> V
     strongest, axes_per_taxel, z = int(sizes.argmax()), len(axes.places), axes.places[2]
     if not sizes[strongest] > least:
         return ValueOrderCounts()
-    return ValueOrderCounts(1, int(strongest % axes_per_taxel == z), int(strongest // (len(change) // axes_per_taxel) == z))
+    vectors = np.abs(axes.sort_values(np.where(np.isfinite(change), change, 0.0)))
+    pushed: BoolArray = vectors[:, 2] > least
+    sheared: BoolArray = (np.hypot(vectors[:, 0], vectors[:, 1]) > least) & ~pushed
+    return ValueOrderCounts(
+        1,
+        int(strongest % axes_per_taxel == z),
+        int(strongest // (len(change) // axes_per_taxel) == z),
+        tuple(pushed.astype(int).tolist()),
+        tuple(sheared.astype(int).tolist()),
+    )

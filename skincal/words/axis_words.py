@@ -26,7 +26,7 @@ FRAME_STATE_WORDS: Mapping[FrameState, str] = {
     FrameState.IN_PLANE_UNKNOWN: "no poke leaned enough: press leaning",
     FrameState.MIRRORED: "no rotation: x, y and z of the readings are mirrored axes",
     FrameState.WRONG_ORDER: "no rotation: the values of a frame have another order than the scene",
-    FrameState.DEAD_AXIS: "no rotation: x or y of the taxel does not answer",
+    FrameState.DEAD_AXIS: "no rotation: an axis of the taxel does not answer",
     FrameState.UNKNOWN: "turn unknown: no poke has a reading of it",
 }
 
@@ -188,8 +188,13 @@ def dead_axis_sentence(found: Sequence[DeadAxis]) -> str:
     """Name axes of taxels that do not answer; empty without one."""
     if not found:
         return ""
-    stuck, weak = ([f"{each.axis} of taxel {each.channel}" for each in found if each.is_stuck is way] for way in (True, False))
-    parts = list[str]()
+    shear = [each for each in found if each.axis != "z"]
+    stuck, weak = ([f"{each.axis} of taxel {each.channel}" for each in shear if each.is_stuck is way] for way in (True, False))
+    parts = [
+        f"z of taxel {each.channel} answers none of {each.pokes} pokes that its x and y answer"
+        for each in found
+        if each.axis == "z"
+    ]
     if stuck:
         parts.append(f"{', '.join(stuck)} {'keeps' if len(stuck) == 1 else 'keep'} one value through all pokes")
     if weak:

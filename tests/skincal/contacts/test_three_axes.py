@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from skincal.contacts.answers_of_skin import answers_of
-from skincal.contacts.outcome import Contact, Reason
+from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.journal.documents import DetectorResult, read_document, result_to_json
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
 from skincal.model.skin_axes import ResponseRule, SkinAxes, ValueOrder
 from skincal.words.layout_words import frame_findings
+from skincal.words.poke_words import answered_inversely
 from tests.skincal.contacts.three_axis_support import VectorScript
 from tests.skincal.poke_script import outcome_key, small_scene
 
@@ -165,3 +166,27 @@ def test_the_findings_say_how_many_values_a_frame_has_and_whether_channels_count
     counted = replace(skin, layout=layout, channels=3 * taxels)
     assert f"write channels = {taxels}" in frame_findings(counted)[1]
     assert len(frame_findings(replace(counted, channels=3 * taxels + 1))) == 1
+
+
+@pytest.mark.parametrize("hold_s", [0.5, 1.5])
+def test_against_the_polarity_no_release_is_taken_for_a_poke(hold_s):
+    """Each press looks like rest after a tare under load, and its release like a press: a poke with the opposite force."""
+    scene = replace(small_scene(), skin=replace(small_scene().skin, axes=axes_with()))
+    script = VectorScript(scene).quiet(2.5)
+    for value in (80.0, 60.0, 70.0):
+        script.press(np.array([0.5, 0.0, -8.0]), np.zeros(3), {PRESSED: (3.0, 2.0, value)}, hold_s=hold_s).quiet()
+    outcomes = script.run()
+    assert [outcome.reason for outcome in outcomes] == [Reason.NO_TARE] * 3
+    assert all(answered_inversely(outcome) for outcome in outcomes)
+
+
+def test_a_tare_under_load_costs_one_poke_and_no_more():
+    scene = replace(small_scene(), skin=replace(small_scene().skin, axes=axes_with()))
+    script, load = VectorScript(scene), np.array([0.3, 0.0, -6.0, 0.0, 0.0, 0.0])
+    for _ in range(50):
+        script.step(load, {PRESSED: np.array([3.0, 2.0, -60.0])})
+    script.quiet()
+    for _ in range(2):
+        script.press(np.array([0.5, 0.0, -8.0]), np.zeros(3), READINGS).quiet()
+    outcomes = {outcome.poke: outcome for outcome in script.run()}
+    assert [type(outcome) for outcome in outcomes.values()] == [Rejection, Contact, Contact]

@@ -132,3 +132,16 @@ def test_the_table_of_taxels_has_the_axes_and_their_errors(tmp_path):
     assert plain.axes is plain.axes_error is None
     assert "turn" not in plain.html()
     assert plain._columns().keys() < table._columns().keys()
+
+
+def test_a_dead_z_is_named_and_its_taxel_has_no_frame(tmp_path):
+    """No poke counts on the taxel, but its x and y answer."""
+    wrenches, frames, _ = poke_arrays()
+    frames[:, 3 * 4 + 2] = 0.0
+    frames[4::9, 3 * 4] = 0.4
+    session = skincal.solve(make_scene(tmp_path), wrenches, frames)
+    (sentence,) = session.results.skin
+    assert "z of taxel 4 answers none of 6 pokes that its x and y answer" in sentence
+    found = session.results.session.axis_results().frames(session.results.choose_method(None))
+    assert [channel for channel, frame in found.items() if frame.state is FrameState.DEAD_AXIS] == [4]
+    assert found[4].rotation is None
