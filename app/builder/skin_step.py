@@ -25,8 +25,10 @@ from skincal.files.layout_sources import (
     repeated_modules,
     text_with_kind,
 )
+from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.skin import MODULE_KINDS, SkinKind
+from skincal.model.skin_axes import AXES_PER_TAXEL
 from skincal.part.draft_preview import PartPreview
 from skincal.part.layout_placing import middle_of
 from skincal.part.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, pushes_of, rounded
@@ -43,6 +45,7 @@ LAYOUT_CHOICES = {
     "file": "a file: .toml, .ini of iCub, table of positions",
     "grid": "a grid of taxels",
     "modules": "modules of one kind, edge to edge",
+    "paxini": "PaXini modules, by your package paxini-sdk",
 }
 SKIN_CHOICES = {
     SkinKind.BOARD.value: "rigid boards: circuit boards, triangles",
@@ -80,7 +83,7 @@ class SkinStep(Step):
         self.material.activated.connect(lambda _: self._choose_material())
         self._material: SkinKind | None = None
         self.pages = QStackedWidget()
-        pages = QWidget(), self._make_file_page(), self._make_grid_page(), self._make_modules_page()
+        pages = QWidget(), self._make_file_page(), self._make_grid_page(), self._make_modules_page(), self._make_paxini_page()
         self.pages_by_kind = dict(zip(LAYOUT_CHOICES, pages, strict=True))
         for page in pages:
             self.pages.addWidget(page)
@@ -138,6 +141,20 @@ class SkinStep(Step):
             box.valueChanged.connect(self._use_modules)
         strips = row_of(self.strips, QLabel("of"), self.in_strip, QLabel("modules"))
         make_form(("Kin&d", self.kind), ("Strips", strips), within=page, margins=0)
+        return page
+
+    def _make_paxini_page(self) -> QWidget:
+        page = QWidget()
+        self.paxini, self.paxini_sdk = QLineEdit(), QLineEdit()
+        self.paxini.setAccessibleName("PaXini modules")
+        self.paxini.setPlaceholderText("part code, model or number of taxels; several with commas")
+        self.paxini_sdk.setAccessibleName("package paxini-sdk")
+        self.paxini_sdk.setPlaceholderText("the installed package")
+        self.paxini.returnPressed.connect(self.use_paxini)
+        choose = button("Choose\N{HORIZONTAL ELLIPSIS}", "choose: wheel of paxini-sdk", self._choose_paxini_sdk)
+        self.read_points = button("Read the &points", run=self.use_paxini)
+        package = make_row((self.paxini_sdk, 1), choose, margins=0)
+        make_form(("Mod&ules", self.paxini), ("Packa&ge", package), ("", row_of(self.read_points)), within=page, margins=0)
         return page
 
     def update_fields(self, preview: PartPreview) -> None:
@@ -205,6 +222,25 @@ class SkinStep(Step):
             self._kind, self._material = "file", None
             self.file.setText(str(path))
             self._use(text)
+
+    def _choose_paxini_sdk(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Wheel of paxini-sdk", "", "Wheel (*.whl);;All files (*)")
+        if path:
+            self.paxini_sdk.setText(path)
+
+    def use_paxini(self) -> None:
+        """Take the layout of the named PaXini modules, whose taxels measure three axes in newtons."""
+        from skincal.files.paxini_points import layout_text, read_modules  # other skins do without
+
+        package = self.paxini_sdk.text().strip()
+        with self.report_failure():
+            names = [name for name in self.paxini.text().split(",") if name.strip()]
+            if not names:
+                raise InputError("Modules names no module; expected a part code, a model or a number of taxels.")
+            text = layout_text(read_modules(names, Path(package).expanduser() if package else None))
+            self._material = None
+            draft = replace(self.draft, channels=None, axes=AXES_PER_TAXEL, skin_unit="N", polarity="up")
+            self.change(replace(draft, layout_text=text, anchor=self._kept_anchor(text)))
 
     def _use_grid(self) -> None:
         self._use(Grid(self.rows.value(), self.columns.value(), self.pitch.value()).layout_text(), "grid")

@@ -101,6 +101,9 @@ def new_scene(
     axes: Annotated[
         Literal["1", "3"] | None, typer.Option(help="Values of a taxel: 3 for a force vector. Default: 1; PaXini 3.")
     ] = None,
+    skin_unit: Annotated[
+        Literal["raw", "N"] | None, typer.Option(help="Unit of the values of --axes 3. Default: raw; PaXini N.")
+    ] = None,
     kind: Annotated[
         Literal["board", "sheet"] | None,
         typer.Option(
@@ -132,6 +135,7 @@ def new_scene(
     tool = _tool_of(rig, tip, tip_radius, poses)
     if rig is not Rig.BELOW:
         _refuse_chain(urdf, sensor, [("--joints", columns), ("--fixed", fixed)], is_meant=bool(tip or poses))
+    axes_of_taxel = int(axes or ("3" if modules else "1"))
     draft = PartDraft(
         rig=rig,
         tool=tool,
@@ -147,13 +151,37 @@ def new_scene(
         unit=unit or "",
         channels=channels,
         polarity=polarity,
-        axes=int(axes or ("3" if modules else "1")),
-        skin_unit="N" if modules and axes != "1" else "",
+        axes=axes_of_taxel,
+        skin_unit=_skin_unit(skin_unit, axes_of_taxel, is_paxini=bool(modules)),
         layout_text=_layout_text(layout, grid, modules, kind),
     )
     write_scene(draft, out, _numbers(anchor_mm, 3, "--anchor-mm") if anchor_mm else None)
-    result, points = scene_result(load_part(out), None), _write_points(modules, out)
-    output.print_result(result, [f"wrote {out}{_copy_words(out)}", *points, *_lines(result)], as_json)
+    part, points = load_part(out), _write_points(modules, out)
+    result = scene_result(part, None)
+    lines = [f"wrote {out}{_copy_words(out)}", *points, *_lines(result), *_limit_lines(part.scene)]
+    output.print_result(result, lines, as_json)
+
+
+def _skin_unit(unit: str | None, axes: int, *, is_paxini: bool) -> str:
+    """Read `--skin-unit`: `"N"`, or nothing for raw values. Raises InputError: taxels have one axis."""
+    if unit is not None and axes == 1:
+        raise InputError("--skin-unit is for taxels of three axes; add --axes 3, or leave it out.")
+    return "N" if axes != 1 and (unit or ("N" if is_paxini else "raw")) == "N" else ""
+
+
+def _limit_lines(scene: Scene) -> list[str]:
+    """List the limits that a new scene of three axes has by the distance of its taxels and by their unit."""
+    axes, layout = scene.skin.axes, scene.skin.layout
+    if axes is None:
+        return []
+    unit = "newtons" if axes.unit == "N" else 'raw; write unit = "N" in [skin] if the device sends newtons (--skin-unit N)'
+    lines = [f"  values are {unit}; a taxel answers above {scene.contacts.response_min:g}"]
+    if layout is not None:
+        lines.append(
+            f"  a poke may press {scene.contacts.taxels_max} taxels (taxels_max): by a tip of 4 mm radius and taxels "
+            f"{layout.spacing * 1e3:.1f} mm apart; write more for a larger tip"
+        )
+    return lines
 
 
 def _rig_of(sensor: str) -> Rig:

@@ -57,7 +57,7 @@ MAX_GAP_IN_GROUP_INTERVALS = 1.5
 """Times between two groups of frames, for frames that come in groups. A longer gap means that a group was lost."""
 
 REST_MIN_S = 1.5
-"""s. A tare that lasted longer before the first press was at rest: nobody begins with so long a press."""
+"""s. A tare that lasted longer before the first press was at rest: a session does not begin with so long a press."""
 
 
 class ContactDetector:

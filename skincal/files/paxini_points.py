@@ -42,7 +42,7 @@ MARGIN_MM = 1.5
 """mm, of the outline around the points."""
 MODULE_GAP_MM = 5.0
 """mm, between the modules of one layout."""
-HOW_TO_GET = "install it (pip install paxini-sdk), or name its unpacked folder or its wheel by --paxini-sdk"
+HOW_TO_GET = "install it (pip install paxini-sdk), or name its unpacked folder or its wheel (--paxini-sdk)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from skincal.mesh.load import MeshSizeError, load_surface
 from skincal.mesh.surface import Surface, entry_points
 from skincal.model.errors import InputError
 from skincal.model.length_units import METRES_PER_UNIT
-from skincal.model.scene import SurfaceSpec, load_scene
+from skincal.model.scene import ContactSettings, SurfaceSpec, load_scene
 from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import Robot, read_urdf
 from skincal.model.urdf_chain import TURNING_JOINT_KINDS, UrdfChain
@@ -442,13 +443,27 @@ def _load_surface(
     return surface, tuple(finding.sentence for finding in findings if finding.kind not in UNREPORTED_FINDINGS)
 
 
+TIP_REACH_M = 0.0065
+"""m, from the middle of a tip of 4 mm radius to the last taxel that answers: the tip, and `NoiseSettings.reach` of its foam."""
+MORE_TAXELS_THAN_IN_MEAN = 1.35
+"""Largest number of taxels in that circle over the mean: up to 20 of those 3 mm apart, and up to 12 of those 4 mm apart."""
+
+
+def taxels_under_tip(spacing: float) -> int:
+    """Count the most taxels, `spacing` (m) apart, that answer a poke; `MORE_TAXELS_THAN_IN_MEAN` covers the middle of a gap."""
+    return math.ceil(MORE_TAXELS_THAN_IN_MEAN * math.pi * TIP_REACH_M**2 / spacing**2)
+
+
 def completed_draft(preview: PartPreview) -> PartDraft:
-    """Fill in what follows from the rest: the columns of the joint stream, the number of channels, the name."""
+    """Fill in what follows from the rest: columns of the joint stream, channels, name, and taxels that a poke may press."""
     draft, layout = preview.draft, preview.layout
     if draft.urdf is not None and not draft.joints:
         draft = replace(draft, joints=tuple(joint.name for joint in preview.joints))
     if draft.channels is None and layout is not None:
         draft = replace(draft, channels=layout.width)
+    if draft.source is None and draft.axes != 1 and draft.taxels_max is None and layout is not None:
+        most = taxels_under_tip(layout.spacing)
+        draft = replace(draft, taxels_max=most if most > ContactSettings().taxels_max else None)
     if not draft.name:
         draft = replace(draft, name=draft.link if draft.urdf is not None or draft.mesh is None else draft.mesh.stem)
     return draft

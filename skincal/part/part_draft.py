@@ -28,6 +28,7 @@ from skincal.part.tool_draft import NO_TOOL, Pose, Rig, ToolDraft, Vector, read_
 IDENTITY_POSE: Pose = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
 MM_DIGITS, UNIT_DIGITS, METRE_DIGITS = 3, 6, 6
 """Decimals in a scene file: a micrometre, and 0.06 thousandths of a degree."""
+RAW_SKIN_UNIT = "raw"
 UNDO_STEPS_MAX = 500
 SCENE_FILE_COMMENT_COLUMN = 39
 PARENT_FOLDERS_IN_RELATIVE_PATH_MAX = 3
@@ -132,6 +133,8 @@ class PartDraft:
     landmarks: tuple[LandmarkDraft, ...] = ()
     response_min: float | None = None
     """Threshold of a taxel's answer, in the unit of the skin; `None` for the default."""
+    taxels_max: int | None = None
+    """Most taxels that a poke may press; `None` for the default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,6 +247,7 @@ def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
         anchor=_read_anchor(skin["anchor"]) if "anchor" in skin else None,
         landmarks=tuple(map(_read_landmark, document.get("landmarks", ()))),
         response_min=document.get("contacts", {}).get("response_min"),
+        taxels_max=document.get("contacts", {}).get("taxels_max"),
     )
 
 
@@ -274,7 +278,7 @@ _ENTRY_COMMENTS: dict[Key, str] = {
     ("sensor",): "pose of the force/torque sensor in the link, metres",
     ("skin", "channels"): "number of taxels",
     ("skin", "axes"): "x, y and z of each taxel: a skin frame has three values for each",
-    ("skin", "unit"): "of these values",
+    ("skin", "unit"): '"N" if these values are newtons, else "raw"',
     ("skin", "modules"): "the layout of the modules",
     ("skin", "anchor"): "position of the layout on the part",
     ("skin", "anchor", "at_mm"): "a point of the layout",
@@ -282,6 +286,7 @@ _ENTRY_COMMENTS: dict[Key, str] = {
     ("skin", "anchor", "x"): "direction of the layout's x axis",
     ("skin", "anchor", "normal"): "outward",
     ("contacts", "response_min"): "a taxel answers above it, in the unit of the skin",
+    ("contacts", "taxels_max"): "a poke that presses more is rejected",
     ("wrench", "sign"): "-1 if the sensor reports the reaction force",
     ("tool", "sensor"): '"tool": the sensor is on the tool; "none": there is none',
     ("tool", "rotation"): "form of the poses",
@@ -323,7 +328,7 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
     entries[("skin", "channels")] = draft.channels
     entries[("skin", "polarity")] = draft.polarity
     entries[("skin", "axes")] = draft.axes if draft.axes != 1 else None
-    entries[("skin", "unit")] = draft.skin_unit or None
+    entries[("skin", "unit")] = (draft.skin_unit or RAW_SKIN_UNIT) if draft.axes != 1 else None
     if draft.layout_text:
         entries[("skin", "modules")] = draft.layout_name or LAYOUT_FILE
     if draft.anchor is not None:
@@ -331,6 +336,7 @@ def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
             entries[("skin", "anchor", key)] = getattr(draft.anchor, key)
     entries[("wrench", "sign")] = None if draft.rig is Rig.NONE else draft.sign
     entries[("contacts", "response_min")] = draft.response_min
+    entries[("contacts", "taxels_max")] = draft.taxels_max
     return {key: value for key, value in entries.items() if value is not None}
 
 
@@ -391,17 +397,17 @@ def _entries_of_text(draft: PartDraft) -> dict[Key, Any]:
             found[key] = _frozen(value)
     if "skin" in document:
         found.setdefault(("skin", "polarity"), "up")  # the default
-        if found.get(("skin", "unit")) == "raw":
-            del found["skin", "unit"]  # the default
         if found.get(("skin", "axes")) == 1:
             del found["skin", "axes"]  # the default
+        if ("skin", "axes") in found:
+            found.setdefault(("skin", "unit"), RAW_SKIN_UNIT)  # the default
     return found
 
 
 def _all_keys(document: dict[str, Any]) -> list[Key]:
     """List the entries of a document that a draft knows."""
     known = [("name",), ("link",), ("skin", "channels"), ("skin", "polarity"), ("skin", "modules"), ("wrench", "sign")]
-    known += [("contacts", "response_min"), ("skin", "axes"), ("skin", "unit")]
+    known += [("contacts", "response_min"), ("contacts", "taxels_max"), ("skin", "axes"), ("skin", "unit")]
     known += [("surface", key) for key in ("mesh", "unit", "pose")] + [("sensor", "pose")]
     known += [("tool", key) for key in document.get("tool", {})]
     known += [("robot", key) for key in ("urdf", "sensor", "mesh", "unit", "joints")]

@@ -15,12 +15,14 @@ from PySide6.QtWidgets import QApplication
 from app.builder.part_step import PartStep
 from app.builder.skin_step import SkinStep
 from app.dialogs.new_session import NewSessionDialog
+from skincal.files.layout_sources import parse_layout
 from skincal.model.scene import load_scene
 from skincal.model.skin import SkinKind
 from skincal.part.draft_preview import OTHER_MESH, OTHER_UNIT
 from skincal.part.part_draft import open_draft
 from tests.app.scene3d_support import project
 from tests.app.whole_window import OPEN_MS
+from tests.skincal.files.paxini_support import write_package
 
 
 @pytest.fixture
@@ -255,3 +257,23 @@ def test_a_wrong_unit_is_mended_in_the_list_that_the_sentence_names(bench, tmp_p
     choose(step.unit, "in")
     build.settle()
     assert build.page.preview.size_mm == pytest.approx((63.5, 116.84, 76.2), rel=1e-4)
+
+
+def test_paxini_modules_give_layout_axes_and_unit(qtbot, tmp_path):
+    step = SkinStep()
+    qtbot.addWidget(step)
+    choose(step.layout_kind, "paxini")
+    assert step.pages.currentWidget() is step.paxini.parentWidget()
+    step.paxini.setText("FLAT-4, 25")
+    step.paxini_sdk.setText(str(write_package(tmp_path)))
+    with qtbot.waitSignal(step.changed) as changed:
+        step.read_points.click()
+    draft = changed.args[0]
+    assert (draft.axes, draft.skin_unit, draft.channels) == (3, "N", None)
+    assert parse_layout(draft.layout_text, tmp_path / "m.toml").width == 29
+    for wrong, words in (("99", "expected a part code"), ("", "no module")):
+        step.paxini.setText(wrong)
+        with qtbot.waitSignal(step.failed) as failed:
+            step.read_points.click()
+        assert words in failed.args[0]
+    step.end()
