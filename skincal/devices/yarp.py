@@ -280,7 +280,7 @@ class YarpPortDecoder(FrameDecoder):
         return self._messages
 
     def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
-        """Decode chunks of one whole message each, a vector of doubles, with no number missing. Else take nothing."""
+        """Decode chunks of whole messages, each a vector of doubles, with no number missing. Else take nothing."""
         stream, width = self._carries[0], self._widths[self._carries[0]]
         if len(self._carries) > 1 or width is None or self._messages.port is None or self._messages.has_partial_frame:
             return None
@@ -288,24 +288,30 @@ class YarpPortDecoder(FrameDecoder):
         numbers: list[int] = []
         stamps: list[float] = []
         payloads: list[bytes] = []
+        ends: list[int] = []
         try:
             for chunk in chunks:
-                body, end = self._messages.next_message(chunk, 0) or (b"", 0)
-                seq, stamp, payload = split_envelope(body)
-                if end != len(chunk) or len(payload) != len(head) + 8 * width or not payload.startswith(head):
-                    return None
-                numbers.append(seq)
-                stamps.append(stamp)
-                payloads.append(payload[len(head) :])
+                at = 0
+                while at < len(chunk):
+                    body, at = self._messages.next_message(chunk, at) or (b"", 0)
+                    seq, stamp, payload = split_envelope(body)
+                    if len(payload) != len(head) + 8 * width or not payload.startswith(head):
+                        return None
+                    numbers.append(seq)
+                    stamps.append(stamp)
+                    payloads.append(payload[len(head) :])
+                ends.append(len(numbers))
         except ProtocolError:
             return None
+        if not numbers:
+            return None
         seq, device_s = np.array(numbers), np.array(stamps)
-        values = np.frombuffer(b"".join(payloads), "<f8").reshape(len(chunks), width)
+        values = np.frombuffer(b"".join(payloads), "<f8").reshape(len(numbers), width)
         if not (self._gaps.is_continued_by(seq) and np.isfinite(device_s).all() and np.isfinite(values).all()):
             return None
         self._gaps.missing_among(seq)
-        self.valid_records += len(chunks)
-        return self._batch(stream, seq, device_s, values), list(range(1, len(chunks) + 1))
+        self.valid_records += len(numbers)
+        return self._batch(stream, seq, device_s, values), ends
 
     def _decode(self, frame: bytes) -> Loss | None:
         try:

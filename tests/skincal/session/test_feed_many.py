@@ -191,6 +191,20 @@ def without(items, link, share, seed=7):
     return [item for item in items if not (isinstance(item, Chunk) and item.link == link and rng.random() < share)]
 
 
+def in_pairs(items, link):
+    """Let each two chunks of a link arrive as one, with the second."""
+    found, kept = [], None
+    for item in items:
+        if not (isinstance(item, Chunk) and item.link == link):
+            found.append(item)
+        elif kept is None:
+            kept = item
+        else:
+            found.append(dataclasses.replace(item, data=kept.data + item.data))
+            kept = None
+    return found
+
+
 def delayed(items, link, by_ns):
     """Let all chunks of a link arrive later, in the order of arrival."""
     moved = [
@@ -259,6 +273,7 @@ OTHER_DEVICES: dict[str, tuple[tuple[LinkSpec, ...], Callable]] = {
     "makers": (MAKER_LINKS, lambda scene: by_makers(as_items(turned(scene)))),
     "makers, lost wrenches": (MAKER_LINKS, lambda scene: without(by_makers(as_items(plain(scene))), "wrench", 0.05)),
     "makers, lost frames": (MAKER_LINKS, lambda scene: without(by_makers(as_items(plain(scene))), "skin", 0.1)),
+    "makers, frames in pairs": (MAKER_LINKS, lambda scene: in_pairs(by_makers(as_items(plain(scene))), "skin")),
     "makers, cut records": (MAKER_LINKS, lambda scene: cut_anywhere(by_makers(as_items(plain(scene))))),
     "makers, frozen": (MAKER_LINKS, lambda scene: by_makers(as_items(plain(scene), frozen=range(60, 140)))),
     "makers, status": (MAKER_LINKS, lambda scene: status_in_the_middle(by_makers(as_items(plain(scene))))),
