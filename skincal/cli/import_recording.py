@@ -9,6 +9,7 @@ import contextlib
 import gc
 import inspect
 from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,7 +55,7 @@ def _files_command(importer: Importer) -> Callable[..., None]:
         check_pose(loaded, pose, streamed=joints is not None)
         paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TOOL: tool}
         places = {stream: RecordedPlace.parse(str(path)) for stream, path in paths.items() if path is not None}
-        _import(importer, places, loaded, pose, out, as_json)
+        _import(importer, places, _Wanted(loaded, pose, out, as_json))
 
     help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
     # Typer reads the options from the annotations: each importer describes its own files.
@@ -87,7 +88,7 @@ def _topics_command(importer: Importer) -> Callable[..., None]:
         check_pose(loaded, pose, streamed=True)
         places, others = find_topics(path, {stream: name for stream, name in names.items() if name}, loaded, pose)
         check_pose(loaded, pose, streamed=Stream.JOINTS in places)
-        _import(importer, places, loaded, pose, out, as_json, others)
+        _import(importer, places, _Wanted(loaded, pose, out, as_json), others)
 
     help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
     command.__annotations__ |= {name: Annotated[str | None, help_of[name]] for name in help_of}
@@ -100,6 +101,7 @@ def _arrays_command(importer: Importer) -> Callable[..., None]:
     def command(
         path: Annotated[Path, typer.Argument(help="File with arrays: .npz, .h5, .mat, .parquet, text frames; or a folder.")],
         scene: SceneOption, out: OutOption, wrench: str | None = None, skin: str | None = None, joints: str | None = None,
+        tool: str | None = None,
         time: Annotated[
             str | None,
             typer.Option(help="Array of the times, such as t or t:ms, or the rows a second. Default: a likely array."),
@@ -111,7 +113,7 @@ def _arrays_command(importer: Importer) -> Callable[..., None]:
 
         loaded = find_scene(scene)
         check_pose(loaded, pose, streamed=True)
-        texts = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+        texts = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TOOL: tool}
         named = {stream: _array_place(path, text) for stream, text in texts.items() if text}
         topics = {stream: place.topic for stream, place in named.items()}
         places, others = find_topics(path, topics, loaded, pose)
@@ -119,7 +121,7 @@ def _arrays_command(importer: Importer) -> Callable[..., None]:
         options = [f"time={time}"] if time else []
         options += [f"episode={episode}"] if episode is not None else []
         places = {stream: _with_options(named.get(stream, place), path, options) for stream, place in places.items()}
-        _import(importer, places, loaded, pose, out, as_json, others)
+        _import(importer, places, _Wanted(loaded, pose, out, as_json), others)
 
     help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
     command.__annotations__ |= {name: Annotated[str | None, help_of[name]] for name in help_of}
@@ -146,15 +148,19 @@ def _with_options(place: RecordedPlace, path: Path, options: Sequence[str]) -> R
     return RecordedPlace(path, f"{place.topic}{'&' if own else '?'}{'&'.join(added)}")
 
 
-def _import(
-    importer: Importer,
-    places: Mapping[Stream, RecordedPlace],
-    scene: Scene,
-    pose: str | None,
-    out: Path,
-    as_json: bool,
-    findings: Sequence[str] = (),
-) -> None:
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """Session that a recording becomes."""
+
+    scene: Scene
+    pose: str | None
+    """Name of the arm pose; `None` with recorded joints or without an arm."""
+    out: Path
+    as_json: bool
+
+
+def _import(importer: Importer, places: Mapping[Stream, RecordedPlace], wanted: _Wanted, findings: Sequence[str] = ()) -> None:
+    scene, out = wanted.scene, wanted.out
     from skincal.files.importers.preview import open_places
     from skincal.session.importing import check_recorded_tool, joint_columns, new_session, play_recording
 
@@ -172,8 +178,8 @@ def _import(
         # Modules live as long as the command: looking through them for garbage takes a tenth of the time.
         gc.freeze()
         with new_session(out, scene, recording.links, warn, copy=True) as pipeline:
-            play_recording(pipeline, recording, pose, lambda share: go_on(read_share + (1 - read_share) * share))
-            finish(pipeline, out, as_json, (*findings, *recording.findings), imported=True)
+            play_recording(pipeline, recording, wanted.pose, lambda share: go_on(read_share + (1 - read_share) * share))
+            finish(pipeline, out, wanted.as_json, (*findings, *recording.findings), imported=True)
 
 
 @contextlib.contextmanager

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.solve import Json
+from skincal.devices.column_names import quaternion_order
 from skincal.model.errors import InputError, shortened
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
 from skincal.model.length_units import METRES_PER_UNIT, LengthUnit
-from skincal.model.pose_form import RotationForm
+from skincal.model.pose_form import QUATERNION_FORMS, RotationForm
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
@@ -56,16 +57,24 @@ def tool(
 
     if degrees and not (rotation is not None and rotation.has_angles):
         raise InputError("--degrees needs a --rotation with angles: vector, rpy, abc, xyz or zyz.")
-    values, where = _read_touches(touches)
+    values, where, order = _read_touches(touches)
     given = None if rotation is None else PoseForm(rotation, degrees)
+    if rotation in QUATERNION_FORMS and order and rotation.value != order:
+        raise InputError(
+            f"{touches}: its columns name the quaternion in the order {' '.join(order)}, and --rotation is {rotation.value}; "
+            "correct the one that is wrong."
+        )
     result = judge_touches(values, METRES_PER_UNIT[unit], where, given)
     lines = pivot_sentences(result, None if tip is None else np.array(tip) * 1e-3)
     output.print_result({"touches": touches, **_json(result), "said": lines}, lines, as_json)
     return 0 if result.state is PivotState.AGREES else 2
 
 
-def _read_touches(path: Path) -> tuple[FloatArray, list[str]]:
-    """Read the numbers of each touch, (n, width), and the place of each in the file. A first line of names is skipped."""
+def _read_touches(path: Path) -> tuple[FloatArray, list[str], str]:
+    """Read the numbers of each touch, (n, width), the place of each in the file, and the order of the quaternion.
+
+    The order is that of a first line of names; empty if it states none.
+    """
     import numpy as np
 
     from skincal.rig.pivot import MIN_TOUCHES
@@ -74,7 +83,7 @@ def _read_touches(path: Path) -> tuple[FloatArray, list[str]]:
         text = read_regular(path, MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: is no text; expected a line of numbers for each touch.") from None
-    rows = list[list[float]]()
+    rows, order = list[list[float]](), ""
     where = list[str]()
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
     for index, (number, line) in enumerate(lines):
@@ -82,6 +91,7 @@ def _read_touches(path: Path) -> tuple[FloatArray, list[str]]:
             row = [float(word) for word in line.translate(SPACES_FOR_SEPARATORS).split()]
         except ValueError:
             if index == 0:
+                order = quaternion_order(line.lower().translate(SPACES_FOR_SEPARATORS).split())
                 continue
             raise InputError(f"{path}, line {number}: is {shortened(line, 60)!r}; expected numbers alone.") from None
         if rows and len(row) != len(rows[0]):
@@ -94,7 +104,7 @@ def _read_touches(path: Path) -> tuple[FloatArray, list[str]]:
         )
     if len(rows[0]) not in {form.width for form in RotationForm}:
         raise InputError(f"{path}: its lines have {len(rows[0])} values; expected 6, 7, 12 or 16: x y z and a rotation.")
-    return np.array(rows), [f"{path}, {each}" for each in where]
+    return np.array(rows), [f"{path}, {each}" for each in where], order
 
 
 def _json(result: PivotResult) -> dict[str, Any]:

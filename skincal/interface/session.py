@@ -20,7 +20,7 @@ from skincal.interface.scene import Scene
 from skincal.interface.taxels import Taxels, taxels_at, taxels_of
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
-from skincal.session.importing import find_topics, joint_columns, play_recording, stream_findings
+from skincal.session.importing import check_recorded_tool, find_topics, joint_columns, play_recording, stream_findings
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.taxels.result import Method
@@ -322,7 +322,12 @@ def simulate(
 
 
 def read_csv(
-    scene: Scene, wrench: str | Path, skin: str | Path, joints: str | Path | None = None, pose: str | None = None
+    scene: Scene,
+    wrench: str | Path | None,
+    skin: str | Path,
+    joints: str | Path | None = None,
+    pose: str | None = None,
+    tool: str | Path | None = None,
 ) -> Session:
     """Read tables of readings over time, as `skincal import csv` does. Streams may be in one file, or in a file each.
 
@@ -334,20 +339,22 @@ def read_csv(
     scene
         Part that was poked.
     wrench
-        File with time and `fx fy fz mx my mz`.
+        File with time and `fx fy fz mx my mz`; `None` for a rig without a force sensor.
     skin
         File with time and a column for each channel.
     joints
         File with time and a column for each joint; `None` if the arm did not move.
     pose
         Name of the scene's arm pose, if joints were not recorded.
+    tool
+        File with time and a pose of the tool a row, in the form of `[tool]` of the scene; `None` for a scene without it.
 
     Raises
     ------
     InputError
         A file is no such table, or its columns do not fit the scene.
     """
-    paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+    paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TOOL: tool}
     places = {stream: RecordedPlace.parse(str(path)) for stream, path in paths.items() if path is not None}
     return _read("csv", scene, places, pose)
 
@@ -359,6 +366,7 @@ def read_bag(
     skin: str = "",
     joints: str = "",
     pose: str | None = None,
+    tool: str = "",
 ) -> Session:
     """Read a recording of ROS (rosbag2, MCAP, ROS 1), as `skincal import rosbag` does.
 
@@ -379,13 +387,15 @@ def read_bag(
         Topic of the joint angles; empty for the likely one.
     pose
         Name of the scene's arm pose, if joints were not recorded.
+    tool
+        Topic of the tool's poses, such as `/tf?frame=tool0&base=base`; empty for a likely one of a scene with `[tool]`.
 
     Raises
     ------
     InputError
         The file is no such recording, or has no such topic.
     """
-    named = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+    named = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TOOL: tool}
     asked = {stream: topic for stream, topic in named.items() if topic}
     places, others = find_topics(Path(path), asked, scene.part.scene, pose)
     return _read("rosbag", scene, places, pose, tuple(others))
@@ -396,6 +406,7 @@ def _read(
 ) -> Session:
     importer = next(each for each in RECORDING_IMPORTERS if each.name == name)
     part = scene.part
+    check_recorded_tool(part.scene, places)
     recording = importer.open_recording(places, joint_columns(part.scene), channels=part.scene.skin.frame_width)
     pipeline = Pipeline(part.scene, recording.links, part.surface, laid=part.laid)
     play_recording(pipeline, recording, pose)

@@ -26,6 +26,8 @@ class RotationForm(Enum):
     ROWS = "rows"
     """3 x 3, row by row."""
     COLUMNS = "columns"
+    AXIS_ANGLE = "axis-angle"
+    """A unit axis and the angle about it, rad."""
     MATRIX = "4x4"
     """4 x 4, row by row; the last row is 0 0 0 1."""
     MATRIX_COLUMNS = "4x4-columns"
@@ -42,7 +44,7 @@ class RotationForm(Enum):
 
 
 _WIDTH_OF_FORM = {
-    **dict.fromkeys((RotationForm.QUATERNION_XYZW, RotationForm.QUATERNION_WXYZ), 7),
+    **dict.fromkeys((RotationForm.QUATERNION_XYZW, RotationForm.QUATERNION_WXYZ, RotationForm.AXIS_ANGLE), 7),
     **dict.fromkeys((RotationForm.ROWS, RotationForm.COLUMNS), 12),
     **dict.fromkeys((RotationForm.MATRIX, RotationForm.MATRIX_COLUMNS), 16),
     **dict.fromkeys(
@@ -52,6 +54,8 @@ _WIDTH_OF_FORM = {
 
 POSE_WIDTHS = frozenset(_WIDTH_OF_FORM.values())
 """Numbers of values that a pose may have."""
+
+QUATERNION_FORMS = (RotationForm.QUATERNION_XYZW, RotationForm.QUATERNION_WXYZ)
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,7 @@ class PoseFault(Enum):
     NO_ROTATION = "has a matrix that is no rotation; leave lost poses out, and check the columns"
     MIRRORED = "has a matrix that mirrors (determinant -1); its axes are left-handed: turn one around"
     NOT_UNIT = "has a quaternion that is not of length 1; leave lost poses out, and check the columns"
+    NOT_UNIT_AXIS = "has an axis that is not of length 1; leave lost poses out, and check the columns"
     ANGLES = "has angles beyond one turn; check their unit: radians or degrees"
     TOO_NEAR = f"lies, as all before it, within {MIN_LENGTH_M * 1e3:g} mm of the origin; check the unit of the lengths"
     """Only of a stream: see `FrameDecoder`."""
@@ -88,6 +89,11 @@ def convert_poses(values: FloatArray, form: PoseForm, metres_per_unit: float) ->
             first = form.rotation is RotationForm.QUATERNION_WXYZ
             whole_turn = np.array([1.0, 0.0, 0.0, 0.0] if first else [0.0, 0.0, 0.0, 1.0])
             turns = Rotation.from_quat(np.where(is_unit[:, None], numbers, whole_turn), scalar_first=first).as_matrix()
+        case RotationForm.AXIS_ANGLE:
+            is_unit = np.abs(np.linalg.norm(numbers[:, :3], axis=1) - 1.0) <= NORM_TOLERANCE
+            require(is_unit, PoseFault.NOT_UNIT_AXIS)
+            require(np.abs(numbers[:, 3]) <= MAX_ANGLE_RAD + NORM_TOLERANCE, PoseFault.ANGLES)
+            turns = Rotation.from_rotvec(np.where(is_unit[:, None], numbers[:, :3] * numbers[:, 3:], 0.0)).as_matrix()
         case _:
             angles = np.radians(numbers) if form.degrees else numbers
             require((np.abs(angles) <= MAX_ANGLE_RAD + NORM_TOLERANCE).all(axis=1), PoseFault.ANGLES)
@@ -119,6 +125,11 @@ def write_poses(poses: FloatArray, form: PoseForm) -> FloatArray:
         case RotationForm.QUATERNION_XYZW | RotationForm.QUATERNION_WXYZ:
             first = form.rotation is RotationForm.QUATERNION_WXYZ
             numbers = Rotation.from_matrix(turns).as_quat(scalar_first=first)
+        case RotationForm.AXIS_ANGLE:
+            vectors = Rotation.from_matrix(turns).as_rotvec()
+            angles = np.linalg.norm(vectors, axis=1, keepdims=True)
+            whole = np.where(angles > 0, angles, 1.0)
+            numbers = np.concatenate([np.where(angles > 0, vectors / whole, [1.0, 0.0, 0.0]), angles], axis=1)
         case _:
             turned, axes = Rotation.from_matrix(turns), _EULER_AXES.get(form.rotation)
             numbers = turned.as_rotvec() if axes is None else turned.as_euler(axes)

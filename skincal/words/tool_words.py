@@ -35,6 +35,7 @@ FORM_WORDS = {
     RotationForm.MOVING_ZYZ: "angles about moving z y z",
     RotationForm.ROWS: "matrix by rows",
     RotationForm.COLUMNS: "matrix by columns",
+    RotationForm.AXIS_ANGLE: "unit axis and angle",
     RotationForm.MATRIX: "4 x 4 matrix by rows",
     RotationForm.MATRIX_COLUMNS: "4 x 4 matrix by columns",
 }

@@ -27,6 +27,7 @@ from skincal.files.importers.table_columns import UNIX_NS, TableColumns, is_know
 from skincal.files.importers.table_form import TableForm
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
+from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Stream
 
 VALUES_PER_ROW_MAX = 100_000
@@ -45,6 +46,9 @@ _TORQUE_RE = re.compile(r"(?<![a-z])(?:torques?|moments?)", re.IGNORECASE)
 _JOINTS_RE = re.compile(
     r"joints?(?!.*(?:vel|effort|torque|acc|current))|encoder|(?<![a-z])q(?:pos)?(?![a-z])|observation[./]state$", re.IGNORECASE
 )
+_POSE_RE = re.compile(r"(?<![a-z])(?:pose|tcp|tool|ee|flange|end_?effector|o_t_ee|base_t_)(?![a-z])", re.IGNORECASE)
+UPPER_ROWS_VALUES = 12
+"""Of an array (n, 3, 4)."""
 _NO_WRENCH_RE = re.compile(r"pose|position|velocity|twist|joint|state|action|command|imu", re.IGNORECASE)
 _BOOKKEEPING_NAMES = frozenset(
     ("episode_index", "frame_index", "task_index", "index", "next.done", "next.reward", "next.success")
@@ -489,7 +493,7 @@ def may_be(stream: Stream, array: NamedArray, width: int) -> int | None:
                 return None
             return 0 if _SKIN_RE.search(name) else 3
         case Stream.TOOL:
-            return None  # poses of a tool are not read from arrays
+            return 0 if width in (*POSE_WIDTHS, UPPER_ROWS_VALUES) and _POSE_RE.search(name) else None
         case _:
             return 0 if _JOINTS_RE.search(name) and width <= 32 and not _SKIN_RE.search(name) else None
 

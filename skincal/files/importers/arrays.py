@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.devices.column_names import plain_unit
+from skincal.devices.column_names import plain_unit, quaternion_order
 from skincal.devices.decoding import WRENCH_VALUES
 from skincal.files.importers.array_file import AnyArray, ArrayFile, NamedArray, open_array_file
 from skincal.files.importers.array_streams import (
@@ -41,6 +41,7 @@ from skincal.files.importers.timeline import (
 )
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
+from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Stream
 from skincal.streams.decoders.records import pack_frame, pack_records
 from skincal.streams.links import LinkSpec
@@ -111,7 +112,8 @@ def _table_guesses(streams: ArrayStreams) -> list[StreamGuess]:
         return []
     table, path, group = found[0], streams.path, found[2]
     guesses: list[StreamGuess] = []
-    for stream in (Stream.WRENCH, Stream.JOINTS):
+    poses = (Stream.TOOL,) if len(table.named_pose) in POSE_WIDTHS else ()
+    for stream in (Stream.WRENCH, Stream.JOINTS, *poses):
         try:
             chosen = table.of_stream(stream, "", 0)
         except InputError:
@@ -145,6 +147,7 @@ def open_recording(
     sources: list[Callable[[], Iterator[Sequence[bytes]]]] = []
     findings: list[str] = []
     frame_shape: tuple[int, ...] = ()
+    order = ""
     for stream, place in places.items():
         if not place.topic:
             file = files.get((place.path, None)) or open_array_file(place.path)
@@ -165,12 +168,13 @@ def open_recording(
             check_assumed_seconds(file.path, stream, timeline.interval, "state the unit: --time NAME:ms, NAME:us or NAME:ns")
         findings += [*timeline.sentences(), *(f"{stream.value}: {each}" for each in (*said, *rows.findings, *left_out))]
         frame_shape = rows.shape if stream is Stream.SKIN and len(rows.shape) == 2 else frame_shape
+        order = quaternion_order(rows.labels) if stream is Stream.TOOL else order
         links.append(LinkSpec(stream.value, f"file:{file.path}::{spec.text}", (stream,), "records"))
         timelines.append(timeline)
         sources.append(partial(_lines, stamps, values, rows.frame if stream is Stream.WRENCH else ""))
     check_overlap(timelines)
     findings += late_streams(timelines)
-    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings), frame_shape)
+    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings), frame_shape, order)
 
 
 def _values(
@@ -179,6 +183,8 @@ def _values(
     """Bring the values of a stream into the order and units of the records; with sentences."""
     if stream is Stream.SKIN:
         return rows.values, []
+    if stream is Stream.TOOL:
+        return _pose_values(file, spec, rows)
     is_table = spec.parts[0].endswith("*")
     if stream is Stream.WRENCH:
         said = "in N and N m, unless the names of the columns state other units"
@@ -203,6 +209,22 @@ def _values(
         )
     columns = [names.index(name) if name else -1 for name in joints]
     return np.column_stack([values, np.zeros(len(values))])[:, columns], [f"{spec.text}: {unit}."]
+
+
+def _pose_values(file: ArrayFile, spec: ArraySpec, rows: StreamRows) -> tuple[AnyArray, list[str]]:
+    """Return the numbers of poses in the order of `[tool]`, with a sentence. Raises InputError: their width is of no form."""
+    values, width = rows.values.astype(np.float64), rows.values.shape[1]
+    if rows.shape == (3, 4):
+        values = np.column_stack([values, np.broadcast_to((0.0, 0.0, 0.0, 1.0), (len(values), 4))])
+        return values, [f'{spec.text}: poses of 3 x 4, row by row; [tool] needs rotation = "4x4".']
+    if width not in POSE_WIDTHS:
+        raise InputError(
+            f"{file.path}: a row of {spec.text} has {width} values; expected a pose: x y z and the rotation (6, 7 or 12 "
+            "values), or a matrix of 3 x 4 or 4 x 4."
+        )
+    if rows.shape == (4, 4):
+        return values, [f'{spec.text}: poses of 4 x 4, row by row; [tool] needs rotation = "4x4", or "4x4-columns".']
+    return values, [f"{spec.text}: poses of {width} values, in the form of [tool]: the file does not state one."]
 
 
 def _angle_unit(file: ArrayFile, spec: ArraySpec, rows: StreamRows) -> str:

@@ -113,6 +113,7 @@ class _Table:
             self._time, self._number = _unnamed_time(form), None
             values, has_others = _unnamed_values(form, self._time, stream, channels), False
         self.values = values.at
+        self.quaternion_order = values.quaternion_order
         self._empty_words = EMPTY_WORDS if has_others else frozenset(("",))
         self._uses = form.number_uses()
         self._has_gaps = form.has_gaps()
@@ -271,7 +272,11 @@ def open_recording(places: Mapping[Stream, RecordedPlace], channels: int = 0) ->
     check_overlap(timelines)
     findings += late_streams(timelines)
     return OpenRecording(
-        tuple(table.link for table in tables), tuple(timelines), tuple(table.lines for table in tables), tuple(findings)
+        tuple(table.link for table in tables),
+        tuple(timelines),
+        tuple(table.lines for table in tables),
+        tuple(findings),
+        quaternion_order=next((table.quaternion_order for table in tables if table.quaternion_order), ""),
     )
 
 

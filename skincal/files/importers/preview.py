@@ -164,6 +164,7 @@ def open_places(
             f"The files are of two kinds ({titles}): their clocks must agree, since readings are paired by their times.",
         ),
         next((one.frame_shape for one in opened if one.frame_shape), ()),
+        next((one.quaternion_order for one in opened if one.quaternion_order), ""),
     )
 
 

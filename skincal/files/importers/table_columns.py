@@ -19,6 +19,7 @@ from skincal.devices.column_names import (
     MOMENT_UNITS,
     TIME_COLUMN_RE,
     WRENCH_AXES,
+    axis_letter,
     axis_of,
     plain_unit,
     short_unit,
@@ -52,7 +53,6 @@ _POSE_COLUMN_RE = re.compile(
     r"|roll|pitch|yaw|w)(?:[ _]*[\[(]?(?:m|mm|rad|deg)[\])]?)?"
 )
 """Columns of a position, a quaternion, a rotation vector, or three angles."""
-_AXIS_LETTER_RE = re.compile(r".*?([xyzw])(?:[ _]*[\[(]?(?:m|mm|rad|deg)[\])]?)?")
 _PRESSURE_CENTRE_RE = re.compile(r"(?:.*[./_ ])?(?:a|cop|cop_|cop |p|cp)[xy](?:[ _]*[\[(].*)?")
 
 
@@ -78,6 +78,8 @@ class ValueColumns:
     factors: tuple[float, ...]
     """To N, N m, degrees or raw values."""
     findings: tuple[str, ...] = ()
+    quaternion_order: str = ""
+    """Of a pose, as the names state it, such as `wxyz`; empty if they state none."""
 
 
 @dataclass(slots=True)
@@ -328,7 +330,7 @@ class TableColumns:
         """Choose the columns of a pose: x y z first, then those of the rotation, all in the order of the table."""
         named = [k for k in self.named_pose if k in columns]
         chosen = named if len(named) in POSE_WIDTHS else [k for k in self.others if k in columns]
-        ends = [_axis_letter(self.names[k]) for k in chosen]
+        ends = [axis_letter(self.names[k]) for k in chosen]
         if len(chosen) not in POSE_WIDTHS or (len(chosen) < 16 and ends[:3] not in (["x", "y", "z"], [""] * 3)):
             raise InputError(
                 f"{self.path}: has no pose of a tool; seen {self._list_names(range(len(self.names)))}; expected x y z and the "
@@ -344,7 +346,7 @@ class TableColumns:
                 f"{self.path}: its quaternion is in the order {' '.join(ends[3:])}; expected x y z w, or w x y z: order the "
                 "columns so."
             )
-        return ValueColumns(tuple(chosen), (1.0,) * len(chosen), (said,))
+        return ValueColumns(tuple(chosen), (1.0,) * len(chosen), (said,), order if all(ends) else "")
 
     # Skin
 
@@ -627,12 +629,6 @@ def _counts_up(names: Sequence[str]) -> bool:
     ]
     numbers = [[[int(word) for word in re.findall(r"\d+", name)] for name in block] for _, block in blocks]
     return len(blocks) == len({*shapes}) and all(block == sorted(block) for block in numbers)
-
-
-def _axis_letter(name: str) -> str:
-    """Return x, y, z or w with which a column's name ends, before its unit; empty without one."""
-    found = _AXIS_LETTER_RE.fullmatch(name)
-    return "" if found is None else found[1]
 
 
 def _family_base(name: str) -> str:

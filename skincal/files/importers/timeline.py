@@ -374,6 +374,8 @@ class OpenRecording:
     """Sentences."""
     frame_shape: tuple[int, ...] = ()
     """Rows and columns of a frame of the skin; empty if the recording does not state them."""
+    quaternion_order: str = ""
+    """Order of the quaternions of the tool's poses that the recording states, such as `wxyz`; empty if it states none."""
 
     @property
     def span_ns(self) -> int:

@@ -26,6 +26,7 @@ from skincal.files.importers.timeline import OpenRecording, Timeline, check_over
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular, read_regular
+from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Stream
 from skincal.streams.decoders.yarp_log import (
     LINE_MAX,
@@ -328,6 +329,9 @@ def _check_width(log: _Log, contents: _Contents) -> None:
     if log.stream is Stream.WRENCH and contents.widths and 6 not in contents.widths:
         width = contents.widths.most_common(1)[0][0]
         raise InputError(f"{log.path}: its lines hold {width} values; expected six, fx fy fz mx my mz: is this the F/T log?")
+    if log.stream is Stream.TOOL and not POSE_WIDTHS & contents.widths.keys():
+        seen = f"its lines hold {contents.widths.most_common(1)[0][0]} values" if contents.widths else "its lines hold lists"
+        raise InputError(f"{log.path}: {seen}; expected a pose of the tool: 6, 7, 12 or 16 values, in the form of [tool].")
 
 
 def _content_findings(log: _Log, contents: _Contents, lines: int) -> list[str]:

@@ -19,10 +19,18 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from typing import ClassVar
 
-from skincal.devices.column_names import CLOCK_COLUMN_RE, TIME_COLUMN_RE, TIME_UNITS, WRENCH_AXES, short_unit
+from skincal.devices.column_names import (
+    CLOCK_COLUMN_RE,
+    TIME_COLUMN_RE,
+    TIME_UNITS,
+    WRENCH_AXES,
+    quaternion_order,
+    short_unit,
+)
 from skincal.devices.decoding import CLOCK_MODULUS_US, DEFAULT_UNITS, NO_SEQ, FrameDecoder, FrameSplitter
 from skincal.devices.rising_columns import RISING_COLUMNS_MAX, RisingColumns, rising_words
 from skincal.model.errors import list_channels
+from skincal.model.pose_form import QUATERNION_FORMS
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.line_forms import (
     HEXADECIMAL_FORM,
@@ -85,6 +93,8 @@ class TextDecoder(FrameDecoder):
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._columns = LeadingColumns()
+        self._other_order = ""
+        """Sentence on a header whose quaternion has another order than the scene's; empty if they agree."""
         # Of a skin frame whose rows are lines of their own, until the blank line that ends it.
         self._rows: list[list[float]] = []
         self._has_too_many_rows = self._has_blank_ends = False
@@ -135,6 +145,8 @@ class TextDecoder(FrameDecoder):
     def _words(self, line: str, fields: list[str]) -> Loss | None:
         """Read a header or a line of another form, or pass over a banner. A line that is mostly numbers is damaged."""
         names = [field.strip("\"' ").lower() for field in fields]
+        if Stream.TOOL in self._widths:
+            self._read_quaternion_order(names)
         if self._columns.named_by(names, self._stream_of):
             return None
         if not self._first and self._is_read(line, fields):
@@ -146,6 +158,20 @@ class TextDecoder(FrameDecoder):
                 return self._end_part(self._separated, frame)
         readable = sum(to_numbers([field]) is not None for field in fields)
         return Loss.UNREADABLE if 2 * readable >= len(fields) else None
+
+    def _read_quaternion_order(self, names: list[str]) -> None:
+        """Compare the order of the quaternion in a header of a pose with that of the scene."""
+        order = quaternion_order([name for name in names if not is_clock_or_counter(name)])
+        form = None if self._pose_form is None else self._pose_form[0].rotation
+        if order and form in QUATERNION_FORMS:
+            self._other_order = (
+                ""
+                if form.value == order
+                else (
+                    f"The header names the quaternion in the order {' '.join(order)}, and [tool] of the scene has "
+                    f'rotation = "{form.value}": correct the one that is wrong'
+                )
+            )
 
     # Lines of numbers alone
 
@@ -173,6 +199,9 @@ class TextDecoder(FrameDecoder):
             return Loss.UNREADABLE
         seq, device_s, missing = self._columns.read(numbers[:lead])
         self._count_missing(missing)
+        if stream is Stream.TOOL and self._other_order:
+            self._problem = self._other_order
+            return Loss.NO_POSE
         return self._add(stream, seq, device_s, numbers[lead:])
 
     @property

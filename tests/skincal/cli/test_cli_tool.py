@@ -72,6 +72,16 @@ def test_bad_input_is_one_sentence(tmp_path, capsys, rows, options, says):
     assert error.count("\n") == 1
 
 
+def test_a_header_with_another_order_of_the_quaternion_is_said(tmp_path, capsys):
+    rows = np.hstack([PLACES, TURNS.as_quat()])
+    path = written(tmp_path, rows, "x,y,z,qx,qy,qz,qw\n")
+    assert main(["tool", str(path), "--unit", "m", "--rotation", "xyzw"]) == 0
+    capsys.readouterr()
+    assert main(["tool", str(path), "--unit", "m", "--rotation", "wxyz"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "name the quaternion in the order x y z w, and --rotation is wxyz" in said
+
+
 def test_a_line_of_words_or_of_another_length_is_named(tmp_path, capsys):
     path = written(tmp_path, np.hstack([PLACES, Rotation.identity(len(PLACES)).as_rotvec()]))
     lines = path.read_text(encoding="utf-8").splitlines()

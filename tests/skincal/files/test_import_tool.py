@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import skincal
 from skincal.cli import main
+from skincal.files.importers.arrays import guess_streams as guess_arrays
+from skincal.files.importers.arrays import open_recording as open_arrays
 from skincal.files.importers.preview import guess_streams, preview_recording
 from skincal.files.importers.registry import RecordedPlace
 from skincal.files.importers.rosbag import open_recording as open_bag
+from skincal.files.importers.yarp_folder import open_recording as open_yarp
 from skincal.model.errors import InputError
-from skincal.model.readings import Stream
+from skincal.model.pose_form import PoseForm, RotationForm
+from skincal.model.readings import Loss, Stream
 from skincal.model.scene import load_scene
 from skincal.session.importing import check_recorded_tool, find_topics, of_scene
 from skincal.session.replay import load
@@ -144,6 +149,100 @@ def imported(scene, out, arguments, capsys):
     return result, np.array([np.full(3, np.nan) if each.position is None else each.position for each in found])
 
 
+def poses_in(recording, form):
+    """Upper rows (n, 3, 4) of the tool's poses of a recording, read in a form."""
+    (link,) = [each for each in recording.links if each.name == "tool"]
+    decoder = make_decoder(link.format, None, (Stream.TOOL,))
+    decoder.set_pose_form(PoseForm(form), 1.0)
+    data = [chunk.data for chunk in recording.chunks() if chunk.link == "tool"]
+    return np.concatenate([batch.values for each in data for batch in decoder.feed(each)]).reshape(-1, 3, 4)
+
+
+def matrices(rows):
+    return np.concatenate([Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3, None]], axis=2)
+
+
+def test_arrays_of_quaternions_and_matrices_give_the_same_poses(made, tmp_path):
+    _, streams = made
+    (times, skin), (_, rows) = ((t[:200], v[:200]) for t, v in (streams["skin"], streams["tool"]))
+    upper = matrices(rows)
+    whole = np.concatenate([upper, np.broadcast_to([[[0.0, 0.0, 0.0, 1.0]]], (len(upper), 1, 4))], axis=1)
+    np.savez(tmp_path / "log.npz", t=times, tactile=skin, tool_pose=rows, ee_matrix=whole, upper_pose=upper)
+    path = tmp_path / "log.npz"
+    for name, form, said in (
+        ("tool_pose", RotationForm.QUATERNION_XYZW, "poses of 7 values"),
+        ("ee_matrix", RotationForm.MATRIX, "poses of 4 x 4"),
+        ("upper_pose", RotationForm.MATRIX, "poses of 3 x 4"),
+    ):
+        found = open_arrays({Stream.SKIN: RecordedPlace(path, "tactile"), Stream.TOOL: RecordedPlace(path, name)})
+        np.testing.assert_allclose(poses_in(found, form), upper, atol=1e-9)
+        assert any(said in each for each in found.findings)
+    guessed = {each.place.topic for each in guess_arrays(path) if each.stream is Stream.TOOL}
+    assert guessed == {"tool_pose", "ee_matrix", "upper_pose"}
+    with pytest.raises(InputError, match=r"a row of tactile has 9 values; expected a pose"):
+        open_arrays({Stream.TOOL: RecordedPlace(path, "tactile")})
+
+
+def test_a_log_of_yarp_gives_the_poses_of_its_cartesian_controller(made, tmp_path):
+    """The state of iCub's Cartesian controller: x y z, an axis and the angle about it."""
+    _, streams = made
+    times, rows = (each[:200] for each in streams["tool"])
+    vectors = Rotation.from_quat(rows[:, 3:]).as_rotvec()
+    angles = np.linalg.norm(vectors, axis=1, keepdims=True)
+    values = np.hstack([rows[:, :3], vectors / angles, angles])
+    (tmp_path / "data.log").write_text(
+        "".join(
+            f"{k} {1e9 + t:.6f} {' '.join(map(repr, row))}\n"
+            for k, (t, row) in enumerate(zip(times, values.tolist(), strict=True))
+        )
+    )
+    (tmp_path / "info.log").write_text(
+        "Type: Bottle;\n[0.0] /icub/cartesianController/right_arm/state:o [connected]\nStamp: tx;\n"
+    )
+    found = open_yarp({Stream.TOOL: RecordedPlace(tmp_path)})
+    np.testing.assert_allclose(poses_in(found, RotationForm.AXIS_ANGLE), matrices(rows), atol=1e-9)
+    as_quaternions = poses_in(open_yarp({Stream.TOOL: RecordedPlace(tmp_path)}), RotationForm.QUATERNION_XYZW)
+    assert np.isnan(as_quaternions).all(), "an axis and an angle are no quaternion"
+    (tmp_path / "data.log").write_text("0 1000000000.0 1 2 3\n1 1000000000.1 1 2 3\n")
+    with pytest.raises(InputError, match="its lines hold 3 values; expected a pose of the tool: 6, 7, 12 or 16"):
+        open_yarp({Stream.TOOL: RecordedPlace(tmp_path)})
+
+
+def test_columns_that_name_another_order_of_the_quaternion_than_the_scene_are_refused(made, tmp_path, capsys):
+    folder, streams = made
+    short = {name: (times[:60], rows[:60]) for name, (times, rows) in streams.items()}
+    tables = write_tables(tmp_path, short, ("x", "y", "z", "qw", "qx", "qy", "qz"))
+    out = tmp_path / "out"
+    assert main(["import", "csv", *tables, "--scene", str(folder / "scene.toml"), "--out", str(out)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert 'name the quaternion in the order w x y z, and scene.toml has rotation = "xyzw" in [tool]' in said
+    assert not out.exists()
+
+
+def test_a_header_of_streamed_lines_is_compared_with_the_scene():
+    row = "0.1,-0.2,0.3,0.038135,0.189308,0.239298,0.951549\n"
+    for names, poses in (("qx,qy,qz,qw", 5), ("qw,qx,qy,qz", 0), ("a,b,c,d", 5)):
+        decoder = make_decoder("text", None, (Stream.TOOL,))
+        decoder.set_pose_form(PoseForm(RotationForm.QUATERNION_XYZW), 1.0)
+        batches = decoder.feed(f"t_s,x,y,z,{names}\n{''.join(f'{k}.0,{row}' for k in range(5))}".encode())
+        assert sum(len(batch.seq) for batch in batches) == poses
+        assert decoder.counts[Loss.NO_POSE] == 5 - poses
+        assert ("in the order w x y z" in decoder.device_message) == (poses == 0)
+
+
+def test_python_reads_the_poses_of_a_tool(made, tmp_path):
+    folder, streams = made
+    short = {name: (times[:150], rows[:150]) for name, (times, rows) in streams.items()}
+    write_tables(tmp_path, short)
+    plate = skincal.Scene.load(folder / "scene.toml")
+    by_tables = skincal.read_csv(plate, None, tmp_path / "skin.csv", tool=tmp_path / "tool.csv")
+    by_bag = skincal.read_bag(plate, write_bag(tmp_path / "tree", short, TREE), tool="/tf?frame=tool0&base=base")
+    assert by_tables.pokes
+    assert len(by_bag.pokes) == len(by_tables.pokes)
+    with pytest.raises(InputError, match="expected the link of the tool's poses"):
+        skincal.read_csv(plate, None, tmp_path / "skin.csv")
+
+
 def test_bag_tables_and_log_give_the_same_estimates(made, tmp_path, capsys):
     folder, streams = made
     scene = folder / "scene.toml"
@@ -158,7 +257,7 @@ def test_bag_tables_and_log_give_the_same_estimates(made, tmp_path, capsys):
 
 def test_the_frame_that_moves_is_proposed_and_poses_of_another_form_too(made, tmp_path):
     _, streams = made
-    short = {name: (times[:400], rows[:400]) for name, (times, rows) in streams.items()}
+    short = {name: (times[:150], rows[:150]) for name, (times, rows) in streams.items()}
     found = guess_streams([write_bag(tmp_path / "pose", short, POSE)], 9)
     assert found.places[Stream.TOOL].topic == "/tool"
     found = guess_streams([write_bag(tmp_path / "tree", short, TREE)], 9)
@@ -174,7 +273,7 @@ def test_the_frame_that_moves_is_proposed_and_poses_of_another_form_too(made, tm
 def test_a_preview_of_a_rig_without_a_sensor_has_skin_and_tool(made, tmp_path):
     folder, streams = made
     scene = load_scene(folder / "scene.toml")
-    short = {name: (times[:400], rows[:400]) for name, (times, rows) in streams.items()}
+    short = {name: (times[:150], rows[:150]) for name, (times, rows) in streams.items()}
     write_tables(tmp_path, short)
     files = of_scene(guess_streams([tmp_path / "tool.csv", tmp_path / "skin.csv"], 9), scene)
     preview = preview_recording(files)
