@@ -38,6 +38,8 @@ TIP_SD_DEFAULT_MM = 0.5
 """mm, sd of one place of the tip, each direction: a cobot's smooth position error over its workspace (issue 41)."""
 TIP_SD_RANGE_MM = (0.01, 10.0)
 TIP_RADIUS_MAX_MM = 50.0
+PART_POSE_SD_DEFAULT_MM, PART_POSE_SD_MAX_MM = 2.0, 50.0
+"""mm, sd of a typed pose of the part, each direction: that of an arm's pose in `skincal.rig.usual_errors`."""
 _FORMS_WITH_ANGLES = ", ".join(form.value for form in RotationForm if form.has_angles)
 
 
@@ -57,6 +59,8 @@ class ToolSpec:
     """(4, 4) float, metres; the identity while the link is the base."""
     has_part_pose: bool
     """Whether the scene gives the part's pose in the base."""
+    part_pose_sd: float
+    """m, sd of a given pose at the middle of the part, each direction."""
     tip: FloatArray | None
     """(3,) float, metres, tool frame: centre of the tip's ball, or its end with a radius of 0; `None` if not given."""
     tip_radius: float
@@ -103,6 +107,11 @@ def read_tool(table: Table) -> ToolSpec:
     tolerance = table.take("tolerance_deg", float, DEFAULT_TOOL_TURN_MAX_DEG)
     if not 0 < tolerance <= 90:
         raise InputError(f"{table.where}: tolerance_deg is {tolerance:g}; expected a number above 0, up to 90.")
+    if "base_from_link_sd_mm" in table.keys and not has_part_pose:
+        raise InputError(
+            f"{table.where}: base_from_link_sd_mm is the error of base_from_link, and that is not given; give both, or neither."
+        )
+    part_pose_sd = _read_length(table, "base_from_link_sd_mm", PART_POSE_SD_DEFAULT_MM, (0.0, PART_POSE_SD_MAX_MM))
     radius = _read_length(table, "tip_radius_mm", 0.0, (0.0, TIP_RADIUS_MAX_MM))
     tip_sd = _read_length(table, "tip_sd_mm", TIP_SD_DEFAULT_MM, TIP_SD_RANGE_MM)
     table.refuse_unknown_keys()
@@ -113,6 +122,7 @@ def read_tool(table: Table) -> ToolSpec:
         tool_from_sensor=tool_from_sensor,
         link_from_base=inverse_pose(base_from_link) if has_part_pose else np.eye(4),
         has_part_pose=has_part_pose,
+        part_pose_sd=part_pose_sd,
         tip=tip,
         tip_radius=radius,
         tip_sd=tip_sd,

@@ -39,6 +39,8 @@ WRONG_SCALE_SD = 0.03
 """sd of the relative error of a wrong scale: pages fitted to the paper (3 to 6 %), shrinkage, inches of 25 mm (1.6 %)."""
 NAMED_MIN_PROBABILITY = 0.5
 """Of all hypotheses together, after the touches: then the likeliest is named."""
+NAMED_MAX_RATIO = 2.5
+"""Misses over expected ones that the scale may leave: beyond, another mistake explains them."""
 NAMED_MIN_EXCESS = 0.008
 """A smaller relative error is not named: printed parts shrink by as much, and a robot's lengths err by 0.2 %."""
 EQUAL_MAX_CHI2 = 4.0
@@ -164,7 +166,7 @@ def find_scales(normal: FloatArray, gradient: FloatArray, misfit: tuple[float, i
     alone[:UNKNOWNS_OF_POSE, :UNKNOWNS_OF_POSE] = inverse[:UNKNOWNS_OF_POSE, :UNKNOWNS_OF_POSE] * max(
         1.0, total / max(freedom, 1)
     )
-    found: list[tuple[float, DrawnThing, float, float]] = []
+    found: list[tuple[float, DrawnThing, float, float, float]] = []
     moment, odds = alone.copy(), 1.0
     for thing in DrawnThing:
         entries: FloatArray = np.array(thing.value)
@@ -172,7 +174,8 @@ def find_scales(normal: FloatArray, gradient: FloatArray, misfit: tuple[float, i
             continue
         size = max(float(entries @ information @ entries), 1.0)
         excess = -float(entries @ pull) / size
-        variance = max(1.0, (total - size * excess**2) / max(freedom, 1)) / size
+        noise = max(1.0, (total - size * excess**2) / max(freedom, 1))
+        variance = noise / size
         share = WRONG_SCALE_SD**2 / (variance + WRONG_SCALE_SD**2)
         chi2 = excess**2 / variance
         prior = WRONG_LANDMARKS_PROBABILITY if entries[0] else WRONG_MESH_PROBABILITY
@@ -183,12 +186,12 @@ def find_scales(normal: FloatArray, gradient: FloatArray, misfit: tuple[float, i
         moment += own_odds * (alone + square * way[:, None] * way)
         odds += own_odds
         if variance < WRONG_SCALE_SD**2:  # otherwise the touches say less than the prior
-            found.append((chi2, thing, excess, float(np.sqrt(variance))))
+            found.append((chi2, thing, excess, float(np.sqrt(variance)), noise))
     moment /= odds
     if not found or 1.0 - 1.0 / odds < NAMED_MIN_PROBABILITY:
         return PartScales(moment, None)
-    best, thing, excess, sd = max(found, key=lambda each: each[0])
-    if abs(excess) < NAMED_MIN_EXCESS:
+    best, thing, excess, sd, noise = max(found, key=lambda each: each[0])
+    if abs(excess) < NAMED_MIN_EXCESS or noise > NAMED_MAX_RATIO**2:
         return PartScales(moment, None)
-    others = tuple((other, own) for chi2, other, own, _ in found if other is not thing and best - chi2 < EQUAL_MAX_CHI2)
+    others = tuple((other, own) for chi2, other, own, _, _ in found if other is not thing and best - chi2 < EQUAL_MAX_CHI2)
     return PartScales(moment, WrongScale(thing, excess, sd, *counts, others))

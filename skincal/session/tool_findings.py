@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
-from skincal.geometry import FloatArray, IntArray, crossed, orthonormal_pair
+from skincal.geometry import FloatArray, IntArray, crossed, mean_rows, orthonormal_pair
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import Landmark, Scene
 from skincal.pokes import Pokes
 from skincal.rig.mesh_distance import MeshDistance, find_mesh_distance
 from skincal.rig.part_pose import MISFIT_MIN_RATIO, NO_PART_POSE, PartPose, PartPoseState, fit_part_pose, start_at
 from skincal.rig.part_pose_starts import closed_start
-from skincal.rig.part_scale import WrongScale
+from skincal.rig.part_scale import UNKNOWNS_OF_POSE, WrongScale
 from skincal.rig.part_touches import MESH_SD_M, PartShape, PartTouches, motion_rows
 from skincal.rig.scene_mistakes import Mistake
 from skincal.rig.tip_frame import REFIT_AT_POKE_COUNT_RATIO, TipState, pokes_of_fit
@@ -42,6 +42,8 @@ CORNERS_MAX = 200
 """Vertices of the mesh at which an error of the part's pose is measured."""
 PART_POSE_MISMATCH_CHI2 = 27.9
 """A given pose of the part disagrees with the touches above it: one in 10,000 (chi-square, six degrees of freedom)."""
+TYPED_POSE_LEVER_M = 0.1
+"""m. The sd of a given pose over this length is that of its turn: 1.1 degrees for 2 mm."""
 PART_POSE_MISMATCH_MIN_M = 0.003
 """m, rms over the part. A smaller error of a given pose is never named."""
 LEAN_MIN_COSINE = 0.5
@@ -86,6 +88,8 @@ class ToolFindings:
         """Pose of the part; `None` if the scene gives it, or has none."""
         self.typed_error: PartPose | None = None
         """Pose that the touches show, in place of the given one; `None` if they agree, or show nothing."""
+        self._typed: PartPose | None = None
+        """A given pose with the error that the touches leave it; `None` before the first poke, and without one."""
         self.wrong_scale: WrongScale | None = None
         """Scale of the part's drawing that the touches contradict; `None` if they agree with it."""
         self.off_mesh: MeshDistance | None = None
@@ -145,12 +149,16 @@ class ToolFindings:
         error = self.tip.covariance[3:, 3:] if self.tip.state is TipState.USED else np.zeros((3, 3))
         shape = PartShape(self._surface, self._corners(marks, touches), self._scene.noise, error)
         if self.part is None:
-            self.typed_error = _typed_error(touches, shape)
+            found = self._below_balls(fit_part_pose(touches, shape, start_at(np.eye(4))), touches, shape)
+            self.typed_error = found if _contradicts_typed_pose(found, shape) else None
+            self._typed = _typed_pose_errors(found, shape, self._tool.part_pose_sd)
+            self.wrong_scale = found.wrong_scale
+            self._with_error.clear()
             surface = self._surface
             self.off_mesh = None if surface is None else find_mesh_distance(touches, surface, self._scene.noise)
             return
         self.part, self.misfit = self._below_balls(fit_part_pose(touches, shape), touches, shape), None
-        self.wrong_scale = self.part.wrong_scale if self.part.is_known else None
+        self.wrong_scale = self.part.wrong_scale
         self._with_error.clear()
         if self.part.ratio > MISFIT_MIN_RATIO:
             # A copy keeps the tip of now.
@@ -389,6 +397,9 @@ class ToolFindings:
             ]
         elif self.part is None:
             moves += self._errors_in_base(places, pokes.tip_moves[of])
+            if self._typed is not None:
+                normals = np.array([_mesh_normal(each) for each in some])
+                moves.append(self._typed.error_shifts(places, pokes.tip_moves[of], normals))
         shifts = np.concatenate(moves, axis=2)
         for row, each, place, own in zip(rows, some, places, shifts, strict=True):
             found[row] = add_shared_error(replace(each, position=place) if each.method is Method.FREE else each, own)
@@ -484,13 +495,39 @@ def _pokes_of_part_fit(count: int) -> int:
     return used
 
 
-def _typed_error(touches: PartTouches, shape: PartShape) -> PartPose | None:
-    """Find the pose that touches show in place of the given one, which is the identity here; `None` if they agree with it."""
-    found = fit_part_pose(touches, shape, start_at(np.eye(4)))
+def _contradicts_typed_pose(found: PartPose, shape: PartShape) -> bool:
+    """Tell whether the pose that touches show, `found`, contradicts the given one, which is the identity here."""
     if found.state in (PartPoseState.FEW_TOUCHES, PartPoseState.DISAGREES):
-        return None
+        return False
     change = found.motion_to(np.eye(4))
     moves = motion_rows(shape.corners - found.centre) @ change
     far = float(np.linalg.norm(moves)) / len(moves) ** 0.5
-    chi2 = float(change @ np.linalg.solve(found.covariance, change))
-    return found if far > PART_POSE_MISMATCH_MIN_M and chi2 > PART_POSE_MISMATCH_CHI2 else None
+    chi2 = float(change @ np.linalg.solve(found.scales.moment[:6, :6], change))
+    return far > PART_POSE_MISMATCH_MIN_M and chi2 > PART_POSE_MISMATCH_CHI2
+
+
+def _typed_pose_errors(found: PartPose, shape: PartShape, sd: float) -> PartPose:
+    """Make the given pose with its error: of the sd that the scene gives it, less what the touches show of it.
+
+    With the prior P of the given pose's error, about the middle of the part, and the second moment C of the error of the pose
+    that the touches show, their difference D has the covariance P + C. So the given pose is wrong by P (P + C)^-1 D on average.
+
+    Parameters
+    ----------
+    found : pose that the touches show where the given one is the identity
+    sd : m, of the given pose, each direction
+    """
+    middle = mean_rows(shape.corners)
+    prior = np.diag(np.repeat([sd / TYPED_POSE_LEVER_M, sd], 3) ** 2.0)
+    moment = np.zeros_like(found.scales.moment)
+    moment[:6, :6] = prior
+    if found.state in (PartPoseState.FEW_TOUCHES, PartPoseState.DISAGREES):
+        return replace(NO_PART_POSE, centre=middle, scales=replace(found.scales, moment=moment))
+    to_middle = np.eye(6)
+    to_middle[3:, :3] = motion_rows((middle - found.centre)[None])[0, :, :3]
+    of_touches = to_middle @ found.scales.moment[:6, :6] @ to_middle.T
+    share = np.asarray(np.linalg.solve(prior + of_touches, prior), dtype=np.float64).T
+    shown = share @ to_middle @ found.motion_to(np.eye(4))
+    moment[:6, :6] = prior - share @ prior + shown[:, None] * shown
+    moment[UNKNOWNS_OF_POSE:, UNKNOWNS_OF_POSE:] = found.scales.moment[UNKNOWNS_OF_POSE:, UNKNOWNS_OF_POSE:]
+    return replace(found, centre=middle, scales=replace(found.scales, moment=moment))

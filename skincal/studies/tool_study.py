@@ -218,6 +218,7 @@ def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
         tool_from_sensor=poked.tool_from_sensor if model.has_sensor else at_tip,
         link_from_base=inverse_pose(poked.base_from_part) if is_given else np.eye(4),
         has_part_pose=is_given,
+        part_pose_sd=0.0,  # the exact one is given
         tip=middle_of_ball,
         tip_radius=model.tip_radius,
         tip_sd=TIP_SD_DEFAULT_MM * 1e-3,

@@ -24,6 +24,7 @@ MISFIT_ADVICE = (
     "The cause may be the tip, a landmark with another name or place, or a part that moved. Make the fixed-point test (Session "
     "menu, or `skincal tool`), and touch more landmarks: with six or more the mistake is named."
 )
+ADD_LANDMARK = "The scene has no landmarks: add one, such as a corner or a screw whose place the drawing gives, and touch it."
 _WORDS_OF_THING = {
     DrawnThing.LANDMARKS: ("landmarks lie", "too far apart", "too close together"),
     DrawnThing.DRAWING: ("landmarks and mesh are", "too large", "too small"),

@@ -10,10 +10,12 @@ from skincal.files.export import calibration_file, json_text
 from skincal.files.formats import ExportFormat
 from skincal.mesh.load import load_surface
 from skincal.model.actions import AtLandmark, Exclude, Undo
+from skincal.model.errors import InputError
 from skincal.rig.part_pose import PartPoseState
 from skincal.session.session import Session
+from skincal.session.tool_sentences import session_tool_sentences
 from skincal.taxels.result import Cause, Method, State
-from skincal.words.part_words import part_pose_sentence, tool_rig_sentences
+from skincal.words.part_words import ADD_LANDMARK, part_pose_sentence, tool_rig_sentences
 from tests.skincal.session.test_tool_rig import (
     BASE_FROM_PART,
     TAXELS,
@@ -140,6 +142,14 @@ def test_the_sentence_names_the_open_directions_and_the_landmark_that_closes_the
     assert said.endswith("touch one landmark.")
 
 
+@pytest.mark.parametrize("has_landmarks", [True, False])
+def test_a_scene_without_landmarks_is_told_to_add_one(tmp_path, outcomes, has_landmarks):
+    session = session_of(tmp_path, outcomes, lambda text: without_pose(text).replace("" if has_landmarks else MARKS, ""))
+    said = session_tool_sentences(session.snapshot(), session.scene)
+    assert any(each.endswith("touch one landmark.") for each in said)
+    assert (ADD_LANDMARK in said) != has_landmarks
+
+
 def test_a_typed_pose_that_the_touches_contradict_is_named(tmp_path, outcomes):
     shift = np.eye(4)
     shift[:3, 3] = [0.012, 0.0, 0.0]
@@ -161,6 +171,32 @@ def test_a_typed_pose_that_the_touches_contradict_is_named(tmp_path, outcomes):
         if says:
             (said,) = [each for each in sentences(snapshot) if "base_from_link" in each]
             assert "moved by (\N{MINUS SIGN}12" in said or "moved by (\N{MINUS SIGN}11" in said
+
+
+@pytest.mark.parametrize("is_marked", [False, True])
+def test_the_error_of_a_typed_pose_is_in_the_predicted_errors(tmp_path, outcomes, is_marked):
+    wrong = BASE_FROM_PART.copy()
+    wrong[:3, 3] += BASE_FROM_PART[:3, :3] @ [0.0025, 0.0, 0.0]
+    squares = []
+    for sd in (2.0, 0.0):
+        line = f"base_from_link = {np.round(wrong, 12).tolist()}\nbase_from_link_sd_mm = {sd}\n"
+        placed = [replace_pose(outcome, np.linalg.inv(wrong) @ outcome.link_from_sensor) for outcome in outcomes]
+        session = session_of(tmp_path, placed, lambda text, line=line: without_pose(text, TIP_LINE + line))
+        if is_marked:
+            mark_corners(session, placed)
+        snapshot = session.snapshot()
+        assert snapshot.typed_pose_error is None, "a contradiction of 2.5 mm is not named"
+        off = (positions_of(snapshot, Method.FREE) - TAXELS)[:, 0].mean()
+        assert off == pytest.approx(-0.0025, abs=0.0008)
+        shared = np.mean([each.moved for each in snapshot.estimates[Method.FREE]], axis=0)[0]
+        squares.append(off**2 / (shared @ shared))
+    assert squares[0] < 3.84 < squares[1] or is_marked
+    assert squares[0] < 3.84
+
+
+def test_the_error_of_a_pose_that_is_not_typed_is_refused(tmp_path):
+    with pytest.raises(InputError, match="base_from_link_sd_mm is the error of base_from_link, and that is not given"):
+        scene_of(tmp_path, change=lambda text: without_pose(text, TIP_LINE + "base_from_link_sd_mm = 1.0\n"))
 
 
 def replace_pose(outcome, link_from_sensor):
