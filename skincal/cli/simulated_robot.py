@@ -82,10 +82,14 @@ def _count_pokes(pipeline: Pipeline) -> int:
 
 def _make_robot(scene: Scene, seed: int, effects: str) -> tuple[SimulatedRobot, Surface]:
     from skincal.part.part import load_scene_surface
-    from skincal.physics.effects import Effects
+    from skincal.physics.effects import TOOL_EFFECTS, Effects
     from skincal.physics.robots import make_robot
 
     surface = load_scene_surface(scene)[0]
     if surface is None:
         raise InputError(f"{scene.name} has no mesh, which the arm presses; expected a scene with [surface].")
-    return make_robot(scene, surface, Effects.named(effects), seed), surface
+    chosen = Effects.named(effects)
+    unused = next((name.strip() for name in effects.split(",") if name.strip() in TOOL_EFFECTS), "")
+    if unused and scene.tool is None:
+        raise InputError(f"--effects {unused} is of a cobot, and {scene.name} has no [tool]: leave it out.")
+    return make_robot(scene, surface, chosen, seed), surface

@@ -323,8 +323,12 @@ class NatNetDecoder(FrameDecoder):
         numbers = [body.number for body in found.bodies]
         names = ["" if self._names is None else self._names.get(number, "") for number in numbers]
         index = self._choice.index_of(names, numbers)
+        if index is None and self._names is None:
+            # The first frames may come before the answer to the request for names.
+            self._status = "Motive has not named its rigid bodies yet"
+            return None
         if index is None:
-            self._status = self._choice.problem if self._names is not None else "Motive has not named its rigid bodies yet"
+            self._status = self._choice.problem
             return Loss.NO_POSE
         body, label = found.bodies[index], self._choice.label(names, index)
         if not body.is_tracked:

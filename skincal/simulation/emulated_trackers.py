@@ -112,7 +112,7 @@ class NdiTalk(PlainTalk):
     def _answer(self, command: str) -> bytes:
         name = command.partition(":")[0]
         if name == "TX":
-            return self._newest or _checked("ERROR0C")
+            return self._newest or _checked("000000" if self._is_tracking else "ERROR0C")
         if name in ("TSTART", "TSTOP"):
             self._is_tracking = name == "TSTART"
         return _checked(self.ANSWERS.get(command, "OKAY"))

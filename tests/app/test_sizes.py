@@ -20,7 +20,7 @@ from tests.app.letters import collisions, labels_that_lead_nowhere
 from tests.app.whole_window import OPEN_MS
 
 SIZES = [((1366, 768), 100), ((1024, 700), 150)]
-"""`tests/long` tries those between."""
+"""`tests/app/long` tries those between."""
 SIZE_NAMES = ["1366x768", "1024x700 at 150 %"]
 
 

@@ -26,3 +26,11 @@ def test_a_robot_that_stops_ends_its_session_with_the_reason(tmp_path, monkeypat
     assert "skincal: the robot has stopped: 3 targets in a row failed" in said
     assert "measure the tip and the pose of the part again" in said
     assert (out / "truth.json").is_file()
+
+
+def test_an_effect_of_a_cobot_is_refused_for_a_part_below_its_own_sensor(tmp_path, capsys):
+    out = tmp_path / "session"
+    asked = ["simulate", "--physics", "mujoco", "--scene", "icub-forearm", "--effects", "noise,bend", "--out", str(out)]
+    assert main(asked) == 2
+    assert "--effects bend is of a cobot, and icub-right-forearm-v1 has no [tool]" in capsys.readouterr().err
+    assert not out.exists()

@@ -275,6 +275,8 @@ def test_gaps_repeats_and_a_new_server_of_natnet():
     assert decoder.counts == {Loss.MISSING: 2, Loss.REPEATED: 1}
     other = natnet_server((4, 1)) + natnet_frame(2, (4, 1), natnet_body(7))
     assert len(poses_of(decoder, other)[0]) == 0, "the names of the other server are not known yet"
+    assert decoder.device_message == "Motive has not named its rigid bodies yet"
+    assert decoder.counts.total() == 3, "frames before the names are not lost"
     newer = natnet_names((4, 1), probe=8) + natnet_frame(3, (4, 1), natnet_body(7), natnet_body(8))
     assert_true(poses_of(decoder, newer)[0][0])
 

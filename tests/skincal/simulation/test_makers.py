@@ -92,9 +92,13 @@ def test_each_device_is_read_over_its_transport(maker, tcp):
         pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
     if maker in FINGERS:
         pytest.skip("no shipped scene is as small: tests/skincal/simulation/test_guided_protocols.py reads it")
-    name = "icub-forearm" if Stream.JOINTS in MAKERS[maker].carries or maker in NARROW_SKINS else "flat-patch"
-    streams = tuple(Stream) if name == "icub-forearm" else (Stream.WRENCH, Stream.SKIN)
+    name, streams = "flat-patch", (Stream.WRENCH, Stream.SKIN)
+    if MAKERS[maker].carries == (Stream.TOOL,):
+        name, streams = "cobot-wrist", (*streams, Stream.TOOL)
+    elif Stream.JOINTS in MAKERS[maker].carries or maker in NARROW_SKINS:
+        name, streams = "icub-forearm", tuple(Stream)
     line = make_line(name, assign_devices((maker,), streams))
+    line.advance()  # the first block is slow, and a dialogue waits for no more than 0.8 s
     with serving(line, tcp=tcp) as server:
         links = [link for link in server.links if link.carries[0] in MAKERS[maker].carries]
         channels = line.rig.scene.skin.channels
