@@ -29,7 +29,7 @@ from app.panels.widgets import (
     table,
     theme_colours,
 )
-from app.scene3d.scene_state import DARK, LIGHT, Comparison
+from app.scene3d.scene_state import DARK, LIGHT, Comparison, TaxelAxes
 from app.state.position_sets import LAYOUT_SET, default_pair, in_order, method_label, position_sets, unique_name
 from app.state.view_state import ViewState
 from app.theme import WIDGET_GAP_PX
@@ -44,6 +44,7 @@ from skincal.words.compare_words import (
     MODULE_HEADINGS,
     MODULE_HINTS,
     arrow_words,
+    axes_legend,
     difference_words,
     listed_modules,
     listed_words,
@@ -171,9 +172,9 @@ class ComparePanel(Panel):
             box.setCurrentText(name)
         here, there = (self._sets[name] for name in pair)
         self._show_numbers(pair, here, there)
-        self._show_turns(state, pair)
+        axes = self._show_turns(state, pair)
         self._show_health()
-        self._draw(pair, here, there)
+        self._draw(pair, here, there, axes)
 
     def pair(self, state: ViewState) -> tuple[str, str]:
         """Return the compared sets: the operator's choice as long as both exist."""
@@ -194,21 +195,26 @@ class ComparePanel(Panel):
         if self._layout is not None:
             self._show_modules(self._layout, found.modules, there)
 
-    def _show_turns(self, state: ViewState, pair: tuple[str, str]) -> None:
-        """Compare the axes of taxels that measure three."""
+    def _show_turns(self, state: ViewState, pair: tuple[str, str]) -> tuple[TaxelAxes, ...]:
+        """Compare the axes of taxels that measure three; return those of both sets for the picture."""
         if self._guided.part.scene.skin.axes is None:
-            return
+            return ()
         from skincal.axes.turn_differences import axes_of_turns, compare_turns  # other skins do without
         from skincal.words.turn_words import turn_difference_words
 
         channels, turns = self._channels.tolist(), state.snapshot.on_part.turns
         own = {} if turns is None else axes_of_turns(turns.of_channels(channels))
-        here, there = (self._axes.get(name, {} if name in self._others else own) for name in pair)
-        if LAYOUT_SET in pair or pair[0] == pair[1]:
-            # A layout has no axes; one session has the same by each method.
-            here = {}
-        self.turns.setText(turn_difference_words(compare_turns(here, there), self._guided.names.taxel))
+        # A layout has no axes; one session has the same by each method.
+        here, there = (self._axes.get(name, {} if name in self._others or name == LAYOUT_SET else own) for name in pair)
+        same = here is there
+        words = "" if same else turn_difference_words(compare_turns(here, there), self._guided.names.taxel)
+        shown = here, {} if same else there
+        legend = axes_legend(*(name if axes else "" for name, axes in zip(pair, shown, strict=True)))
+        self.turns.setText(f"{words} {legend}".strip())
         self.turns.setVisible(bool(self.turns.text()))
+        unknown = np.full((3, 3), np.nan)
+        drawn = [np.array([known.get(channel, unknown) for channel in channels]) for known in shown]
+        return tuple(TaxelAxes(self._sets[name], axes) for name, axes in zip(pair, drawn, strict=True))
 
     def _show_modules(self, layout: Layout, differences: Sequence[ModuleDifference], there: FloatArray) -> None:
         spacing, modules = self._spacing_ratios(there), layout.modules
@@ -240,7 +246,7 @@ class ComparePanel(Panel):
         if found is not None:
             self.save_button.setToolTip(escape_tooltip(save_hint(found.mend)))
 
-    def _draw(self, pair: tuple[str, str], here: FloatArray, there: FloatArray) -> None:
+    def _draw(self, pair: tuple[str, str], here: FloatArray, there: FloatArray, axes: tuple[TaxelAxes, ...]) -> None:
         """Draw the sets in the 3D view, and explain the picture."""
         scale = ARROW_SCALES[self.scale.currentIndex()]
         shown = {"from": pair[0], "to": pair[1]}
@@ -252,7 +258,7 @@ class ComparePanel(Panel):
         arrows = f"{_sign(ARROW, 'to')}&nbsp;{escape(arrow_words(pair, scale, named=self.all.isChecked()))}"
         self.legend.setText("&nbsp;&nbsp; ".join([*dots, arrows]))
         ends = np.stack([here, here + scale * (there - here)], axis=1)
-        self.comparison_changed.emit(Comparison({tint: self._sets[name] for tint, name in shown.items()}, ends))
+        self.comparison_changed.emit(Comparison({tint: self._sets[name] for tint, name in shown.items()}, ends, axes))
 
     def showEvent(self, event: QShowEvent) -> None:
         super().showEvent(event)

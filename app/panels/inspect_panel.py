@@ -204,10 +204,11 @@ def estimate_cells(estimate: Estimate | None, part_size: float) -> tuple[str, ..
 
 
 def distance_words(first: Estimate | None, second: Estimate | None) -> str:
-    """Give the distance between the estimates of two methods; empty if one is unknown."""
+    """Give the distance between the estimates of the free and the surface method; empty if one is unknown."""
     if first is None or second is None or first.position is None or second.position is None:
         return ""
-    return f"The two methods differ by {millimetres(float(np.linalg.norm(first.position - second.position)))}."
+    apart = millimetres(float(np.linalg.norm(first.position - second.position)))
+    return f"Free and surface method place it {apart} apart."
 
 
 class InspectPanel(Panel):

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,15 @@ def module_hues(layout: Layout | None, channels: IntArray) -> ColourArray:
     return MODULE_RGB[layout.module_of[channels] % len(MODULE_RGB)]
 
 
+class TaxelAxes(NamedTuple):
+    """Axes of n taxels that measure three."""
+
+    places: FloatArray
+    """(n, 3) float, metres."""
+    axes: FloatArray
+    """(n, 3, 3) float, in columns; NaN where an axis is unknown."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
     """Sets of positions that are compared; they replace the estimates' balls.
@@ -94,6 +103,8 @@ class Comparison:
     """(n, 3) float each, by the name of their colour in `SceneColours.tints`."""
     arrows: FloatArray
     """(n, 2, 3) float: from one set to another."""
+    axes: tuple[TaxelAxes, ...] = ()
+    """Axes of the first set, and of the second; empty for taxels of one axis."""
 
 
 class StaticScene:

@@ -8,17 +8,20 @@ from __future__ import annotations
 import numpy as np
 import pyvista as pv
 
+from app.scene3d.camera import facing
 from app.scene3d.estimates import EstimatesLayer
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, Layer, Segments
-from app.scene3d.scene_state import ColourArray, SceneColours, StaticScene, rgb
+from app.scene3d.scene_state import ColourArray, SceneColours, StaticScene, TaxelAxes, rgb
 from app.state.view_state import ViewState
 from skincal.axes.session_turns import ShownTurn
-from skincal.geometry import FloatArray
+from skincal.geometry import BoolArray, FloatArray
 
 AXIS_LENGTH_OVER_SPACING = 0.6
 MAX_AXIS_LENGTH_M = 4e-3
 SELECTED_OVER_OTHERS = 2.5
 """Length of the selected taxel's axes over that of others."""
+BROAD_LINE_PX, BROAD_LINE_OPACITY = 6.0, 0.4
+"""Of the second of two compared sets: the lines of the first are seen on those of the second."""
 
 
 class TaxelAxesLayer(Layer):
@@ -29,6 +32,7 @@ class TaxelAxesLayer(Layer):
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene, estimates: EstimatesLayer) -> None:
         super().__init__(plotter, static)
         self.lines = Segments(plotter, FRONT, 2.0)
+        self.broad = Segments(plotter, FRONT, BROAD_LINE_PX, opacity=BROAD_LINE_OPACITY)
         self._estimates = estimates
         spacing = np.inf if static.layout is None else static.layout.spacing
         self.length = min(AXIS_LENGTH_OVER_SPACING * spacing, MAX_AXIS_LENGTH_M)
@@ -41,7 +45,7 @@ class TaxelAxesLayer(Layer):
         self.colours, self._key = colours, None
 
     def show(self, state: ViewState) -> bool:
-        key = (state.snapshot.generation, state.method, state.selected, self.comparison is None)
+        key = (state.snapshot.generation, state.method, state.selected, self.comparison)
         if key == self._key:
             return False
         self._key = key
@@ -57,15 +61,26 @@ class TaxelAxesLayer(Layer):
         return True
 
     def draw(self) -> None:
-        """Leave out the far side; while sets are compared nothing is drawn."""
+        """Leave out the far side. While sets are compared, draw the axes of both in place of the session's."""
         if self.viewpoint is None:
             return
-        drawn = self._known & self._estimates.near[:, None]
-        if self.comparison is not None:
-            drawn = np.zeros_like(drawn)
+        if self.comparison is None:
+            self._show_lines(self.lines, self._ends, self._known & self._estimates.near[:, None])
+            self.broad.show(NO_POINTS, self.colours.ink)
+            return
+        near = ~(facing(self.static.skin_normals, self.static.places, self.viewpoint.pose.position) < 0.0)
+        nothing = TaxelAxes(np.empty((0, 3)), np.empty((0, 3, 3)))
+        for lines, found in zip((self.lines, self.broad), (*self.comparison.axes, nothing, nothing), strict=False):
+            ways = self.length * found.axes.transpose(0, 2, 1)
+            starts = np.broadcast_to(found.places[:, None], ways.shape)
+            ends = np.stack([starts, starts + ways], axis=2)
+            self._show_lines(lines, ends, np.isfinite(ends).all(axis=(2, 3)) & near[: len(ends), None])
+
+    def _show_lines(self, lines: Segments, ends: FloatArray, drawn: BoolArray) -> None:
+        """Draw those axes of n taxels, `ends` (n, 3, 2, 3), that are `drawn` (n, 3)."""
         colours: ColourArray = np.array([rgb(axis) for axis in self.colours.window.axes], dtype=np.uint8)
-        ends: FloatArray = self._ends[drawn] if drawn.any() else NO_POINTS
-        self.lines.show(ends, np.repeat(colours[np.nonzero(drawn)[1]], 2, axis=0))
+        shown: FloatArray = ends[drawn] if drawn.any() else NO_POINTS
+        lines.show(shown, np.repeat(colours[np.nonzero(drawn)[1]], 2, axis=0))
 
 
 def _known_axes(turn: ShownTurn | None) -> tuple[bool, bool, bool]:

@@ -532,7 +532,7 @@ class Controller(QObject):
         folder = self._recording.storage.folder
         if simulated_rig_options(folder):
             self.simulation_due.emit()
-        elif is_simulated(folder):
+        elif is_simulated(folder) or any(link.is_simulated for link in self.links):
             self.said.emit(Message(UNKNOWN_RIG, found=True))
         else:
             self.confirmation_due.emit(tuple(link.address for link in self.links))

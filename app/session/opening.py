@@ -130,8 +130,8 @@ def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
 
 
 def addresses_of(links: Sequence[LinkSpec]) -> Addresses:
-    """Give the address of each device that links read."""
-    named = {stream.value: link.address for link in links for stream in link.carries}
+    """Give the address of each device that links read; none of a simulator that recorded a session."""
+    named = {stream.value: link.address for link in links if not link.is_simulated for stream in link.carries}
     return Addresses(**named)
 
 

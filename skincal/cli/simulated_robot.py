@@ -47,7 +47,7 @@ def record_robot(
     from skincal.files.reference import TRUTH_NAME
     from skincal.journal.writer import create_session
     from skincal.physics.session import RobotSession, make_client
-    from skincal.streams.links import LinkSpec
+    from skincal.streams.links import SIMULATED_ADDRESS, LinkSpec
 
     robot, surface = _make_robot(scene, seed, effects)
     streams = (
@@ -56,7 +56,7 @@ def record_robot(
         *((Stream.JOINTS,) if scene.arm is not None else ()),
         *((Stream.TOOL,) if scene.tool is not None else ()),
     )
-    links = [LinkSpec(stream.value, f"simulated:{stream.value}", (stream,)) for stream in streams]
+    links = [LinkSpec(stream.value, f"{SIMULATED_ADDRESS}{stream.value}", (stream,)) for stream in streams]
     session = RobotSession(scene, surface, robot, create_session(out, scene, links))
     try:
         write_atomically(out / TRUTH_NAME, json.dumps(robot.truth(), indent=1).encode() + b"\n")

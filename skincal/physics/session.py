@@ -17,7 +17,7 @@ from skincal.robot.poking_client import PokeSettings, PokingClient
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, RobotLine
 from skincal.robot.target_server import RobotChange
 from skincal.session.pipeline import Pipeline
-from skincal.streams.links import LinkSpec
+from skincal.streams.links import SIMULATED_ADDRESS, LinkSpec
 from skincal.taxels.result import Method
 
 TRAVEL_SPEED_WITH_CARRIED_PART_M_PER_S = 0.05
@@ -82,7 +82,7 @@ class RobotSession:
     ) -> None:
         self.robot, self.targets = robot, TargetQueue()
         self._devices = RobotDevices(robot)
-        self._links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in self._devices.links.items()]
+        self._links = [LinkSpec(name, f"{SIMULATED_ADDRESS}{name}", (stream,)) for name, stream in self._devices.links.items()]
         self.pipeline = Pipeline(scene, self._links, surface, journal)
         self._guide = RobotGuide(self.pipeline, self.targets, method)
         for link in self._links:

@@ -20,7 +20,7 @@ from skincal.simulation.device import DeviceSettings, DeviceTimeline
 from skincal.simulation.operator import AutoOperator, Habits
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.rig_of_scene import make_rig
-from skincal.streams.links import LinkSpec
+from skincal.streams.links import SIMULATED_ADDRESS, LinkSpec
 
 BLOCKS_AT_ONCE = 100
 """Blocks of readings that are computed and decoded together: one second."""
@@ -67,7 +67,7 @@ def simulate_session(
     usual = Habits() if rig.tool is None else Habits().with_tool()
     operator = AutoOperator(rig, habits or usual, operator_rng, pokes, poses, channels)
     line = DeviceTimeline(rig, operator, device_rng, settings)
-    links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
+    links = [LinkSpec(name, f"{SIMULATED_ADDRESS}{name}", (stream,)) for name, stream in line.links.items()]
     seen = seen_as or scene
     pipeline = Pipeline(seen, links, surface, create_session(folder, seen, links))
     try:

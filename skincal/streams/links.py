@@ -66,6 +66,10 @@ STATE_AFTER_FAILURE = {FailureKind.ENDED: LinkState.ENDED, FailureKind.PROTOCOL_
 """State of a link that is not opened again."""
 
 
+SIMULATED_ADDRESS = "simulated:"
+"""Begins the address of a link that a simulator fed while it recorded: nothing can be connected there."""
+
+
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
     """A link as the operator describes it; `InputError` if its address is too long."""
@@ -81,6 +85,11 @@ class LinkSpec:
 
     def __post_init__(self) -> None:
         _check_length(self.address)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a simulator fed the link while it recorded."""
+        return self.address.startswith(SIMULATED_ADDRESS)
 
 
 def _check_length(address: str) -> None:

@@ -63,6 +63,12 @@ def module_cells(module: ModuleDifference, number_of: int, taxels: int, spacing:
     return (f"{number_of}{some}", *(cell(length, "m") for length in lengths), number(spacing, 2))
 
 
+def axes_legend(first: str, second: str) -> str:
+    """Explain the axes of two compared sets in the 3D view, by their names; empty for a set without axes."""
+    looks = [f"{name} {look}" for name, look in ((first, "thin"), (second, "broad and pale")) if name]
+    return f"Axes in the picture: {', '.join(looks)}." if looks else ""
+
+
 def arrow_words(pair: tuple[str, str], scale: int, *, named: bool) -> str:
     """Describe the arrows: `"arrows true to scale"`; with both ends if `named`."""
     ends = f" from {pair[0]} to {pair[1]}," if named else ""

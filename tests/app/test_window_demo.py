@@ -13,6 +13,7 @@ from PySide6.QtWidgets import QApplication, QMessageBox
 
 from app import session_view
 from app.dialogs.history_dialog import HistoryDialog
+from app.dialogs.new_session import NEEDS_CONFIRMATION, NewSessionDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.first_minute import FirstMinute
 from app.session.controller import DEMO_SPEED_FACTOR
@@ -206,6 +207,23 @@ def test_a_session_of_an_unnamed_simulated_rig_says_how_to_go_on(bench, tmp_path
     bench.key(Key.Key_Space)
     assert told(bench).endswith(UNKNOWN_RIG)
     assert bench.controller.running is Running.OFFLINE
+    bench.window.leave()
+
+
+def test_a_simulated_session_proposes_no_address_that_nothing_answers(bench, tmp_path):
+    """Its links are named `simulated:wrench` and the like: A asks for devices, and shows none."""
+    folder = shutil.copytree(resource("sessions/sample"), tmp_path / "s")
+    (folder / "truth.json").unlink()
+    bench.open(OpenRequest(session=folder))
+    assert "simulated:skin" in {link.address for link in bench.controller.links}
+    bench.key(Key.Key_Space)
+    assert told(bench).endswith(UNKNOWN_RIG)
+    bench.key(Key.Key_A)
+    bench.until(lambda: isinstance(QApplication.activeWindow(), NewSessionDialog), OPEN_MS)
+    dialog = QApplication.activeWindow()
+    assert {row.address for row in dialog.rows.values()} == {""}
+    assert not any(NEEDS_CONFIRMATION in row.verdict.text() for row in dialog.rows.values())
+    dialog.reject()
     bench.window.leave()
 
 

@@ -101,6 +101,16 @@ def test_compare_shows_turns_against_a_truth_that_has_them(qtbot):
     assert panel.turns.isVisible()
     angle = float(panel.turns.text().split("plane by ")[1].split("\N{DEGREE SIGN}")[0])
     assert angle == pytest.approx(6.0, abs=3.0)
+    assert panel.turns.text().endswith("Axes in the picture: Free method thin, Truth broad and pale.")
+    drawn = []
+    panel.comparison_changed.connect(drawn.append)
     panel._chosen = ("Free method", "Layout")
     panel.show_again()
-    assert not panel.turns.isVisible()
+    assert panel.turns.text() == "Axes in the picture: Free method thin."
+    first, second = drawn[-1].axes
+    row = panel._channels.tolist().index(3)
+    assert first.axes[row] == pytest.approx(QUARTER, abs=0.1)
+    assert np.isnan(second.axes).all()
+    panel._chosen = ("Free method", "Truth")
+    panel.show_again()
+    assert drawn[-1].axes[1].axes[row] == pytest.approx(QUARTER @ off)

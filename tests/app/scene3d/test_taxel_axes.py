@@ -10,7 +10,7 @@ import pytest
 
 from app.scene3d.camera import Viewpoint, pose_of
 from app.scene3d.scene_renderer import SceneRenderer
-from app.scene3d.scene_state import LIGHT, Comparison, StaticScene, rgb
+from app.scene3d.scene_state import LIGHT, Comparison, StaticScene, TaxelAxes, rgb
 from app.scene3d.taxel_axes import SELECTED_OVER_OTHERS
 from skincal.part.part import Part
 from tests.app.scene3d_support import box, estimate, laid, snapshot, tick_of
@@ -60,7 +60,7 @@ def test_axes_are_drawn_at_near_taxels_whose_turn_is_known(plotter):
     assert not layer.lines.actor.visibility
     renderer.hide(frozenset())
     assert layer.lines.actor.visibility
-    # From below nothing is near; beside compared sets nothing is drawn.
+    # From below nothing is near; next to compared sets without axes nothing is drawn.
     renderer.estimates.near = np.zeros(4, dtype=bool)
     layer.draw()
     assert layer.lines.is_empty
@@ -68,6 +68,24 @@ def test_axes_are_drawn_at_near_taxels_whose_turn_is_known(plotter):
     renderer.lay_over(Comparison({}, np.full((24, 2, 3), np.nan)), difference=False)
     layer.show(state)
     assert layer.lines.is_empty
+    # Those of two compared sets: the first thin, the second broad, each at its own places.
+    axes, moved = np.full((len(PLAN.channels), 3, 3), np.nan), PLACES[PLAN.channels] + 1e-3
+    axes[3], axes[4, :, 2] = QUARTER, [0.0, 0.0, 1.0]
+    turned = axes.copy()
+    turned[3] = QUARTER @ QUARTER
+    pair = TaxelAxes(PLACES[PLAN.channels], axes), TaxelAxes(moved, turned)
+    renderer.lay_over(Comparison({}, np.full((24, 2, 3), np.nan), pair), difference=False)
+    layer.show(state)
+    for lines, (places, own) in zip((layer.lines, layer.broad), pair, strict=True):
+        ends = lines.mesh.points.reshape(-1, 2, 3)
+        assert len(ends) == 4
+        assert ends[:3, 0] == pytest.approx(np.tile(places[3], (3, 1)), abs=1e-6)
+        assert (ends[:3, 1] - ends[:3, 0]).T / layer.length == pytest.approx(own[3], abs=1e-3)
+    assert layer.broad.pixels > layer.lines.pixels
+    renderer.lay_over(None, difference=False)
+    layer.show(state)
+    assert layer.broad.is_empty
+    assert not layer.lines.is_empty
 
 
 def test_a_skin_of_one_axis_has_no_such_layer(plotter):
