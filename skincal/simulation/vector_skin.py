@@ -86,8 +86,8 @@ class VectorSkin:
         cross[:, range(3), range(3)] = 0.0
         scales = np.ones((count, 3))
         scales[:, :2] = self.ratios[:, None]
-        # Readings of link-frame forces, (count, 3, 3).
-        self._response = self._gains[:, None, None] * ((np.eye(3) + cross) * scales[:, None]) @ self.axes.transpose(0, 2, 1)
+        self.response = self._gains[:, None, None] * ((np.eye(3) + cross) * scales[:, None]) @ self.axes.transpose(0, 2, 1)
+        """(count, 3, 3) float: reading of a taxel for a force on it in the link frame."""
         self._neighbours = _neighbour_shares(places, errors.neighbour_crosstalk)
 
     def readings(self, pokes: PressedPlaces, forces: FloatArray, rows: IntArray | None = None) -> FloatArray:
@@ -98,7 +98,7 @@ class VectorSkin:
         if rows is None:
             rows = np.tile(np.arange(len(self.places)), (len(pokes), 1))
         loads = self._loads(pokes, forces, rows)
-        own = np.einsum("nkij,nkj->nki", self._response[rows], loads)
+        own = np.einsum("nkij,nkj->nki", self.response[rows], loads)
         return own + np.einsum("nkl,nli->nki", self._neighbours[rows[:, :, None], rows[:, None]], own)
 
     def _loads(self, pokes: PressedPlaces, forces: FloatArray, rows: IntArray) -> FloatArray:

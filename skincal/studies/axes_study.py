@@ -20,7 +20,7 @@ from skincal.axes.push_offset import OffsetCorrection, TaxelOffsets
 from skincal.axes.skin_turns import MIN_SHARE_OF_STRONGEST, find_turns
 from skincal.axes.turn_fit import AxisPokes, TurnFit
 from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts, count_strongest
-from skincal.geometry import FloatArray, mean_rows, rotation_by, rotation_vector
+from skincal.geometry import FloatArray, fit_rotation, mean_rows, rotation_by, rotation_vector
 from skincal.model.errors import InputError
 from skincal.model.skin_axes import ResponseRule, SkinAxes, ValueOrder
 from skincal.palette import BLUE, GREEN, VERMILION
@@ -201,6 +201,27 @@ def collect(forces: FloatArray, readings: FloatArray) -> dict[int, AxisPokes]:
     }
 
 
+def axes_of_readings(response: FloatArray, axes: FloatArray) -> FloatArray:
+    """Compute the axes (3, 3) that fit the exact readings of pushes around -z best: the housing's without crosstalk.
+
+    Crosstalk between the axes of a taxel turns its readings, and no poke tells that from a turn of the taxel.
+
+    Parameters
+    ----------
+    response : (3, 3) float, reading for a force in the link frame
+    axes : (3, 3) float, of the housing
+    """
+    lean, azimuth = (each.ravel() for each in np.meshgrid(np.radians([5.0, 10.0, 15.0]), np.arange(12) * np.pi / 6.0))
+    pushes = np.stack([np.sin(lean) * np.cos(azimuth), np.sin(lean) * np.sin(azimuth), -np.cos(lean)], axis=1) @ axes.T
+    readings, best = pushes @ response.T, (np.inf, axes)
+    for ratio in np.exp(np.linspace(-1.2, 0.6, 181)):
+        felt = readings / [ratio, ratio, 1.0]
+        felt /= np.linalg.norm(felt, axis=1)[:, None]
+        turn = fit_rotation(pushes.T @ felt)
+        best = min(best, (float(np.sum((felt @ turn.T - pushes) ** 2)), turn), key=lambda each: each[0])
+    return best[1]
+
+
 def offsets_of(poked: Poked, pokes: Mapping[int, AxisPokes]) -> dict[int, TaxelOffsets]:
     """Measure the offsets of the pushes from taxels, which lie as planned on modules that the contacts place."""
     found = dict[int, TaxelOffsets]()
@@ -231,12 +252,20 @@ def run_session(task: Task) -> dict[str, Any]:
     corrected = OffsetCorrection().correct(turns, modules, shared, offsets_of(poked, turns.pokes))
     seconds = process_time() - begin
     if task.by_module:
-        fits = [(turn.fit, poked.skin.axes[turn.channels[0]]) for turn in corrected.modules.values()]
+        fits = [(turn.fit, turn.channels) for turn in corrected.modules.values()]
     else:
-        fits = [(turn.fit, poked.skin.axes[channel]) for channel, turn in corrected.skin.taxels.items()]
-    errors = [_errors(fit, true) for fit, true in fits]
+        fits = [(turn.fit, turn.channels) for turn in corrected.skin.taxels.values()]
+    skin = poked.skin
+    housings = [skin.axes[channels[0]] for _, channels in fits]
+    read = [
+        axes_of_readings(skin.response[list(each[1])].mean(axis=0), true) for each, true in zip(fits, housings, strict=True)
+    ]
+    errors, of_readings = (
+        [_errors(fit, true) for (fit, _), true in zip(fits, every, strict=True)] for every in (housings, read)
+    )
     return {
-        "normal": [each[0] for each in errors], "plane": [each[1] for each in errors], "inside": [each[2] for each in errors],
+        "normal": [each[0] for each in errors], "plane": [each[1] for each in errors],
+        "inside": [each[2] for each in of_readings], "housing_inside": [each[2] for each in errors],
         "known": [fit.is_in_plane_known for fit, _ in fits],
         "lean": [corrected.lean.value],
         "ms": 1e3 * seconds / len(turns.taxels),
@@ -263,7 +292,9 @@ def _row(case: Task, found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     Returns
     -------
     JSON: `skin`, `lean_deg`, `pokes`, `by_module`, `normal_deg` and `plane_deg` (median and 95 %; `None` if no turn in the
-    plane is known), `inside`, `known` (shares), `right` and `wrong` (shares of modules whose question is decided), `ms` a taxel
+    plane is known), `inside` (share of the turns of the readings in their 95 % regions), `housing_inside` (the same of the
+    housings), `known` (share), `right` and `wrong` (shares of modules whose question is decided), `push_lean_deg_per_mm`
+    (median), `ms` a taxel
     """
     joined = {
         name: np.concatenate([np.asarray(each[name], dtype=float) for each in found]) for name in found[0] if name != "ms"
@@ -273,7 +304,8 @@ def _row(case: Task, found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "skin": case.skin, "lean_deg": case.lean_deg, "pokes": case.pokes, "by_module": case.by_module,
         "normal_deg": [float(np.quantile(joined["normal"], q)) for q in (0.5, 0.95)],
         "plane_deg": [float(np.quantile(plane, q)) for q in (0.5, 0.95)] if len(plane) else None,
-        **{name: float(joined[name].mean()) for name in ("inside", "known", "right", "wrong")},
+        **{name: float(joined[name].mean()) for name in ("inside", "housing_inside", "known", "right", "wrong")},
+        "push_lean_deg_per_mm": float(np.degrees(np.median(joined["lean"])) * 1e-3),
         "ms": float(np.median([each["ms"] for each in found])),
     }  # fmt: skip
 
@@ -324,7 +356,7 @@ def axis_limits(
     by_case = {(row["skin"], row["lean_deg"], row["pokes"], row["by_module"]): row for row in turns}
     taxel = by_case["noise", GOAL_LEAN_DEG, GOAL_TAXEL_POKES, False]
     module = by_case["noise", GOAL_LEAN_DEG, GOAL_MODULE_POKES, True]
-    goal_lean = [row for row in turns if row["lean_deg"] == GOAL_LEAN_DEG and row["skin"] != "crosstalk"]
+    goal_lean = [row for row in turns if row["lean_deg"] == GOAL_LEAN_DEG]
     named = [row for row in mistakes if row["mistake"] != "none"]
     return {
         "axes_normal_deg": (taxel["normal_deg"][0], "<=", GOAL_NORMAL_DEG),
@@ -352,10 +384,11 @@ def describe(result: Mapping[str, Any]) -> list[str]:
 def _row_text(row: Mapping[str, Any]) -> str:
     plane = "unknown" if row["plane_deg"] is None else "{:.2f}, {:.2f}".format(*row["plane_deg"])
     each = "a module" if row["by_module"] else "a taxel"
+    housing = f", of the housings {row['housing_inside']:.2f}" if row["skin"] == "crosstalk" else ""
     return (
         f"  {row['skin']}, leans up to {row['lean_deg']:g} deg, {row['pokes']} pokes {each}: normal "
         f"{row['normal_deg'][0]:.2f}, {row['normal_deg'][1]:.2f} deg; turn in the plane {plane} deg, known {row['known']:.2f}; "
-        f"inside {row['inside']:.2f}; module or taxel: right {row['right']:.2f}, wrong {row['wrong']:.2f}; "
+        f"inside {row['inside']:.2f}{housing}; module or taxel: right {row['right']:.2f}, wrong {row['wrong']:.2f}; "
         f"{row['ms']:.0f} ms a taxel"
     )
 

@@ -262,7 +262,7 @@ def test_the_tab_shows_the_methods_the_reason_the_pokes_and_the_worst_taxels(qtb
     assert not panel.diversity.isVisible()
     assert panel.cells[Method.FREE][0].text() == "1.0  2.0  3.0"
     assert panel.cells[Method.FREE][3].text() == "1.0 mm"
-    assert "methods differ" in panel.reason.text()
+    assert "Free and surface method place it" in panel.reason.text()
     assert not panel.pokes.isVisible()
     assert panel.worst.item(0).text().endswith("   untouched")
     for channel, action in ((3, MarkDead(3)), (4, Revive(4))):
