@@ -440,7 +440,8 @@ class SessionView(QObject):
 
     def show_thresholds(self) -> None:
         if self._thresholds is None:
-            self._thresholds = ThresholdsDialog(self.workspace.part.scene.contacts, self.workspace.window())
+            scene = self.workspace.part.scene
+            self._thresholds = ThresholdsDialog(scene.contacts, self.workspace.window(), has_sensor=scene.has_sensor)
             self._thresholds.thresholds_wanted.connect(self._controller.act)
         self._show_dialog(self._thresholds)
 

@@ -294,7 +294,7 @@ class Window(QMainWindow):
             # With the workspace as its context Qt calls nothing once that is gone.
             QTimer.singleShot(0, view.workspace, view.workspace.build_3d_view)
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
-                self._first_minute = FirstMinute(robot=not self.controller.pace)
+                self._first_minute = FirstMinute(robot=not self.controller.pace, has_tool=self.has_tool)
                 view.workspace.show_card(self._first_minute)
                 # Esc closes the card first: one thing at a time says so.
                 self.messages.show_key(wanted=False)

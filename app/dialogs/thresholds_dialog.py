@@ -17,11 +17,11 @@ from skincal.contacts.thresholds import NEWEST_POKES_COMPARED, threshold_uses
 from skincal.model.actions import SetThresholds
 from skincal.model.scene import ContactSettings
 from skincal.words.threshold_words import (
-    THRESHOLD_GROUPS,
     THRESHOLDS_INTRODUCTION,
     ThresholdWords,
     objections,
     shown_value,
+    threshold_groups,
     typed_value,
     use_words,
     with_unit,
@@ -60,11 +60,12 @@ class ThresholdsDialog(Dialog):
     Parameters
     ----------
     scene : thresholds in the scene's file
+    has_sensor : the rig has a force/torque sensor
     """
 
     thresholds_wanted = Signal(object)  # `SetThresholds`
 
-    def __init__(self, scene: ContactSettings, parent: QWidget | None = None) -> None:
+    def __init__(self, scene: ContactSettings, parent: QWidget | None = None, *, has_sensor: bool = True) -> None:
         super().__init__("Thresholds of a poke", parent, is_kept=True)
         self._scene: dict[str, float] = asdict(scene)
         self._now = dict(self._scene)
@@ -77,7 +78,7 @@ class ThresholdsDialog(Dialog):
         self._grid = QGridLayout(inner)
         self._grid.setColumnStretch(3, 1)
         self.rows: dict[str, ThresholdRow] = {}
-        for title, group in THRESHOLD_GROUPS.items():
+        for title, group in threshold_groups(has_sensor=has_sensor).items():
             heading = QLabel(title)
             set_bold(heading)
             self._grid.addWidget(heading, self._grid.rowCount(), 0, 1, 4)
@@ -138,10 +139,11 @@ class ThresholdsDialog(Dialog):
 
     def _typed(self) -> dict[str, float]:
         """Read the fields, SI units; an unchanged field gives exactly the present value, which has more digits."""
-        return {
-            name: now if (text := self.rows[name].field.text().strip()) == shown_value(name, now) else typed_value(name, text)
-            for name, now in self._now.items()
-        }
+        return {name: self._typed_value(name, now) if name in self.rows else now for name, now in self._now.items()}
+
+    def _typed_value(self, name: str, now: float) -> float:
+        text = self.rows[name].field.text().strip()
+        return now if text == shown_value(name, now) else typed_value(name, text)
 
     def _show_problems(self, wrong: dict[str, str]) -> None:
         for name, row in self.rows.items():

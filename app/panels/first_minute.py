@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QFrame, QLabel
 
 from app.panels.layouts import make_column
 from app.panels.widgets import secondary_label, set_bold
-from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_END, FIRST_MINUTE_ROBOT
+from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_COBOT, FIRST_MINUTE_END, FIRST_MINUTE_ROBOT
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 
@@ -22,13 +22,14 @@ class FirstMinute(QFrame):
 
     closed = Signal()
 
-    def __init__(self, *, robot: bool = False) -> None:
+    def __init__(self, *, robot: bool = False, has_tool: bool = False) -> None:
         super().__init__()
         self.setObjectName("card")
         self.setAccessibleName("first minute")
         self.setFixedWidth(scaled(HELP_CARD_WIDTH_PX))
         column = make_column(within=self, margins=2 * WIDGET_GAP_PX, gap=WIDGET_GAP_PX // 2)
-        for number, (title, more) in enumerate(FIRST_MINUTE_ROBOT if robot else FIRST_MINUTE, 1):
+        of_robot = FIRST_MINUTE_COBOT if has_tool else FIRST_MINUTE_ROBOT
+        for number, (title, more) in enumerate(of_robot if robot else FIRST_MINUTE, 1):
             head = QLabel(f"{number}  {title}", wordWrap=True)
             set_bold(head, TITLE_FONT_SIZE_PT)
             column.addWidget(head)

@@ -28,6 +28,16 @@ FIRST_MINUTE_ROBOT = (
     ("It needs about five minutes.", "Then you can write the calibration file. docs/robot.md: your own robot."),
 )
 """The same for the demonstration with a robot that pokes."""
+FIRST_MINUTE_COBOT = (
+    ("This cobot is simulated.", "Nothing is connected. An arm in the physics engine MuJoCo presses a simulated skin."),
+    (
+        "It pokes alone, landmarks first.",
+        "Nobody measured where the part is: touches of landmarks show it. Until then the 3D view says what is missing.",
+    ),
+    *FIRST_MINUTE_ROBOT[2:3],
+    ("It needs about five minutes.", "Then you can write the calibration file. docs/tool.md: your own cobot and skin."),
+)
+"""The same for a cobot that holds the tool."""
 FIRST_MINUTE_END = "Esc or a click closes this card."
 
 GO_ON_SIMULATED = (

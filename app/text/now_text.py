@@ -274,6 +274,8 @@ def _calm(phase: PressPhase, at: ViewState) -> Now:
         what = f". {following}" if following else " while nothing touches the part"
         if not at.scene.has_sensor:
             return Now(Tone.WAIT, "Hold the tip above the part", f"Measuring the skin at rest{what}")
+        if at.scene.tool is not None:
+            return Now(Tone.WAIT, "Hold the tool above the part", f"Zeroing sensor and skin{what}")
         return Now(Tone.WAIT, "Hands off", f"Zeroing the sensor{what}")
     return _guided(at)
 
@@ -334,7 +336,14 @@ def _no_data(at: ViewState) -> Now:
         return Now(Tone.WAIT, f"Waiting for {names}", link_detail(missing[0], at))
     if links and all(at.status_of(link) is LinkStatus.ENDED for link in links):
         return Now(Tone.CALM, "Recording ended", "The recording is at its end")
-    return Now(Tone.WAIT, "Waiting for data", "Sensor and skin must both stream before a poke counts")
+    return Now(Tone.WAIT, "Waiting for data", f"{_needed_streams(at)} must stream before a poke counts")
+
+
+def _needed_streams(at: ViewState) -> str:
+    """Name the streams without which no poke counts."""
+    if at.scene.tool is None:
+        return "Sensor and skin"
+    return "Sensor, skin and tool" if at.scene.has_sensor else "Skin and tool"
 
 
 def modules_enough_words() -> str:

@@ -309,8 +309,9 @@ class Verdict:
     closings: tuple[Closing, ...] = ()
     """Each closing check; the last one counts."""
     has_arm: bool = True
-    has_tool: bool = False
     """Whether the scene has joints of an arm."""
+    has_tool: bool = False
+    """Whether a tool pokes the part, whose poses are streamed."""
     landmarks_left: int = 0
     """Number of landmark pokes that the guide still requests."""
 

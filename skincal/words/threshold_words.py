@@ -81,6 +81,27 @@ THRESHOLD_GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
     },
 }
 """By the names of `ContactSettings`."""
+_WITHOUT_SENSOR = {
+    "slide_max": ThresholdWords("The tip moves by", UNITS["m"], "Maximum movement of the tip over that time."),
+    "quiet_s": ThresholdWords("Pause of", UNITS["s"], "Before each poke, with the tip off the skin: it is measured at rest."),
+}
+"""Words of a rig without a force sensor, where they differ."""
+_OF_FORCE = frozenset((*FORCE_ORDER, "still_change", "pitch_max", "tare_change_max"))
+
+
+def threshold_groups(*, has_sensor: bool) -> dict[str, dict[str, ThresholdWords]]:
+    """List the thresholds that a rig uses, by group: without a force sensor those of the force have no effect."""
+    if has_sensor:
+        return {title: dict(group) for title, group in THRESHOLD_GROUPS.items()}
+    used = {
+        "Pause" if title == "Hands off" else title: {
+            name: _WITHOUT_SENSOR.get(name, words) for name, words in group.items() if name not in _OF_FORCE
+        }
+        for title, group in THRESHOLD_GROUPS.items()
+    }
+    return {title: group for title, group in used.items() if group}
+
+
 THRESHOLD_WORDS = {name: words for group in THRESHOLD_GROUPS.values() for name, words in group.items()}
 
 

@@ -149,6 +149,20 @@ def test_every_field_has_a_name_with_its_unit_for_a_screen_reader(qtbot):
     assert all(row.field.accessibleDescription() for row in dialog.rows.values())
 
 
+def test_a_rig_without_a_force_sensor_has_no_field_of_a_force(qtbot):
+    dialog = ThresholdsDialog(ContactSettings(), has_sensor=False)
+    qtbot.addWidget(dialog)
+    assert set(dialog.rows) == {
+        "still_s", "slide_max", "taxels_max", "response_min", "response_noises", "response_share", "gap_factor", "quiet_s",
+    }  # fmt: skip
+    assert "tip" in dialog.rows["slide_max"].field.accessibleName()
+    dialog.rows["still_s"].field.setText("0.5")
+    dialog._edited()
+    with qtbot.waitSignal(dialog.thresholds_wanted) as wanted:
+        dialog.use.click()
+    assert wanted.args[0].names == ("still_s",)
+
+
 def test_pokes_that_follow_are_judged_by_it_and_the_session_opens_the_same(bench, tmp_path):
     """Real bytes of a simulated rig: its hand pushes with some 8 N."""
     bench.open_served("flat-patch", folder=tmp_path / "s")

@@ -30,6 +30,7 @@ from app.text.now_text import (
 from skincal.contacts.outcome import RAW_UNIT, PressPhase, Reason
 from skincal.model.actions import Exclude, MissedLandmark, Revive
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
+from skincal.model.scene import load_scene
 from skincal.session.undo import History, LastOperation, OperationKind
 from skincal.taxels.poke_figures import pitch_of, tilt_of
 from skincal.taxels.result import Estimate, Method, State
@@ -449,3 +450,22 @@ def test_a_poke_far_off_its_landmark_is_told_with_its_number():
         missed = decided(session(2, pokes=[poke]), missed_landmarks={1: MissedLandmark(1, "corner", 0.052, 0.0341)})
         now, _ = now_line(now_line(NowMemory(), frame())[1], frame(missed))
         assert now.result == Said(tone, said)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "taring", "waiting"),
+    [
+        ("tool", ("Hold the tool above the part", "Zeroing sensor and skin"), "Sensor, skin and tool"),
+        ("none", ("Hold the tip above the part", "Measuring the skin at rest"), "Skin and tool"),
+    ],
+)
+def test_a_rig_with_a_tool_is_told_to_hold_it_and_names_its_streams(tmp_path, sensor, taring, waiting):
+    (tmp_path / "scene.toml").write_text(
+        f'name = "p"\nlink = "base"\n[skin]\nchannels = 9\n[tool]\nsensor = "{sensor}"\ntip_mm = [0, 0, 99]\n'
+    )
+    at = frame(view=replace(reading(PressPhase.TARING), link_from_sensor=np.eye(4)), where=load_scene(tmp_path / "scene.toml"))
+    now = now_line(NowMemory(phase=PressPhase.TARING), at)[0]
+    assert now.headline == taring[0]
+    assert now.detail.startswith(taring[1])
+    silent = replace(at, live=replace(at.live, progress=replace(at.live.progress, phase=PressPhase.NO_DATA), links=()))
+    assert now_line(NowMemory(phase=PressPhase.NO_DATA), silent)[0].detail == f"{waiting} must stream before a poke counts"
