@@ -102,6 +102,8 @@ class RigPanel(Panel):
         self.arm = None if arm is None else ArmPanel(arm)
         self.points = table("landmarks", HEADINGS, _COLUMN_HINTS)
         self.points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        # A tool has another pose at each poke.
+        self.points.setColumnHidden(1, guided.part.scene.tool is not None)
         self.asked, self.tip, self.said = (secondary_label(wrap=True) for _ in range(3))
         self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.offer, self.drop = QPushButton(), QPushButton()

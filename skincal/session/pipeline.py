@@ -341,7 +341,8 @@ class Pipeline:
             return ""
         from skincal.words.tool_words import pose_delay_sentence  # other rigs do without
 
-        return pose_delay_sentence(delays)
+        # Before enough presses of this part of the session those of earlier parts show it.
+        return pose_delay_sentence(delays) or pose_delay_sentence(self.pose_delays)
 
     def _warning(self, link: LinkHealth) -> str:
         # The noise of a skin at rest may have two values as well.

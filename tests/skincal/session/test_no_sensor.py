@@ -458,5 +458,6 @@ def test_delays_are_kept_on_the_disk_and_a_replay_has_the_same(tmp_path):
     pipeline.close()
     for again in (replay(tmp_path / "s"), load(tmp_path / "s")):
         assert again.pose_delays.of_skin.tolist() == pipeline.pose_delays.of_skin.tolist() != []
+        assert "later than the skin" in next(link.pose_delay for link in again.live(0).links if link.link == "tool")
         for one, other in zip(outcomes_of(again), outcomes_of(pipeline), strict=True):
             assert np.array_equal(one.link_from_sensor, other.link_from_sensor)
