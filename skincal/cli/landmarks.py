@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
@@ -75,8 +76,8 @@ def landmarks(
         bool,
         typer.Option(
             "--find",
-            help="Find the landmarks from the force axes: pokes without a taxel's answer whose axis passes one "
-            "landmark within 20 mm, and every other at least twice as far away.",
+            help="Find the landmarks: pokes without a taxel's answer whose force axis, or tip if it is known, is within 20 mm "
+            "of one landmark, and at least twice as far from every other.",
         ),
     ] = False,
     add: Annotated[
@@ -242,7 +243,7 @@ def _write(folder: Path, session: Session, pairs: Iterable[Pair], *, find: bool,
     if find:
         names |= {poke: near.name for poke, near in nearest.items() if near.sure and poke not in {**names, **before}}
         unsure = [
-            f"poke {poke}: not sure, {_near_words(nearest.get(poke))}"
+            f"poke {poke}: not sure, {_near_words(nearest.get(poke), has_axis=not session.has_used_tip)}"
             for poke in _unanswered(session)
             if poke not in {**names, **before}
         ]
@@ -280,14 +281,14 @@ def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark
 
     pokes = session.landmark_pokes
     is_placed = session.snapshot().is_placed
-    misses: dict[int, float] = dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True)) if is_placed else {}
+    misses = _misses(session)
     lines: list[str] = []
     for action in actions:
         if isinstance(action, AddLandmark):
             lines.append(f"wrote landmark {action.name}")
         else:
             miss = millimetres(misses.get(action.poke, 0.0))
-            passed = f", {_miss_words(miss, has_axis=session.scene.has_sensor)}" if action.poke in misses else ""
+            passed = f", {_miss_words(miss, has_axis=not session.has_used_tip)}" if action.poke in misses else ""
             lines.append(f"wrote poke {action.poke} at {action.name or 'no landmark'}{passed}")
     nothing = ["nothing new, nothing was written"] if session.decisions.landmarks else [_landmark_line(session)]
     points = max(MIN_LANDMARKS - len(set(pokes.name.tolist())), 0)
@@ -340,7 +341,21 @@ def _nearest(session: Session) -> dict[int, NearestLandmark]:
 
     if not session.snapshot().is_placed:
         return {}
-    return nearest_landmarks(_outcomes(session), session.decisions.landmarks, session.surface)
+    return nearest_landmarks(_outcomes(session), session.decisions.landmarks, session.surface, session.tip_of)
+
+
+def _misses(session: Session) -> dict[int, float]:
+    """Compute the distance of each landmark poke from its landmark, m, by poke: of the tip if it is known, else of the axis."""
+    if not session.snapshot().is_placed:
+        return {}
+    pokes = session.landmark_pokes
+    misses: dict[int, float] = dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True))
+    places = dict(zip(pokes.number.tolist(), pokes.place, strict=True))
+    for outcome in session.frame_corrected(misses):
+        tip = session.tip_of(outcome)
+        if tip is not None:
+            misses[outcome.poke] = math.dist(tip, places[outcome.poke])
+    return misses
 
 
 def begin_s_of(folder: Path) -> float:
@@ -357,8 +372,7 @@ def _rows(session: Session, begin_s: float) -> list[dict[str, Any]]:
     from skincal.contacts.outcome import Contact
 
     nearest, names = _nearest(session), session.snapshot().at_landmarks
-    pokes = session.landmark_pokes if session.snapshot().is_placed else session.landmark_pokes[:0]
-    misses = dict(zip(pokes.number.tolist(), (pokes.landmark_miss * 1e3).tolist(), strict=True))
+    misses = {poke: miss * 1e3 for poke, miss in _misses(session).items()}
     return [
         {
             "poke": poke.poke,
@@ -369,6 +383,7 @@ def _rows(session: Session, begin_s: float) -> list[dict[str, Any]]:
             "pose": poke.pose,
             "landmark": names.get(poke.poke),
             "miss_mm": misses.get(poke.poke),
+            "miss_of": "tip" if session.has_used_tip else "axis",
             "nearest": _near_json(nearest.get(poke.poke)),
         }
         for poke in _outcomes(session)
@@ -382,13 +397,14 @@ def _near_json(near: NearestLandmark | None) -> dict[str, Any] | None:
     return {"landmark": near.name, "miss_mm": near.miss * 1e3, "next_mm": other, "sure": near.sure}
 
 
-def _near_words(near: NearestLandmark | None) -> str:
+def _near_words(near: NearestLandmark | None, *, has_axis: bool) -> str:
     from skincal.words.units import millimetres
 
     if near is None:
         return "it pushes at no landmark"
     beside = "" if near.other == float("inf") else f", the next at {millimetres(near.other, 0)}"
-    return f"its axis passes {near.name} at {millimetres(near.miss, 0)}{beside}"
+    touched = f"its axis passes {near.name} at" if has_axis else f"its tip is nearest to {near.name}, at"
+    return f"{touched} {millimetres(near.miss, 0)}{beside}"
 
 
 def _landmark_line(session: Session) -> str:
@@ -399,13 +415,12 @@ def _landmark_line(session: Session) -> str:
 
 
 def _miss_words(miss: str, *, has_axis: bool) -> str:
-    """Describe the distance of a poke from its landmark; without a force sensor it has no axis, and is the place of the tip."""
+    """Describe the distance of a poke from its landmark: of its force axis, or of the tip if that is known."""
     return f"which its axis passes at {miss}" if has_axis else f"{miss} from it"
 
 
 def _row_line(row: dict[str, Any]) -> str:
     from skincal.contacts.outcome import Reason
-    from skincal.model.tool_rig import TIP_ARM_POSE
     from skincal.words.poke_words import words_of_reason
 
     reason = None if row["outcome"] == "accepted" else Reason(row["outcome"])
@@ -415,7 +430,7 @@ def _row_line(row: dict[str, Any]) -> str:
     if row["landmark"] and row["miss_mm"] is None:
         return f"{words}; at {row['landmark']}"
     if row["landmark"]:
-        passed = _miss_words(f"{row['miss_mm']:.1f} mm", has_axis=row["pose"] != TIP_ARM_POSE)
+        passed = _miss_words(f"{row['miss_mm']:.1f} mm", has_axis=row["miss_of"] == "axis")
         return f"{words}; at {row['landmark']}, {passed}"
     near = row["nearest"]
     if reason is Reason.NO_TAXEL and near is not None:

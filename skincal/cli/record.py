@@ -127,7 +127,7 @@ def record(
     """
     from skincal.following.guided_session import RobotGuide
     from skincal.model.actions import SetPose
-    from skincal.session.importing import new_session
+    from skincal.session.importing import new_session, unnamed_landmarks
     from skincal.session.tool_streams import check_tool_streams
     from skincal.streams.links import ChunkQueue, Reader, describe_links
 
@@ -155,7 +155,7 @@ def record(
             _record_the_rest(pipeline, items, readers)
             pipeline.close()
         with _ending_solve(out, pipeline) if stop.is_set() else contextlib.nullcontext():
-            finish(pipeline, out, as_json)
+            finish(pipeline, out, as_json, unnamed_landmarks(pipeline, out))
 
 
 @contextlib.contextmanager

@@ -405,7 +405,12 @@ def _scene_findings(part: Part, pose: FloatArray) -> list[str]:
     else:
         findings += kind_findings(scene.skin.layout, is_on_mesh=part.surface is not None)
     findings += landmark_findings({mark.name: mark.place for mark in scene.landmarks}, part.surface)
-    if not scene.landmarks:
+    if not scene.landmarks and scene.finds_part_pose:
+        findings.append(
+            "no landmarks: three or more show the part's pose by a few touches. Click them on the window's page (Change a "
+            "part), or write [[landmarks]] into the scene"
+        )
+    elif not scene.landmarks:
         findings.append("no landmarks: a shift that all taxels share would go unnoticed")
     return findings
 

@@ -23,7 +23,7 @@ from skincal.part.robot_mesh import with_own_mesh
 from skincal.part.tool_draft import Rig
 from skincal.words.units import millimetres
 
-PROPOSED_POINT = "position of the layout: the middle of the largest face away from the sensor; move it"
+PROPOSED_POINT = "position of the layout: the middle of the largest face{away}; move it"
 UNKNOWN_SIGN = "the URDF does not say; -1 if the sensor reports the reaction force"
 
 
@@ -65,7 +65,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     if preview.layout is not None and (preview.surface is not None or anchor_mm is not None):
         part = replace(part, anchor=_anchor(preview, anchor_mm))
         if anchor_mm is None:
-            comments["skin", "anchor"] = PROPOSED_POINT
+            comments["skin", "anchor"] = PROPOSED_POINT.format(away=" away from the sensor" if is_below else "")
     if draft.urdf is not None and is_below and part.sign is None and preview.sign is None:
         part = replace(part, sign=1)
         comments["wrench", "sign"] = UNKNOWN_SIGN

@@ -40,12 +40,12 @@ MAX_PUSH_COSINE = -0.5
 
 @dataclass(frozen=True, slots=True)
 class NearestLandmark:
-    """The landmark that a poke's axis passes nearest, of those that it pushes at."""
+    """The landmark that a poke's tip touched, or that its axis passes nearest, of those that it pushes at."""
 
     poke: int
     name: str
     miss: float
-    """m, distance of the axis from it."""
+    """m, distance of the tip from it, or of the axis."""
     other: float
     """m, distance from the next one; infinite without one."""
     sure: bool
@@ -151,14 +151,18 @@ def can_be_at_landmark(outcome: Outcome) -> bool:
 
 
 def nearest_landmarks(
-    outcomes: Iterable[Outcome], landmarks: Sequence[Landmark], surface: Surface | None
+    outcomes: Iterable[Outcome],
+    landmarks: Sequence[Landmark],
+    surface: Surface | None,
+    tip_of: Callable[[Outcome], FloatArray | None] = lambda _: None,
 ) -> dict[int, NearestLandmark]:
-    """Find the landmark nearest to the force axis of each poke within `LANDMARK_MATCH_MAX_DISTANCE_M`, by poke number.
+    """Find the landmark nearest to the tip or the force axis of each poke, by poke number.
 
     Parameters
     ----------
     outcomes : after the frame's correction
     surface : for the outward direction at landmarks without a normal
+    tip_of : gives the position (3,) of the tip at a poke, metres, link frame; `None` if it is unknown: then the axis counts
     """
     if not landmarks:
         return {}
@@ -167,7 +171,8 @@ def nearest_landmarks(
     found: dict[int, NearestLandmark] = {}
     possible = [outcome for outcome in outcomes if can_be_at_landmark(outcome)]
     for outcome, poke in zip(possible, Pokes.collect(possible), strict=True):
-        misses = poke.miss(places)
+        tip = tip_of(outcome)
+        misses = poke.miss(places) if tip is None else np.linalg.norm(places - tip, axis=1)
         # Without an outward direction any push may be at it.
         misses[(outward @ poke.direction > MAX_PUSH_COSINE) & outward.any(axis=1)] = np.inf
         nearest = int(misses.argmin())

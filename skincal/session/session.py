@@ -18,7 +18,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact, Outcome
 from skincal.contacts.poke_columns import GrowingPokeColumns
 from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts
-from skincal.geometry import IntArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import Action, AskPoke, FoundAtLandmark, Redo, Undo
 from skincal.model.errors import InputError
@@ -164,6 +164,15 @@ class Session:
                 pokes = pokes[:0]
             scene = self.snapshot().placed_scene(scene)
         return RigRequest(scene, self.surface, contacts, pokes, self.dead)
+
+    @property
+    def has_used_tip(self) -> bool:
+        """Whether the tip of a tool is known and used."""
+        return self.tool is not None and self.tool.has_used_tip
+
+    def tip_of(self, outcome: Outcome) -> FloatArray | None:
+        """Compute the position (3,) of a tool's tip at an outcome of `frame_corrected`, metres; `None` if it is unknown."""
+        return None if self.tool is None else self.tool.tip_of(outcome)
 
     def frame_corrected(self, pokes: Iterable[int]) -> list[Outcome]:
         """Return pokes with the correction of the sensor's frame, without the correction of the rig's small errors."""

@@ -300,6 +300,19 @@ class ToolFindings:
         tip = self.tip.shift if self.part is None or not self.part.is_known else self.tip.shift + self.part.tip_shift
         return replace(progress, axis_point=link_from_sensor[:3] @ np.append(tip, 1.0))
 
+    @property
+    def has_used_tip(self) -> bool:
+        """Whether the tip is known and used."""
+        return self.tip.state is TipState.USED
+
+    def tip_of(self, outcome: Outcome) -> FloatArray | None:
+        """Compute the position (3,) of the tip at a placed outcome, metres, link frame; `None` while the tip is not used."""
+        if not self.has_used_tip or outcome.link_from_sensor is None:
+            return None
+        is_found_with_part = self._tool.has_sensor and self.part is not None and self.part.is_known
+        shift = self.tip.shift + self.part.tip_shift if is_found_with_part and self.part is not None else self.tip.shift
+        return outcome.link_from_sensor[:3] @ np.append(shift, 1.0)
+
     def placed_pose(self, link_from_sensor: FloatArray) -> FloatArray:
         """Carry poses of the sensor, (..., 4, 4) float, metres, into the part's frame; themselves while its pose is unknown."""
         if self.part is None or not self.part.is_known:

@@ -20,8 +20,9 @@ from skincal.mesh.load import load_surface
 from skincal.model.actions import AskLandmark, AtLandmark
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
-from skincal.model.scene import load_scene
+from skincal.model.scene import Landmark, load_scene
 from skincal.rig.part_pose import PartPoseState
+from skincal.session.landmark_pokes import nearest_landmarks
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.session.tool_streams import check_tool_streams
@@ -183,6 +184,20 @@ def test_landmarks_and_mesh_place_the_part_and_taxels_are_within_their_errors(re
         assert np.linalg.norm(errors, axis=1).mean() < 0.0018
         # The hand aims to 0.8 mm here, and the scene counts 1.5 mm.
         assert 0.1 < np.median(squares) < 7.8
+
+
+def test_a_landmark_far_below_the_touch_is_not_found_by_the_line_of_the_push(recorded):
+    session = recorded.session
+    below = Landmark("below", MARKS[0] + [0.0, 0.0, -0.05], None)
+    (outcome,) = session.frame_corrected([1])
+    by_axis = nearest_landmarks([outcome], [below], None)
+    assert by_axis[1].sure, "its axis passes it within 20 mm"
+    by_tip = nearest_landmarks([outcome], [below], None, session.tip_of)
+    assert not by_tip[1].sure
+    assert by_tip[1].miss == pytest.approx(0.05, abs=0.005)
+    found = nearest_landmarks([outcome], [*session.decisions.landmarks, below], None, session.tip_of)[1]
+    assert (found.name, found.sure) == ("m0", True)
+    assert found.miss < 0.004
 
 
 def test_the_live_tool_and_press_are_in_the_frame_of_the_part_once_it_is_known(recorded):
