@@ -140,7 +140,7 @@ class FixedPointDialog(Dialog):
         self.list.clear()
         for row, touch in enumerate(self._series.touches):
             miss = "" if misses is None else f"   misses the point by {millimetres(float(misses[row]))}"
-            self.list.addItem(f"{row + 1}   tool at ({point_mm(_position_of(touch.numbers, touch.metres_per_unit))}) mm{miss}")
+            self.list.addItem(f"{row + 1}   tool at ({point_mm(np.array(touch.position))}) mm{miss}")
         self.remove.setEnabled(False)
         other = None if result is None or result.state is not PivotState.OTHER_READING else result.others[0]
         can_change = other is not None and other.mistake is Mistake.NONE and self._tool.form is not None
@@ -181,11 +181,3 @@ def _expected(tool: ToolDraft) -> ExpectedReadings:
     """Make the values that the stream has by the draft; a missing unit is metres, until it is chosen."""
     form = _form_of(tool)
     return ExpectedReadings(1, pose_form=None if form is None else (form, METRES_PER_UNIT[tool.unit or "m"]))
-
-
-def _position_of(numbers: tuple[float, ...], metres_per_unit: float) -> FloatArray:
-    """Give the position (3,) of a sent pose, metres: a 4 x 4 matrix has it in its last column, or in its last row."""
-    if len(numbers) < 16:
-        return np.array(numbers[:3]) * metres_per_unit
-    whole = np.reshape(numbers, (4, 4))
-    return (whole[3, :3] if whole[3, :3].any() else whole[:3, 3]) * metres_per_unit

@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING
 
+import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton
 
@@ -17,7 +18,7 @@ from app.text_size import scaled, set_font
 from app.theme import WIDGET_GAP_PX
 from skincal.model.readings import LinkHealth, Stream
 from skincal.words.link_words import STREAM_NAMES, beside_words, outage_words
-from skincal.words.units import count
+from skincal.words.units import count, point_mm
 
 if TYPE_CHECKING:
     from skincal.following.guided_session import GuidedSession
@@ -96,7 +97,8 @@ class LinkCard(QFrame):
             frames = count(unpaired, "skin frame")
             late = f"{frames} had no force/torque reading at their time: it came late, in bursts, or not at all."
         read = DOT_SEPARATOR.join(filter(None, (health.units, beside_words(health.beside), said)))
-        self.losses.setText("\n".join(filter(None, (read, late, health.pose_delay))))
+        pose = "" if health.sent_pose is None else f"tool at ({point_mm(np.array(health.sent_pose.position))}) mm"
+        self.losses.setText("\n".join(filter(None, (read, pose, late, health.pose_delay))))
 
 
 class DevicesPanel(Panel):

@@ -32,7 +32,7 @@ FIRST_MINUTE_COBOT = (
     ("This cobot is simulated.", "Nothing is connected. An arm in the physics engine MuJoCo presses a simulated skin."),
     (
         "It pokes alone, landmarks first.",
-        "Nobody measured where the part is: touches of landmarks show it. Until then the 3D view says what is missing.",
+        "The place of the part is not measured: touches of landmarks show it. Until then the 3D view says what is missing.",
     ),
     *FIRST_MINUTE_ROBOT[2:3],
     ("It needs about five minutes.", "Then you can write the calibration file. docs/tool.md: your own cobot and skin."),

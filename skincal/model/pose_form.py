@@ -9,6 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+MATRIX_WIDTH = 16
+"""Numbers of a 4 x 4 matrix."""
+
 
 class RotationForm(Enum):
     """Form of the numbers of a pose; x y z come first, but in a 4 x 4 matrix."""
@@ -46,7 +49,7 @@ class RotationForm(Enum):
 _WIDTH_OF_FORM = {
     **dict.fromkeys((RotationForm.QUATERNION_XYZW, RotationForm.QUATERNION_WXYZ, RotationForm.AXIS_ANGLE), 7),
     **dict.fromkeys((RotationForm.ROWS, RotationForm.COLUMNS), 12),
-    **dict.fromkeys((RotationForm.MATRIX, RotationForm.MATRIX_COLUMNS), 16),
+    **dict.fromkeys((RotationForm.MATRIX, RotationForm.MATRIX_COLUMNS), MATRIX_WIDTH),
     **dict.fromkeys(
         (RotationForm.ROTATION_VECTOR, RotationForm.RPY, RotationForm.ABC, RotationForm.MOVING_XYZ, RotationForm.MOVING_ZYZ), 6
     ),
@@ -76,6 +79,15 @@ class SentPose:
     """Reading of the numbers."""
     metres_per_unit: float
     """Of the lengths."""
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """Position, metres: a 4 x 4 matrix has it in its last column, or in its last row."""
+        x, y, z = self.numbers[:3]
+        if len(self.numbers) == MATRIX_WIDTH:
+            last_row, last_column = self.numbers[12:15], self.numbers[3:12:4]
+            x, y, z = last_row if any(last_row) else last_column
+        return x * self.metres_per_unit, y * self.metres_per_unit, z * self.metres_per_unit
 
 
 def forms_of_width(width: int) -> tuple[PoseForm, ...]:

@@ -40,7 +40,7 @@ MAX_PUSH_COSINE = -0.5
 
 @dataclass(frozen=True, slots=True)
 class NearestLandmark:
-    """The landmark that a poke's tip touched, or that its axis passes nearest, of those that it pushes at."""
+    """The landmark nearest to the tip or the force axis of a poke, of those that it pushes at."""
 
     poke: int
     name: str

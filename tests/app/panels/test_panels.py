@@ -29,6 +29,7 @@ from app.theme import DARK, LIGHT, Choice, Colours
 from app.window import Theme, qpalette, style_sheet
 from skincal.contacts.outcome import Reason
 from skincal.model.actions import SetPose
+from skincal.model.pose_form import PoseForm, RotationForm, SentPose
 from skincal.model.readings import TEMPERATURE_NAME, LinkState, SideReading, Stream
 from skincal.words.poke_words import REASON_WORDS, short_rejection
 from tests.app.scene3d_support import estimate
@@ -259,6 +260,12 @@ def test_devices_show_rate_losses_and_faults(qtbot):
     assert said.startswith(DOT_SEPARATOR.join(("Fx Fy Fz in N, Mx My Mz in N m", "temperature 31.0 degC (30.5 to 33.2)")))
     late = "Poses of the tool come 16 ms later than the skin."
     assert show(link(pose_delay=late), 300.0).losses.text().endswith(late)
+    metres, matrix = PoseForm(RotationForm.QUATERNION_XYZW), PoseForm(RotationForm.MATRIX_COLUMNS)
+    for sent in (
+        SentPose((0.1, -0.2, 0.3, 0.0, 0.0, 0.0, 1.0), metres, 1.0),
+        SentPose((*np.eye(4).ravel()[:12].tolist(), 100.0, -200.0, 300.0, 1.0), matrix, 1e-3),
+    ):
+        assert "tool at (100.0  \N{MINUS SIGN}200.0  300.0) mm" in show(link(sent_pose=sent), 400.0).losses.text()
     with qtbot.waitSignal(panel.command_wanted) as wanted:
         panel.change.click()
     assert wanted.args == ["addresses"]
