@@ -32,7 +32,7 @@ from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO, Fitted, Touches, fit_modules_from_pokes, whitened_rows
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.exchanged import contradicted
-from skincal.taxels.predictions import PokePredictions
+from skincal.taxels.predictions import MIN_OTHER_POKES_TO_PREDICT, PokePredictions
 from skincal.taxels.result import (
     FORCE_AXIS_MAX_MISS_M,
     POSITION_MAX_SD_M,
@@ -50,8 +50,6 @@ POSE_SEARCH_CONVERGENCE_STEP_M = 2e-4
 surface, from few pokes, by up to centimetres."""
 MIN_UNDETERMINED_MOTION_SHARE = 1e-6
 """Smallest part of an undetermined direction in a pad's motion; below it is rounding."""
-MIN_OTHER_POKES_TO_PREDICT = 2
-"""Other pokes of its module for a prediction: a single one does not determine the module's turn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,7 @@ from skincal.modules.pose import ModuleModel
 from skincal.modules.sheet_fit import SheetFit, fit_sheets
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.exchanged import contradicted
-from skincal.taxels.predictions import PokePredictions
+from skincal.taxels.predictions import MIN_OTHER_POKES_TO_PREDICT, PokePredictions
 from skincal.taxels.result import (
     FORCE_AXIS_MAX_MISS_M,
     POSITION_MAX_SD_M,
@@ -34,10 +34,6 @@ from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covari
 
 SHEET_SEARCH_MAX_LAST_STEP_M = 2e-4
 """A sheet whose search still moves by more is not known."""
-
-
-MIN_OTHER_POKES_TO_PREDICT = 2
-"""Other pokes of its sheet for a prediction: a single one does not determine the sheet's turn."""
 
 
 COMMON_AIM_SD_FACTOR = 0.4

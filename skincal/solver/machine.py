@@ -29,9 +29,8 @@ Value: TypeAlias = "NDArray[Any] | tuple[int, ...] | Mapping[str, Any] | list[ND
 """What a field gets.
 
 A pointer: an array, which is copied in with its numbers converted; a shape, for which room is made; a table by its fields, or
-filled in (`fill_in`); an
-address, of arrays that were stored before; `None`, the null pointer. Other fields: a number, an array of numbers, or a table by
-its fields. An array of pointers: a list of arrays.
+filled in (`fill_in`); an address, of arrays that were stored before; `None`, the null pointer. Other fields: a number, an array
+of numbers, or a table by its fields. An array of pointers: a list of arrays.
 """
 _PAGE_BYTES = 1 << 16
 """The memory grows by whole pages."""

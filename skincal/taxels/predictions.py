@@ -8,6 +8,9 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 
+MIN_OTHER_POKES_TO_PREDICT = 2
+"""Other pokes of its module or sheet for a prediction: a single one does not determine the turn."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PokePredictions:

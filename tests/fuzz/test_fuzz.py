@@ -19,7 +19,7 @@ from skincal.cli import main
 from skincal.devices.decoding import pack
 from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.netft import RECORDS
-from skincal.devices.registry import parse_device
+from skincal.devices.registry import FAMILIES, load_family, parse_device
 from skincal.files.icub import read_icub
 from skincal.files.reference import read_reference
 from skincal.journal.line_file import lines_path
@@ -33,6 +33,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.simulation.emulated_devices import MAKERS, NameTalk, PageTalk, PlainTalk, RtdeTalk, YarpTalk
 from skincal.simulation.emulated_skins import InspireTalk, LeptrinoTalk, PaxiniModuleTalk, PaxiniTalk, Tsf85Talk
+from skincal.simulation.emulated_trackers import NdiTalk, QtmTalk
 from skincal.streams import opening
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder
 from tests.skincal.import_support import read_recording
@@ -269,12 +270,22 @@ def recorded(tmp_path_factory):
     return folder / "s", b"".join(item.data for item in items if hasattr(item, "data"))
 
 
+VECTORS = {vector.format: vector for file in FAMILIES for vector in load_family(file).vectors}
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_decoders(name, recorded):
+    """Of noise, of a board's lines and, for a maker's format, of what its device sends."""
+
     def work(rng):
-        decoder = LinkDecoder(name, 24, tuple(Stream))
-        begin = rng.randrange(len(recorded[1]))
-        data = rng.randbytes(500) if rng.random() < 0.3 else twisted(rng, recorded[1][begin : begin + 2000])
+        vector = VECTORS.get(name) if rng.random() < 0.6 else None
+        if vector is not None:
+            decoder = LinkDecoder(name, vector.channels or 24, vector.carries)
+            data = twisted(rng, 4 * vector.data)
+        else:
+            decoder = LinkDecoder(name, 24, tuple(Stream))
+            begin = rng.randrange(len(recorded[1]))
+            data = rng.randbytes(500) if rng.random() < 0.3 else twisted(rng, recorded[1][begin : begin + 2000])
         cut = rng.randrange(len(data) + 1)
         for count, piece in enumerate((data[:cut], data[cut:])):
             decoder.feed(piece, count * 400_000_000)
@@ -312,6 +323,10 @@ class Twisting:
 def stream_of(maker):
     """What a maker's device sends, ten readings."""
     encoder = MAKERS[maker].encoder()
+    if Stream.TOOL in MAKERS[maker].carries and Stream.WRENCH not in MAKERS[maker].carries:
+        return b"".join(
+            encoder.encode(Stream.TOOL, np.arange(10) * 10_000, np.tile([0.1, 0.2, 0.3, 0.0, 0.6, 0.0, 0.8], (10, 1)))
+        )
     if Stream.WRENCH in MAKERS[maker].carries:
         return b"".join(encoder.encode(Stream.WRENCH, np.arange(10) * 10_000, np.full((10, 6), 1.5)))
     return b"".join(encoder.encode(Stream.SKIN, np.arange(10) * 10_000, np.tile(np.arange(24.0), (10, 1))))
@@ -323,6 +338,7 @@ TALKS = {
     "yarp": (f"yarp://h:{YARP_SERVER}/p", lambda: YarpTalk(7)),
     "bota": ("bota:x", PlainTalk),
     "robotiq": ("robotiq:x", PlainTalk),
+    "robotiq-text": ("robotiq://h", PlainTalk),
     "rtde": ("rtde://h", RtdeTalk),
     "papillarray": ("papillarray:x", PlainTalk),
     "justfloat": ("justfloat:x", PlainTalk),
@@ -333,6 +349,8 @@ TALKS = {
     "inspire": ("inspire://h?channels=0-23&of=1062", InspireTalk),
     "paxini": ("paxini:x", lambda: PaxiniTalk(24)),
     "paxini-module": ("paxini-module:x?taxels=24", PaxiniModuleTalk),
+    "qtm": ("qtm://h?body=probe", QtmTalk),
+    "ndi": ("ndi:x?body=02", NdiTalk),
 }
 """Of each maker the address, and its device's side of the talk."""
 
