@@ -46,6 +46,8 @@ POLL_SILENCE_S = 0.008
 """s between an answer and the next request: trackers measure 20 to 400 poses a second."""
 ANSWER_SILENCES_MAX = 250
 """Silences, 2 s: INIT takes seconds. Then a pose is requested again."""
+POSE_REFUSALS_MAX = 100
+"""Refusals in a row, about 1 s: a tracker may need a moment after it was started."""
 ROM_CHUNK_BYTES, ROM_MIN_BYTES, ROM_MAX_BYTES = 64, 1024, 2048
 _TOOL_RE = re.compile(
     rb"([0-9A-F]{2})(?:(?:[+-]\d{5}){4}(?:[+-]\d{6}){3}[+-]\d{5}|MISSING|DISABLED)(?:([0-9A-F]{8})([0-9A-F]{8}))?\n"
@@ -101,8 +103,8 @@ class NdiHandshake(Handshake):
         self._asked = ""
         """Command without an answer yet; empty if there is none."""
         self._silences = 0
-        self._enabled = 0
-        """Tools that were enabled."""
+        self._refusals = 0
+        """Requests for poses in a row that were refused."""
 
     def opening(self) -> bytes:
         return self._ask()
@@ -135,6 +137,9 @@ class NdiHandshake(Handshake):
 
     def _use(self, asked: str, answer: str) -> None:
         """Plan what follows from an answer. Raises HandshakeError."""
+        self._refusals = self._refusals + 1 if asked == POSE_REQUEST and answer.startswith("ERROR") else 0
+        if 0 < self._refusals < POSE_REFUSALS_MAX:
+            return
         if answer.startswith("ERROR") and asked != STOP_REQUEST:
             words = _ERROR_WORDS.get(answer[5:7], "see the maker's API guide")
             raise HandshakeError(f"the tracker answers {answer[:7]} to {asked.partition(':')[0]}: {words}")

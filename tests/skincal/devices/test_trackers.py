@@ -452,6 +452,23 @@ def test_a_tracker_without_a_usable_tool_says_so(answers, sentence):
         dialogue(NdiHandshake(), answers)
 
 
+def test_a_tracker_that_is_not_ready_yet_is_asked_again_and_not_for_ever():
+    handshake = NdiHandshake()
+    dialogue(handshake, {"PHSR:01": "00", "PHSR:02": "00", "PHSR:03": "0101011", "": "OKAY"})
+    refused = with_crc(b"ERROR0C")
+    for _ in range(50):
+        assert handshake.on_silence() == with_crc(b"TX:0001")
+        assert handshake.on_data(refused) == b""
+    handshake.on_silence()
+    handshake.on_data(ndi_answer(1, ("01", SEEN)))
+    for _ in range(99):
+        handshake.on_silence()
+        handshake.on_data(refused)
+    handshake.on_silence()
+    with pytest.raises(HandshakeError, match="the tracker answers ERROR0C to TX: not possible in its present mode"):
+        handshake.on_data(refused)
+
+
 def test_a_definition_file_that_is_none_is_refused(tmp_path):
     with pytest.raises(LinkError, match=r"missing\.rom cannot be read"):
         open_link(spec(f"ndi://127.0.0.1:9?rom={tmp_path}/missing.rom", TOOL))
