@@ -59,6 +59,12 @@ RIGHT_MIN_COVERAGE, WRONG_MAX_COVERAGE = 0.90, 0.80
 """Share of the taxels inside from which a prediction is right, and below which it is wrong."""
 WRONG_LANDMARK, WRONG_LANDMARK_SHIFT_M = "one landmark 7 mm off", (0.006, 0.0, -0.004)
 """Mistake made on purpose in sessions of their own: the place of the first landmark, as a wrong drawing has it."""
+LARGE_DRAWING, LARGE_DRAWING_SCALE = "landmarks 3 % too far apart", 1.03
+"""Another one: all landmarks of a drawing that is too large."""
+WIDE_MESH, WIDE_MESH_SCALES = "mesh 6 % too wide", (1.06, 1.0, 1.0)
+"""Another one: the mesh, across the forearm."""
+SCALE_NAMED_WHERE_RIGHT_MAX = 0.02
+"""Goal: share of right sessions with a mesh whose drawing is named for its scale."""
 METHOD_COLOURS = dict(zip(Method, (BLUE, GREEN, VERMILION), strict=True))
 
 
@@ -70,7 +76,7 @@ class ToolCase(NamedTuple):
     landmarks: int
     has_mesh: bool
     mistake: str = ""
-    """Made on purpose: `WRONG_LANDMARK`; empty for a right session."""
+    """Made on purpose: `WRONG_LANDMARK`, `LARGE_DRAWING` or `WIDE_MESH`; empty for a right session."""
 
     @property
     def words(self) -> str:
@@ -91,7 +97,10 @@ TOOL_CASES = (
         ToolCase(rig, POSE_FOUND, count, has_mesh=mesh)
         for rig in ("wrist", "none", "probe") for mesh in (True, False) for count in (6, 3, 0)
     ),
-    *(ToolCase(rig, POSE_FOUND, 6, True, WRONG_LANDMARK) for rig in ("wrist", "none")),
+    *(
+        ToolCase(rig, POSE_FOUND, 6, True, mistake)
+        for mistake in (WRONG_LANDMARK, LARGE_DRAWING, WIDE_MESH) for rig in ("wrist", "none")
+    ),
 )  # fmt: skip
 QUICK_CASES = tuple(case for case in TOOL_CASES if case.has_mesh and not case.mistake and case.landmarks in (0, GOAL_LANDMARKS))
 
@@ -145,7 +154,8 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
     )
     scene, surface = scene_of(case, poked), None
     if case.has_mesh:
-        surface = make_surface(poked.vertices, part.surface.triangles)
+        scales = np.array(WIDE_MESH_SCALES if case.mistake == WIDE_MESH else np.ones(3))
+        surface = make_surface(poked.vertices * scales, part.surface.triangles)
     session, contacts = Session(scene, surface), contacts_of(poked, scene)
     touch_landmarks(session, poked)
     found: dict[int, dict[str, Any]] = {}
@@ -161,6 +171,7 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
         places = poked.places if in_part else _carry(poked.base_from_part, poked.places)
         numbers = {method.value: error_numbers(each, places) for method, each in snapshot.estimates.items()}
         found[count] = {"methods": numbers, "seconds": seconds, "placed": in_part, "believed": {}}
+        found[count]["scale_named"] = snapshot.wrong_scale is not None
         if count == GOAL_POKES and in_part:
             found[count]["believed"] = _believed(session)
     return found
@@ -230,6 +241,8 @@ def scene_of(case: ToolCase, poked: ToolSession) -> Scene:
     places = poked.landmark_places.copy()
     if case.mistake == WRONG_LANDMARK:
         places[0] += WRONG_LANDMARK_SHIFT_M
+    if case.mistake == LARGE_DRAWING:
+        places *= LARGE_DRAWING_SCALE
     landmarks = tuple(Landmark(*each, None) for each in zip(names, places, strict=True))[: case.landmarks]
     return replace(
         own, link=BASE_LINK if case.known == BASE_ALONE else own.link, arm=None, tool=tool, wrench_sign=1, landmarks=landmarks,
@@ -266,7 +279,8 @@ def _row(case: Task, found: Sequence[Mapping[int, Mapping[str, Any]]]) -> dict[s
 
     Returns
     -------
-    JSON: `rig`, `known`, `landmarks`, `mesh`, `mistake`, `pokes`, `seconds` (lists over `pokes`), and by method lists over
+    JSON: `rig`, `known`, `landmarks`, `mesh`, `mistake`, `pokes`, `seconds` and `scale_named`, the share of sessions
+    whose drawing is named for its scale (lists over `pokes`), and by method lists over
     `pokes` of the numbers of `error_numbers`, with `ratio`, predicted over true error in the directions that the covariance has
     """
     about, counts = case.case, case.sizes.counts
@@ -279,11 +293,13 @@ def _row(case: Task, found: Sequence[Mapping[int, Mapping[str, Any]]]) -> dict[s
         own["ratio"] = [predicted / true if predicted and true else None for predicted, true in pairs]
         methods[name] = own | {"sessions": _sessions(name, found)}
     placed = np.mean([[session[count]["placed"] for count in counts] for session in found], axis=0)
+    named = np.mean([[session[count]["scale_named"] for count in counts] for session in found], axis=0)
     seconds = np.mean([[session[count]["seconds"] for count in counts] for session in found], axis=0)
     return {
         "rig": about.rig, "known": about.known, "landmarks": about.landmarks, "mesh": about.has_mesh, "mistake": about.mistake,
         "pokes": list(counts),
-        "seconds": seconds.round(4).tolist(), "placed": placed.tolist(), "methods": methods,
+        "seconds": seconds.round(4).tolist(), "placed": placed.tolist(),
+        "scale_named": named.tolist(), "methods": methods,
     }  # fmt: skip
 
 
@@ -328,6 +344,9 @@ def _belief_limits(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, 
         limits["tool_believed_where_right"] = (float(np.mean(right)), ">=", BELIEVED_MIN)
     if wrong:
         limits["tool_believed_where_wrong"] = (float(np.mean(wrong)), "<=", WRONGLY_BELIEVED_MAX)
+    named = [share for row in rows if row["landmarks"] and row["mesh"] and not row["mistake"] for share in row["scale_named"]]
+    if named:
+        limits["tool_scale_named_where_right"] = (float(np.mean(named)), "<=", SCALE_NAMED_WHERE_RIGHT_MAX)
     return limits
 
 

@@ -10,9 +10,11 @@ from skincal.simulation.example_parts import forearm
 from skincal.studies.tool_simulator import NO_LANDMARK, TOOL_RIGS, simulate_tool_session
 from skincal.studies.tool_study import (
     BASE_ALONE,
+    LARGE_DRAWING,
     POSE_FOUND,
     POSE_GIVEN,
     THIS_STUDY,
+    WIDE_MESH,
     WRONG_LANDMARK,
     Task,
     ToolCase,
@@ -89,7 +91,18 @@ def test_a_right_session_is_believed_and_one_with_a_wrong_landmark_is_not(rig):
     right = run_session(Task(ToolCase(rig, POSE_FOUND, 6, has_mesh=True), 1, sizes))[168]
     wrong = run_session(Task(ToolCase(rig, POSE_FOUND, 6, True, WRONG_LANDMARK), 1, sizes))[168]
     assert set(right["believed"].values()) == {True}
+    assert not right["scale_named"]
     assert set(wrong["believed"].values()) == {False}
+
+
+@pytest.mark.parametrize("mistake", [LARGE_DRAWING, WIDE_MESH])
+def test_a_drawing_of_another_scale_is_named_and_its_error_predicted(mistake):
+    wrong = run_session(Task(ToolCase("none", POSE_FOUND, 6, True, mistake), 2, ToolSizes(counts=(168,))))[168]
+    assert wrong["scale_named"]
+    assert set(wrong["believed"].values()) == {False}
+    modules = wrong["methods"]["modules"]
+    assert modules["mean"] > 0.9, "the mistake costs more than all other errors"
+    assert modules["inside"] > 0.8
 
 
 @pytest.mark.parametrize(("landmarks", "most"), [(6, 20), (0, 50)])
