@@ -250,7 +250,8 @@ def _session_lines(results: SessionResults) -> list[str]:
     from skincal.words.rig_words import closing_sentence, earlier_closings
 
     closings = closings_of(results.snapshot, results.session.scene.noise)
-    final = [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
+    has_tool = results.session.scene.tool is not None
+    final = [closing_sentence(closings[-1], has_tool=has_tool), *earlier_closings(closings)] if closings else []
     return [*distance_sentences(results.snapshot.tried_distances), *final]
 
 

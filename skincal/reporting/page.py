@@ -168,7 +168,11 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
     yield "Landmarks", agreement_words(landmarks, has_arm=facts.verdict.has_arm), said
     closings = facts.verdict.closings
-    yield "Final check", closing_words(closings), AGAINST if facts.verdict.has_moved else AGREES if closings else OPEN
+    yield (
+        "Final check",
+        closing_words(closings, has_tool=facts.verdict.has_tool),
+        AGAINST if facts.verdict.has_moved else AGREES if closings else OPEN,
+    )
     frame = facts.results.frame
     if frame is None and facts.results.part.scene.has_sensor:
         yield "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN

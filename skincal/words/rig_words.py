@@ -20,12 +20,14 @@ from skincal.words.taxel_words import rig_name
 from skincal.words.units import millimetres
 
 
-def closing_sentence(closing: Closing) -> str:
+def closing_sentence(closing: Closing, *, has_tool: bool = False) -> str:
     """Say whether anything moved between the first pokes of a session and their repetition at its end."""
     moved, limit = millimetres(closing.shift), millimetres(closing.limit)
     across = "" if closing.observable_directions == 3 else ", measured only across the direction of the press"
     where = f"{len(closing.names)} {closing.at.value} pressed again{across}"
-    what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
+    things = ["the part", "the tip on its tool"] if has_tool else ["the sensor", "the arm"]
+    things += ["the skin"] if closing.at is ClosingPlaces.TAXELS else []
+    what = f"{', '.join(things[:-1])} or {things[-1]}"
     if closing.single_poke_decides:
         place = closing.place if closing.at is ClosingPlaces.LANDMARKS else f"taxel {closing.place}"
         return (

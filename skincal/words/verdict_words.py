@@ -185,7 +185,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Finished means", done_words(verdict.method, verdict.wanted)),
         ("Test pokes", check_words(verdict)),
         ("Landmarks", agreement_words(verdict.landmarks, has_arm=verdict.has_arm)),
-        ("Final check", closing_words(verdict.closings)),
+        ("Final check", closing_words(verdict.closings, has_tool=verdict.has_tool)),
         ("Work", f"{duration(verdict.seconds)}, {poke_count_words(verdict.counts)}"),
     )
 
@@ -217,7 +217,9 @@ def check_words(verdict: Verdict) -> str:
         return words
     if check.believed:
         return f"{words}, 95 % should be: errors may be larger than expected"
-    return f"{words}: errors are larger than expected. Check whether the part or the sensor moved, and the frames in the scene."
+    moved = "the part or the tip moved, and tip_mm and flange of [tool]" if verdict.has_tool else ""
+    moved = moved or "the part or the sensor moved, and the frames in the scene"
+    return f"{words}: errors are larger than expected. Check whether {moved}."
 
 
 def agreement_words(landmarks: LandmarkAgreement | None, *, has_arm: bool) -> str:
@@ -236,11 +238,11 @@ def agreement_words(landmarks: LandmarkAgreement | None, *, has_arm: bool) -> st
     return f"{words}: too large. Check the positions of {things}."
 
 
-def closing_words(closings: Sequence[Closing]) -> str:
+def closing_words(closings: Sequence[Closing], *, has_tool: bool = False) -> str:
     """Say whether anything moved since the start, by the last final check and those before it."""
     if not closings:
         return "not made: it presses a few early points again at the end"
-    return " ".join([closing_sentence(closings[-1]), *earlier_closings(closings)])
+    return " ".join([closing_sentence(closings[-1], has_tool=has_tool), *earlier_closings(closings)])
 
 
 def left_words(left: Left) -> str:

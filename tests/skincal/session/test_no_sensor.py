@@ -22,6 +22,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.model.scene import Landmark, load_scene
 from skincal.rig.part_pose import PartPoseState
+from skincal.session.importing import unnamed_landmarks
 from skincal.session.landmark_pokes import nearest_landmarks
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
@@ -274,6 +275,21 @@ def test_a_tool_that_is_parked_for_long_needs_no_memory_and_keeps_its_way():
     (touch,) = [each for each in left if each is not None]
     np.testing.assert_allclose(touch.push, [0.0, 0.0, -1.0], atol=1e-12)
     assert touch.end_s - touch.start_s > 110
+
+
+def test_landmarks_without_a_poke_are_named_with_the_command_that_finds_them(tmp_path):
+    pipeline = calibrate(scene_of(tmp_path, scene_text()), chunks(EVERY[:5]))
+    (before,) = unnamed_landmarks(pipeline, tmp_path / "monday")
+    assert before.startswith("4 landmarks have no poke, and no taxel answered 4 pokes: ")
+    assert f"`skincal landmarks {tmp_path / 'monday'} --order`" in before
+    for row in range(3):
+        pipeline.act(AtLandmark(row + 1, f"m{row}"), 0)
+    assert pipeline.snapshot().is_placed
+    (after,) = unnamed_landmarks(pipeline, tmp_path / "monday")
+    assert after.startswith("1 landmark has no poke, and no taxel answered 1 poke: ")
+    assert "--find` names them" in after
+    pipeline.act(AtLandmark(4, "m3"), 0)
+    assert unnamed_landmarks(pipeline, tmp_path / "monday") == []
 
 
 def test_a_pause_above_the_skin_is_no_poke(tmp_path):
