@@ -137,6 +137,9 @@ WINDOW_COMMANDS = (
     Command("landmark", "Poke", "Add landmark…", "K",
             "Name a known point of the part, for example a screw: click it, or K again to type",
             view(lambda v: v.ask_landmark())),
+    Command("name landmarks", "Poke", "Name landmarks of pokes", "Shift+K",
+            "Find which recorded pokes were at which landmark, where it is sure",
+            view(lambda v: v.name_landmarks()), lambda w: w.session_view is not None),
     Command("pedals", "Poke", "Pedals…", "F3", "Assign foot pedals to Space, Backspace and N", lambda w: w.ask_pedals()),
 
     Command("method", "View", "Next method", "V", "Show the next method's estimates; the guide follows it",

@@ -48,7 +48,7 @@ from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORT_IN_PROGRESS, REPORT_WORK, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.part_pose_text import tool_state, unplaced_note
-from app.text.rig_text import corrected_words, offer_news, rig_state
+from app.text.rig_text import corrected_words, named_landmarks_words, offer_news, rig_state
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 from skincal.files.formats import ExportOptions
@@ -462,6 +462,10 @@ class SessionView(QObject):
         if self.state is not None and self.state.may.taxel is not None:
             self._controller.act(self.state.may.taxel)
             self.refresh_allowed()
+
+    def name_landmarks(self) -> None:
+        """Find which pokes were at which landmark, where it is sure; each can be undone."""
+        self.said.emit(Message(named_landmarks_words(self._controller.name_landmarks()), found=True))
 
     def ask_landmark(self) -> None:
         if self.state is not None:

@@ -589,6 +589,19 @@ class Controller(QObject):
         self._publish(self._recording, shown or pipeline.snapshot(SOLVING_TIME_PER_TICK_S), time.monotonic_ns())
         return True
 
+    def name_landmarks(self) -> dict[int, str] | None:
+        """Name the landmark of each poke that is surely at one; return these, or `None` while the part's pose is unknown."""
+        if self._recording is None:
+            return {}
+        from skincal.model.actions import AtLandmark
+
+        session = self._recording.pipeline.session
+        if not session.snapshot().is_placed:
+            return None
+        found = session.sure_landmarks()
+        self.act_all(AtLandmark(poke, name) for poke, name in found.items())
+        return found
+
     def act_all(self, actions: Iterable[Action]) -> None:
         """Do several actions up to the first that is impossible."""
         for action in actions:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from skincal.words.layout_words import distance_sentences
 from skincal.words.mistake_words import frame_sentence
 from skincal.words.rig_words import correction_sentence, rig_error_sentences, rig_sentences
 from skincal.words.taxel_words import rig_name
-from skincal.words.units import DASH, cell, millimetres
+from skincal.words.units import DASH, cell, count, millimetres
 
 
 def offer_text(offer: Offer) -> str:
@@ -84,6 +84,16 @@ def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: R
     if review is not None and len(review.pokes):
         return rig_sentences(review.rig, has_arm=has_arm)[0]
     return f"not checked, since no landmark was pressed: an error of {rig_name(has_arm)} shifts all taxels together"
+
+
+def named_landmarks_words(found: Mapping[int, str] | None) -> str:
+    """Announce pokes that got their landmark; `None` while the part's pose is unknown."""
+    if found is None:
+        return "The part's pose is not known yet, so no landmark is found. `skincal landmarks` names three by --order or --at."
+    if not found:
+        return "No further poke is surely at a landmark: the tip or the force axis must be within 20 mm of one alone."
+    named = ", ".join(f"{poke} at {name}" for poke, name in found.items())
+    return f"{count(len(found), 'poke is', 'pokes are')} at landmarks now: {named}. Backspace undoes them one by one."
 
 
 def landmark_rows(snapshot: Snapshot, review: Review | None, pose: str) -> list[tuple[str, ...]]:

@@ -238,14 +238,14 @@ def _write(folder: Path, session: Session, pairs: Iterable[Pair], *, find: bool,
         if names.setdefault(poke, name) != name:
             both = f"{names[poke] or 'none'} and at {name or 'none'}"
             raise InputError(f"Poke {poke} is said to be at {both}; leave out one of them.")
-    nearest, before = _nearest(session), session.snapshot().at_landmarks
+    nearest, before = session.nearest_landmarks(), session.snapshot().at_landmarks
     unsure: list[str] = []
     if find:
-        names |= {poke: near.name for poke, near in nearest.items() if near.sure and poke not in {**names, **before}}
+        names |= {poke: name for poke, name in session.sure_landmarks().items() if poke not in names}
         unsure = [
             f"poke {poke}: not sure, {_near_words(nearest.get(poke), has_axis=not session.has_used_tip)}"
             for poke in _unanswered(session)
-            if poke not in {**names, **before}
+            if poke not in {**names, **before} and poke not in session.decisions.taken_from_landmarks
         ]
         if not session.snapshot().is_placed:
             unsure = ["The part's pose is not known yet, so --find finds no landmark: name three by --at or --order first."]
@@ -336,14 +336,6 @@ def _outcomes(session: Session) -> Iterator[Outcome]:
     )
 
 
-def _nearest(session: Session) -> dict[int, NearestLandmark]:
-    from skincal.session.landmark_pokes import nearest_landmarks
-
-    if not session.snapshot().is_placed:
-        return {}
-    return nearest_landmarks(_outcomes(session), session.decisions.landmarks, session.surface, session.tip_of)
-
-
 def _misses(session: Session) -> dict[int, float]:
     """Compute the distance of each landmark poke from its landmark, m, by poke: of the tip if it is known, else of the axis."""
     if not session.snapshot().is_placed:
@@ -371,7 +363,7 @@ def _rows(session: Session, begin_s: float) -> list[dict[str, Any]]:
     """Convert each poke, its landmark and its rejection to JSON."""
     from skincal.contacts.outcome import Contact
 
-    nearest, names = _nearest(session), session.snapshot().at_landmarks
+    nearest, names = session.nearest_landmarks(), session.snapshot().at_landmarks
     misses = {poke: miss * 1e3 for poke, miss in _misses(session).items()}
     return [
         {

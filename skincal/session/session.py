@@ -31,7 +31,7 @@ from skincal.rig.correction_fit import RigRequest
 from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fit
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions, apply_action, is_undoable, take_back, with_excluded
-from skincal.session.landmark_pokes import can_be_at_landmark, landmark_pokes
+from skincal.session.landmark_pokes import NearestLandmark, can_be_at_landmark, landmark_pokes, nearest_landmarks
 from skincal.session.snapshot import ChangePlace, ChannelOrder, PokeRecord, Snapshot, without_excluded
 from skincal.session.solving import Solving
 from skincal.session.undo import ActionEntry, History
@@ -173,6 +173,19 @@ class Session:
     def tip_of(self, outcome: Outcome) -> FloatArray | None:
         """Compute the position (3,) of a tool's tip at an outcome of `frame_corrected`, metres; `None` if it is unknown."""
         return None if self.tool is None else self.tool.tip_of(outcome)
+
+    def nearest_landmarks(self) -> dict[int, NearestLandmark]:
+        """Find the landmark nearest to each poke that is not excluded, by poke; empty while the part's pose is unknown."""
+        snapshot = self.snapshot()
+        if not snapshot.is_placed:
+            return {}
+        pokes = [record.outcome.poke for record in snapshot.pokes if record.outcome.poke not in self.decisions.excluded]
+        return nearest_landmarks(self.frame_corrected(pokes), self.decisions.landmarks, self.surface, self.tip_of)
+
+    def sure_landmarks(self) -> dict[int, str]:
+        """Name the landmark of each poke that has none and is surely at one, by poke; not of those that were taken from one."""
+        named = {*self.snapshot().at_landmarks, *self.decisions.taken_from_landmarks}
+        return {poke: near.name for poke, near in self.nearest_landmarks().items() if near.sure and poke not in named}
 
     def frame_corrected(self, pokes: Iterable[int]) -> list[Outcome]:
         """Return pokes with the correction of the sensor's frame, without the correction of the rig's small errors."""

@@ -253,7 +253,7 @@ def unnamed_landmarks_sentence(landmarks: Sequence[str], pokes: int, folder: str
     if not landmarks or not pokes:
         return ""
     how = (
-        f"`skincal landmarks {folder} --find` names them, where it is sure"
+        f"`skincal landmarks {folder} --find` names them, or Shift+K in the window, where it is sure"
         if is_placed
         else f"`skincal landmarks {folder} --order` names them in their order, or --at one by one; three show the part's pose"
     )

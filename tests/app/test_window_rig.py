@@ -20,20 +20,26 @@ from app.text.message import STILL_SOLVING
 from app.text.rig_text import offer_text
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
 from skincal.guide.guidance import LANDMARK_POKE_MAX_OFFSET_M
-from skincal.model.actions import SetPose, Undo
+from skincal.journal.writer import create_session
+from skincal.mesh.load import load_surface
+from skincal.model.actions import AtLandmark, SetPose, Undo
 from skincal.model.errors import InputError
 from skincal.model.readings import LinkEvent, LinkState
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.session import solving
 from skincal.session.corrections import correct_action
+from skincal.session.pipeline import Pipeline
 from skincal.simulation.contacts import poke_landmarks
 from skincal.simulation.rig_errors import RigErrors
 from skincal.simulation.simulated_rig import Rig
+from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS
 from tests.app.window_support import is_elided
 from tests.app.workers.process_support import is_running
 from tests.approved import approved
+from tests.skincal.session.test_no_sensor import EVERY, chunks, scene_of, scene_text
+from tests.skincal.session.test_tool_rig import STREAMS
 
 Key = Qt.Key
 SHIFT = Qt.KeyboardModifier.ShiftModifier
@@ -357,3 +363,23 @@ def test_all_taxels_are_solved_anew_in_several_ticks_while_other_work_waits(poke
     bench.until(lambda: RIG in bench.snapshot.decisions.corrections, 5000)
     assert bench.controller.act(Undo())
     bench.until(lambda: not bench.snapshot.decisions.corrections, 5000)
+
+
+def test_landmarks_of_recorded_pokes_are_named_by_a_key(bench, tmp_path):
+    """Four touches of landmarks by a tool, of which three have their names."""
+    scene = scene_of(tmp_path, scene_text())
+    links = [LinkSpec(name, f"simulated:{name}", (STREAMS[name],)) for name in ("skin", "tool")]
+    pipeline = Pipeline(scene, links, load_surface(scene.surface)[0], create_session(tmp_path / "s", scene, links))
+    pipeline.feed_many([LinkEvent(name, 1, LinkState.OPEN) for name in ("skin", "tool")])
+    pipeline.feed_many(list(chunks(EVERY[:4])))
+    for row in range(3):
+        pipeline.act(AtLandmark(row + 1, f"m{row}"), 10**10)
+    pipeline.close()
+    bench.open(OpenRequest(session=tmp_path / "s"))
+    assert bench.snapshot.at_landmarks == {1: "m0", 2: "m1", 3: "m2"}
+    said = []
+    bench.window.session_view.said.connect(said.append)
+    bench.key(Key.Key_K, SHIFT)
+    bench.until(lambda: bench.snapshot.at_landmarks == {1: "m0", 2: "m1", 3: "m2", 4: "m3"}, 5000)
+    assert bench.snapshot.can_undo == "poke 4 at m3"
+    assert "1 poke is at landmarks now: 4 at m3" in said[-1].text

@@ -288,7 +288,12 @@ def test_landmarks_without_a_poke_are_named_with_the_command_that_finds_them(tmp
     (after,) = unnamed_landmarks(pipeline, tmp_path / "monday")
     assert after.startswith("1 landmark has no poke, and no taxel answered 1 poke: ")
     assert "--find` names them" in after
+    assert pipeline.session.sure_landmarks() == {4: "m3"}
     pipeline.act(AtLandmark(4, "m3"), 0)
+    pipeline.act(AtLandmark(3, ""), 0)
+    assert pipeline.snapshot().is_placed
+    assert pipeline.session.sure_landmarks() == {}, "the operator took poke 3 from its landmark"
+    pipeline.act(AtLandmark(3, "m2"), 0)
     assert unnamed_landmarks(pipeline, tmp_path / "monday") == []
 
 
