@@ -464,7 +464,7 @@ class SessionView(QObject):
             self.refresh_allowed()
 
     def name_landmarks(self) -> None:
-        """Find which pokes were at which landmark, where it is sure; each can be undone."""
+        """Name the landmarks of recorded pokes, the sure ones alone; each can be undone."""
         self.said.emit(Message(named_landmarks_words(self._controller.name_landmarks()), found=True))
 
     def ask_landmark(self) -> None:
