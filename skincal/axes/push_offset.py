@@ -147,7 +147,7 @@ class OffsetCorrection:
         shared: Collection[int],
         offsets: Mapping[int, TaxelOffsets],
     ) -> CorrectedTurns:
-        """Find b, and correct the turns of taxels and modules for it.
+        """Find b, and correct the turns of taxels and modules for it; taxels of a shared turn keep their own ones.
 
         Parameters
         ----------
@@ -159,15 +159,15 @@ class OffsetCorrection:
         known = {channel: own for channel, own in offsets.items() if channel in skin.taxels}
         if not known:
             return CorrectedTurns(skin, modules, PushLean(0.0, LEAN_PRIOR_SD))
-        of_taxels = {channel: self._group(skin.taxels[channel], hand, skin.pokes, known) for channel in known}
+        in_shared = {channel for number in shared for channel in modules[number].channels}
+        alone = [channel for channel in known if channel not in in_shared]
+        of_taxels = {channel: self._group(skin.taxels[channel], hand, skin.pokes, known) for channel in alone}
         of_modules = {
             number: self._group(turn, hand, skin.pokes, known)
             for number, turn in modules.items()
             if not known.keys().isdisjoint(turn.channels)
         }
-        in_shared = {channel for number in shared for channel in modules[number].channels}
-        judged = [of_modules[number] for number in sorted(shared) if number in of_modules]
-        judged += [group for channel, group in of_taxels.items() if channel not in in_shared]
+        judged = [of_modules[number] for number in sorted(shared) if number in of_modules] + list(of_taxels.values())
         lean, left = _find_lean(judged, known)
         taxels = {channel: _corrected(turn, hand, of_taxels.get(channel), lean, left) for channel, turn in skin.taxels.items()}
         corrected = {number: _corrected(turn, hand, of_modules.get(number), lean, left) for number, turn in modules.items()}
@@ -218,7 +218,8 @@ def _find_lean(groups: Sequence[_Group], known: Mapping[int, TaxelOffsets]) -> t
     left = float(np.clip(1.0 + value * pull / misses, MIN_SHARE_OF_MISSES_LEFT, 1.0)) if misses else 1.0
     variance = left / information
     # A value within its own error is noise (James and Stein).
-    value *= max(0.0, 1.0 - variance / value**2) if value else 0.0
+    value = value * max(0.0, 1.0 - variance / value**2) if abs(value) > 0.0 else 0.0
+    value += 0.0  # no negative zero
     return PushLean(value, float(np.sqrt(variance))), left
 
 

@@ -39,6 +39,8 @@ class Encoder:
         """Names of the scene's columns of joint angles; empty if it has none."""
         self.skin_factor = 1.0
         """Value that a maker's device sends for each raw value of the skin."""
+        self.skin_unit = ""
+        """Unit of the values of a skin of three axes; empty for one axis."""
         self.skin_axes = 1
         """Values of each taxel in a frame of the skin: 1, or 3 in the order x, y, z."""
 

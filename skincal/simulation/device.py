@@ -402,7 +402,8 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
             encoder, link, hz = maker.encoder(), LossyLink(latency, damage, own), maker.hz or hz
             if stream is Stream.SKIN:
                 encoder.skin_factor = maker.skin_factor(rig.scene, top)
-                encoder.skin_axes = 1 if rig.scene.skin.axes is None else 3
+                axes = rig.scene.skin.axes
+                encoder.skin_axes, encoder.skin_unit = (1, "") if axes is None else (3, axes.unit)
             encoder.joint_names = () if rig.scene.robot is None else rig.scene.robot.columns
         else:
             encoder = board_encoder(settings.format, stream, top if rig.scene.skin.axes is None else np.inf, header.width)

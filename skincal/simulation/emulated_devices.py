@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -138,7 +139,7 @@ class YarpEncoder(Encoder):
 
 
 class XelaEncoder(Encoder):
-    """Messages of XELA's server, one a line, of one sensor. The pressure is in z."""
+    """Messages of XELA's server, one a line, of one sensor. The pressure is in z. Values in newtons are calibrated ones."""
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
         if self.skin_axes == 3:
@@ -146,7 +147,9 @@ class XelaEncoder(Encoder):
         else:
             words = ",".join(f"8000,8000,{int(value) & 0xFFFF:04X}" for value in values)
         taxels = len(values) // self.skin_axes
-        sensor = {"sensor": "1", "model": "XR1944", "taxels": taxels, "time": t_us / 1e6, "data": words}
+        sensor: dict[str, Any] = {"sensor": "1", "model": "XR1944", "taxels": taxels, "time": t_us / 1e6, "data": words}
+        if self.skin_unit == "N":
+            sensor["calibrated"] = values
         return json.dumps({"message": self._number(stream) + 1, "1": sensor}).encode() + b"\n"
 
 

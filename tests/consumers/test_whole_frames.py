@@ -21,11 +21,16 @@ from tests.skincal.files.files_support import make_calibration, make_part, with_
 UNKNOWN = {0: FrameState.IN_PLANE_UNKNOWN, 15: FrameState.MIRRORED}
 
 
-@pytest.fixture(scope="module")
-def turned(tmp_path_factory):
-    part = make_part(tmp_path_factory.mktemp("part"))
+def make_turned(folder):
+    """Make a part, its calibration, and the true rotations of its taxels."""
+    part = make_part(folder)
     calibration, rotations = with_turns(make_calibration(part), UNKNOWN)
     return part, calibration, rotations
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory):
+    return make_turned(tmp_path_factory.mktemp("part"))
 
 
 def assert_frames_are_right(found, turned):

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from skincal.files.consumers import EXPORT_CONSUMERS
 from skincal.files.export import write_calibration
@@ -26,6 +27,7 @@ from tests.consumers.robots import (
     read_kinematics,
     without_massless_leaves,
 )
+from tests.consumers.test_whole_frames import assert_frames_are_right, make_turned, write
 
 pytestmark = pytest.mark.timeout(1200)  # installs the programs
 CHOICE = {each.program: each for each in EXPORT_CONSUMERS}
@@ -220,3 +222,24 @@ def test_nb_touch_reads_positions_and_rotations_and_finds_a_push(tmp_path):
     for taxel, push in zip((0, 5), found["pushes"], strict=True):
         np.testing.assert_allclose(push["cop"], places[taxel], atol=1e-6)
         np.testing.assert_allclose(push["force"], rotations[taxel] @ reading, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory):
+    return make_turned(tmp_path_factory.mktemp("part"))
+
+
+def test_urchin_reads_the_whole_frame_of_urdf(turned, tmp_path):
+    path, names = write(turned, "urdf", tmp_path)[0], [f"{LINK}_taxel_{channel}" for channel in turned[1].channels]
+    found, _ = read_with("urchin", tmp_path, file=path, base=LINK, angles=[{}], names=names)
+    assert_frames_are_right({name: np.array(pose) for name, pose in found["poses"][0].items()}, turned)
+
+
+def test_gazebos_parser_reads_the_whole_frame_of_sdf(turned, tmp_path):
+    found = {}
+    for name, frame in frames_of(run_sdformat("-p", write(turned, "sdf", tmp_path)[0])).items():
+        *place, roll, pitch, yaw = map(float, frame.find("pose").text.split())
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix(), place
+        found[name] = pose
+    assert_frames_are_right(found, turned)

@@ -518,6 +518,16 @@ unit = "N"
 """
 
 
+def test_the_emulated_xela_server_sends_calibrated_forces_to_a_scene_in_newtons(tmp_path):
+    (tmp_path / "scene.toml").write_text(VECTOR_SCENE)
+    scene, encoder = load_scene(tmp_path / "scene.toml"), MAKERS["xela"].encoder()
+    encoder.skin_axes, encoder.skin_unit = 3, "N"
+    frame = [0.1, -0.2, 3.0, 0.0, 0.0, 0.4, -1.2, 2.5, 7.1, 0.3, 0.0, 0.0]
+    decoder = make_decoder("xela", scene.skin.frame_width, SKIN)
+    found = values_of(decoder, b"".join(pack(1, encoder.record(Stream.SKIN, 1000 * at, frame)) for at in range(5)))
+    assert found[-1] == pytest.approx(frame)
+
+
 @pytest.mark.parametrize("name", ["paxini", "paxini-module", "anyskin", "justfloat", "papillarray", "xela"])
 def test_a_scene_of_three_axes_reads_the_vectors_of_each_device_that_has_them(tmp_path, name):
     (tmp_path / "scene.toml").write_text(VECTOR_SCENE)
