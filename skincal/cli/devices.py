@@ -187,18 +187,21 @@ def _feed_until(watched: Watched, items: ChunkQueue, due_s: float) -> None:
 
 
 def devices(as_json: Json = False) -> None:
-    """List serial ports with their answers, ports of a YARP network, and topics of ROS 2, with the addresses to type."""
+    """List serial ports with their answers, trackers, ports of YARP, and topics of ROS 2, with the addresses to type."""
     import json
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor() as threads:
         # Listening takes seconds.
         listening = threads.submit(_ros_topics)
+        searching = threads.submit(_trackers)
         found = [_on_port(name, description) for name, description in _ports()]
         names, trouble = _yarp_ports()
         topics, proposed, ros_trouble = listening.result()
+        trackers = searching.result()
     if not found:
         say("No serial port was found; plug a device in.", err=True)
+    found += [{"address": address, "what": what} for address, what in trackers]
     found += [{"address": f"yarp:{name}", "what": f"YARP port at {host}:{number}"} for name, (host, number) in names]
     found += [{"address": address, "what": what} for address, what in topics]
     if as_json:
@@ -255,6 +258,13 @@ def _on_port(name: str, description: str) -> dict[str, str]:
         return {"address": name, "what": f"{description}: {figures['verdict']}"}
     started = ", ".join(f"{scheme}:{name}" for scheme in STARTED_SCHEMES)
     return {"address": name, "what": f"{description}: silent; one that must be started? {started}"}
+
+
+def _trackers() -> list[tuple[str, str]]:
+    """Return address and description of each optical tracker that answers."""
+    from skincal.streams.tracker_search import find_trackers
+
+    return find_trackers()
 
 
 def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:

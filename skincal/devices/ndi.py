@@ -261,6 +261,7 @@ _SERIAL_ROUTE = Route(
     format="ndi",
     baud=9600,
     options=("body", "rom"),
+    handshake=lambda _: NdiHandshake(),
     prepare=_with_options,
 )
 

@@ -7,6 +7,12 @@ import pytest
 from skincal.cli import main
 
 
+@pytest.fixture(autouse=True)
+def _no_broadcast(monkeypatch):
+    """Search for trackers on this machine alone."""
+    monkeypatch.setattr("skincal.streams.tracker_search.BROADCAST_ADDRESS", "127.0.0.1")
+
+
 @pytest.fixture
 def run(capsys):
     """Give a function that runs a command and returns exit code, stdout and stderr."""

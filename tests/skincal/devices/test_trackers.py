@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+import socket
 import struct
 import time
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from skincal.devices.tracked_bodies import write_options
 from skincal.model.readings import Chunk, Loss, Stream
 from skincal.simulation.emulated_devices import MAKERS
 from skincal.simulation.emulated_transports import MakerOutlets, NatNetOutlet
+from skincal.streams import tracker_search
 from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.links import open_link
 from tests.skincal.meanwhile import meanwhile
@@ -475,6 +477,51 @@ def test_a_definition_file_that_is_none_is_refused(tmp_path):
     (tmp_path / "large.rom").write_bytes(bytes(4000))
     with pytest.raises(LinkError, match=r"has 4000 bytes; expected a tool definition of 1 to 2048 bytes"):
         open_link(spec(f"ndi://127.0.0.1:9?rom={tmp_path}/large.rom", TOOL))
+
+
+# ------------------------------------------------------------------ search
+
+
+@contextmanager
+def answering(make_answer):
+    """A program that answers each datagram on loopback; its port."""
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as program:
+        program.bind(("127.0.0.1", 0))
+        program.settimeout(0.05)
+
+        def answer(over):
+            while not over.is_set():
+                with suppress(TimeoutError):
+                    data, host = program.recvfrom(100)
+                    to, reply = make_answer(data, host)
+                    program.sendto(reply, to)
+
+        with meanwhile(answer):
+            yield program.getsockname()[1]
+
+
+def test_trackers_that_answer_a_broadcast_are_listed_with_their_addresses(monkeypatch):
+    monkeypatch.setattr(tracker_search, "BROADCAST_ADDRESS", "127.0.0.1")
+
+    def as_qtm(data, host):
+        assert data[:8] == struct.pack("<2I", 10, 7)
+        text = b"lab, QTM 2024.3 (build 1), 8 cameras\0"
+        return (host[0], int.from_bytes(data[8:], "big")), struct.pack("<2I", 10 + len(text), 1) + text + struct.pack(
+            ">H", 22222
+        )
+
+    def as_natnet(data, host):
+        assert data == natnet.message(0)
+        return host, natnet_server((4, 1))[5:]
+
+    with answering(as_qtm) as qtm_port, answering(as_natnet) as natnet_port:
+        found = tracker_search.find_trackers(qtm_port, natnet_port, 0.5)
+    assert found == [
+        (f"natnet://127.0.0.1:{natnet_port}", "OptiTrack Motive, NatNet 4.1, by multicast to 239.255.42.99"),
+        ("qtm://127.0.0.1", "Qualisys QTM: lab, QTM 2024.3 (build 1), 8 cameras"),
+    ]
+    with answering(lambda _, host: (host, b"\x01\x02")) as port:
+        assert tracker_search.find_trackers(port, port, 0.2) == []
 
 
 # ------------------------------------------------------------------ over loopback

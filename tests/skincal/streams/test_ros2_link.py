@@ -383,6 +383,7 @@ def test_topics_are_listed_with_rate_and_values_and_proposed(monkeypatch, capsys
     monkeypatch.setenv("ROS_DOMAIN_ID", str(LISTED_DOMAIN))
     monkeypatch.setattr(devices, "_ports", list)
     monkeypatch.setattr(devices, "_yarp_ports", lambda: ([], ""))
+    monkeypatch.setattr(devices, "_trackers", list)
     wanted = {"wrench": "ros2:/ft/wrench", "skin": "ros2:/skin/all", "joints": "ros2:/joint_states"}
     topics = [("/ft/wrench", wrench), ("/skin/all", partial(skin, channels=48)), ("/skin/few", skin), ("/joint_states", joints)]
     # Names that ROS does not allow, and a wide array that stands still.
@@ -409,6 +410,7 @@ def test_topics_beyond_the_limit_are_counted_and_known_types_come_first(monkeypa
     monkeypatch.setenv("ROS_DOMAIN_ID", str(LIMIT_DOMAIN))
     monkeypatch.setattr(devices, "_ports", list)
     monkeypatch.setattr(devices, "_yarp_ports", lambda: ([], ""))
+    monkeypatch.setattr(devices, "_trackers", list)
     monkeypatch.setattr(ros_topics, "LISTED_TOPICS_MAX", 1)
     with publishing(("/a", cells), ("/b", wrench), ("/c", wrench), hz=50, domain=LIMIT_DOMAIN):
         main(["devices"])
