@@ -89,7 +89,9 @@ def _make_robot(scene: Scene, seed: int, effects: str) -> tuple[SimulatedRobot, 
     if surface is None:
         raise InputError(f"{scene.name} has no mesh, which the arm presses; expected a scene with [surface].")
     chosen = Effects.named(effects)
-    unused = next((name.strip() for name in effects.split(",") if name.strip() in TOOL_EFFECTS), "")
-    if unused and scene.tool is None:
-        raise InputError(f"--effects {unused} is of a cobot, and {scene.name} has no [tool]: leave it out.")
+    for name in (word.strip() for word in effects.split(",")):
+        if name in TOOL_EFFECTS and scene.tool is None:
+            raise InputError(f"--effects {name} is of a cobot, and {scene.name} has no [tool]: leave it out.")
+        if name == "sag" and scene.tool is not None:
+            raise InputError(f"--effects sag does nothing with [tool], which {scene.name} has: use bend.")
     return make_robot(scene, surface, chosen, seed), surface

@@ -28,9 +28,16 @@ def test_a_robot_that_stops_ends_its_session_with_the_reason(tmp_path, monkeypat
     assert (out / "truth.json").is_file()
 
 
-def test_an_effect_of_a_cobot_is_refused_for_a_part_below_its_own_sensor(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("scene", "effect", "sentence"),
+    [
+        ("icub-forearm", "bend", "--effects bend is of a cobot, and icub-right-forearm-v1 has no [tool]"),
+        ("cobot-wrist", "sag", "--effects sag does nothing with [tool]"),
+    ],
+)
+def test_an_effect_that_the_robot_does_not_have_is_refused(tmp_path, capsys, scene, effect, sentence):
     out = tmp_path / "session"
-    asked = ["simulate", "--physics", "mujoco", "--scene", "icub-forearm", "--effects", "noise,bend", "--out", str(out)]
+    asked = ["simulate", "--physics", "mujoco", "--scene", scene, "--effects", f"noise, {effect}", "--out", str(out)]
     assert main(asked) == 2
-    assert "--effects bend is of a cobot, and icub-right-forearm-v1 has no [tool]" in capsys.readouterr().err
+    assert sentence in capsys.readouterr().err
     assert not out.exists()
