@@ -43,8 +43,8 @@ class Arm:
     frame = ""
     """Name of the part's frame: the link that the scene calibrates. A target in another frame is a fault."""
     part: Pose | None = None
-    """Pose of the part in the robot's base, as measured; `None` until skincal has found it. A rough one lets the robot touch
-    the first landmarks. `AT_BASE` if the three functions work in the part's frame."""
+    """Pose of the part in the robot's base, as measured; `None` until skincal has found it. With a rough one the robot drives
+    to the first landmarks, and its error is in all taxels. `AT_BASE` if the three functions work in the part's frame."""
 
     def read(self) -> tuple[Vector, float, float]:
         """Return the place of the tip's end; the force along the push, N, not tared; and its age, s."""
