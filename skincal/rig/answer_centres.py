@@ -66,6 +66,8 @@ def join_by_centres(
         variance = (CONTACT_TO_PAD_CENTRE_SD_FACTOR * noise.contact / size) ** 2 + place_sd**2
         _add_centres(normal, pull, answers, chosen, variance)
     determined = np.flatnonzero(np.bincount(of, own, count) > POSITION_MAX_SD_M**-2)
+    if not len(determined):
+        return found
     matrix = normal[determined][:, :, determined].reshape(2 * len(determined), -1)
     inverse = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
     shifts = np.zeros((count, 2))
