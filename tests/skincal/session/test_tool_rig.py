@@ -342,7 +342,7 @@ def test_plain_lines_without_a_form_ask_for_it(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda text: text.replace("[tool]", "[sensor]\n[tool]"), r"\[tool\] excludes \[arm\], \[sensor\] and \[robot\]"),
+        (lambda text: text.replace("[tool]", "[sensor]\n[tool]"), r"\[tool\] excludes \[arm\] and \[sensor\]"),
         (lambda text: text.replace('"tool"', '"flange"'), "sensor is 'flange'; expected one of tool"),
         (lambda text: text.replace("base_from_link", "rotation = 'rpy'\nunit = 'm'\nbase_from_link"), "degrees is missing"),
         (lambda text: text.replace("base_from_link", "unit = 'm'\nbase_from_link"), "rotation is missing"),
