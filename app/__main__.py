@@ -19,14 +19,13 @@ from typing import NoReturn
 
 from app.preflight import no_display, objection
 from app.scene3d.drawing_probe import PROBE_OPTION
-from app.session.opening import PART_FILES
+from app.session.opening import DEMO_SCENES, PART_FILES
 from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
 
 HELP = ("-h", "--help", "--version")
 DEMO_COMMAND = "demo"
 ROBOT_DEMO = "robot"  # `skincal demo robot`: the window with a simulated robot that pokes
-SENSORS_OF_DEMO = ("below", "tool", "none")  # `--sensor`: below the part, in a cobot's wrist, or none; the first is the default
-DEMO_HELP = f"""usage: skincal {DEMO_COMMAND} {ROBOT_DEMO} [--sensor {"|".join(SENSORS_OF_DEMO)}]
+DEMO_HELP = f"""usage: skincal {DEMO_COMMAND} {ROBOT_DEMO} [--sensor {"|".join(DEMO_SCENES)}]
 
 Open the window while a simulated robot arm calibrates a part. S stops the arm.
 --sensor is where the force/torque sensor is: below the part (default), in the arm's wrist, or none.
@@ -86,9 +85,9 @@ def _run_demo(words: Sequence[str]) -> int:
     if set(words) & set(HELP[:2]):
         sys.stdout.write(DEMO_HELP)
         return 0
-    sensor = words[2] if len(words) == 3 and words[1] == "--sensor" else SENSORS_OF_DEMO[0] if len(words) == 1 else ""
-    if list(words[:1]) != [ROBOT_DEMO] or sensor not in SENSORS_OF_DEMO:
-        named, known = " ".join([DEMO_COMMAND, *words]), ", ".join(SENSORS_OF_DEMO)
+    sensor = words[2] if len(words) == 3 and words[1] == "--sensor" else "below" if len(words) == 1 else ""
+    if list(words[:1]) != [ROBOT_DEMO] or sensor not in DEMO_SCENES:
+        named, known = " ".join([DEMO_COMMAND, *words]), ", ".join(DEMO_SCENES)
         raise InputError(
             f"{named} is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}, alone or with --sensor and one of {known}."
         )

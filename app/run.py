@@ -22,6 +22,7 @@ from PySide6.QtWidgets import QApplication
 from app.scene3d.canvas import best_canvas
 from app.session.controller import Controller
 from app.session.opening import (
+    DEMO_SCENES,
     PART_FILES,
     Addresses,
     OpenRequest,
@@ -110,19 +111,15 @@ def _part_request(options: argparse.Namespace) -> OpenRequest:
     return OpenRequest(part=options.scene)
 
 
-SCENE_OF_SENSOR = {"below": "", "tool": "cobot-wrist", "none": "cobot-tip"}
-"""Shipped scene of the demonstration with a robot, by the place of its sensor; empty for the default scene."""
-
-
 def robot_demo(sensor: str = "below") -> OpenRequest:
-    """Make the request for the demonstration with a robot; `sensor` is one of `SCENE_OF_SENSOR`.
+    """Make the request for the demonstration with a robot; `sensor` is one of `DEMO_SCENES`.
 
     Raises InputError: the physics engine is missing.
     """
     from skincal.physics.engine import load_mujoco
 
     load_mujoco()
-    name = SCENE_OF_SENSOR[sensor]
+    name = DEMO_SCENES[sensor]
     scene = find_scene(Path(name)) if name else None
     return OpenRequest(scene=scene, server=server_command(scene, robot=True), demo=True, robot=True)
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 DEFAULT_SCENE = "icub-forearm"
 MESH_FILE_ENDINGS = (".stl", ".obj", ".ply", ".off", ".dae", ".glb", ".gltf")
 PART_FILES = (*MESH_FILE_ENDINGS, ".urdf")  # Endings of files with which a new part begins
+DEMO_SCENES = {"below": "", "tool": "cobot-wrist", "none": "cobot-tip"}
+"""Shipped scene of the demonstration with a robot, by the place of its sensor; empty for the default scene."""
 
 
 @dataclass(frozen=True, slots=True)

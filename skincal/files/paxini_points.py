@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from skincal.model.skin import SkinKind
 
 PACKAGE_NAME = "paxini_sdk"
 REGISTRY_FILE = "registry.json"
+PART_CODE_RE = re.compile(r"[\w-]+")
 POINTS_MAX = 1000
 """Of a module; the largest of GEN3 has 239."""
 NEIGHBOUR_MAX_SPACINGS = 2.2
@@ -75,6 +77,9 @@ def read_modules(names: Sequence[str], package: Path | None = None) -> list[Paxi
             (str(each["vendor_part_code"]), str(each["sensor_model"]), int(each["n_points"]), str(each["json_file"]))
             for each in registry["sensors"]
         ]
+        # It names files and objects.
+        if not all(PART_CODE_RE.fullmatch(code) for code, *_ in known):
+            raise ValueError
     except (KeyError, TypeError, ValueError):
         raise InputError(
             f"{where}: {REGISTRY_FILE} has another form than that of paxini-sdk 0.1.0; expected its data."

@@ -52,11 +52,16 @@ def test_channels_of_several_modules_follow_in_the_order_of_the_stream(package, 
     assert layout.places[4:, 0].min() > layout.places[:4, 0].max() + 5e-3
 
 
+def rename_module(registry, before, after):
+    registry.write_text(registry.read_text().replace(before, after))
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
         (lambda data: (data / "registry.json").write_text("[]"), "another form"),
         (lambda data: (data / "registry.json").write_text('{"sensors": [{}]}'), "another form"),
+        (lambda data: rename_module(data / "registry.json", "MADE-UP", "MADE/UP"), "another form"),
         (lambda data: (data / "dome.json").write_text('{"points": [{"x_mm": 1}]}'), "points in mm"),
         (lambda data: (data / "dome.json").write_text('{"points": []}'), "0 points; expected 25"),
         (lambda data: (data / "dome.json").unlink(), "dome.json"),
