@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from skincal.model.readings import Stream
 from skincal.ros.dds import Participant, TopicReader, default_domain
 from skincal.ros.messages import MessageReader, is_seldom_a_skin, streams_of
 from skincal.ros.proposals import is_command, name_rank
+from skincal.ros.tool_poses import TF_MESSAGE, stamped_poses
 from skincal.ros.types import MessageError, MessageTypes
 from skincal.streams.links import parse_address
 
@@ -23,6 +25,7 @@ LISTEN_TO_TOPICS_S = 2.0
 TOPIC_POLL_PERIOD_S = 0.05
 LISTED_TOPICS_MAX = 60
 """Topics that are read while they are listed."""
+LISTED_FRAMES_MAX = 12
 TEXT_TYPE = "std_msgs/msg/String"
 WAIT_FOR_ROBOT_DESCRIPTION_MAX_S = 5.0
 """s for a latched message to come."""
@@ -46,6 +49,8 @@ class FoundTopic:
     """Its messages were not all equal."""
     joints: tuple[str, ...] = ()
     """Names of its joints, if it has some."""
+    frames: tuple[str, ...] = ()
+    """Frames of its transforms, if it has some: a pose of a tool needs two of them."""
 
     @property
     def address(self) -> str:
@@ -55,6 +60,10 @@ class FoundTopic:
     def words(self) -> str:
         """Type, rate and newest values for the operator."""
         kind = self.type_name.replace("/msg/", "/")
+        if self.frames:
+            more = ", ..." if len(self.frames) > LISTED_FRAMES_MAX else ""
+            listed = ", ".join(self.frames[:LISTED_FRAMES_MAX])
+            return f"{kind}, {self.rate:.0f}/s, frames {listed}{more}: --tool needs ?frame=TOOL&base=BASE"
         if self.values is None:
             return f"{kind}, {'silent' if self.stream else 'its definition is needed: ?msg=FILE'}"
         shown = " ".join(f"{value:.4g}" for value in self.values[:WRENCH_VALUES].tolist())
@@ -107,7 +116,8 @@ def _can_be_read(types: MessageTypes, type_name: str) -> bool:
     """Leave out types of ROS without readings of a sensor or skin, and names that ROS does not allow."""
     try:
         # Cameras would fill the network.
-        return (not is_seldom_a_skin(type_name) and bool(streams_of(types, type_name))) or not types.is_standard(type_name)
+        has_readings = not is_seldom_a_skin(type_name) and bool(streams_of(types, type_name))
+        return has_readings or type_name == TF_MESSAGE or not types.is_standard(type_name)
     except InputError:
         return False
 
@@ -120,6 +130,10 @@ def _open_reader(participant: Participant, topic: str, type_name: str) -> TopicR
 
 
 def _describe(types: MessageTypes, topic: str, heard: _Listened) -> FoundTopic:
+    passed_s = (heard.times_ns[-1] - heard.times_ns[0]) * 1e-9 if len(heard.times_ns) > 1 else 0.0
+    rate = (heard.count - 1) / passed_s if passed_s > 0 else 0.0
+    if heard.type_name == TF_MESSAGE:
+        return FoundTopic(topic, heard.type_name, Stream.TOOL, rate, None, frames=_list_frames(types, heard))
     streams = streams_of(types, heard.type_name)
     values, has_changed, joints = None, False, ()
     if heard.newest and streams:
@@ -136,9 +150,17 @@ def _describe(types: MessageTypes, topic: str, heard: _Listened) -> FoundTopic:
     stream = streams[0] if streams else None
     if len(streams) > 1 and values is not None and len(values) == WRENCH_VALUES:
         stream = Stream.WRENCH
-    passed_s = (heard.times_ns[-1] - heard.times_ns[0]) * 1e-9 if len(heard.times_ns) > 1 else 0.0
-    rate = (heard.count - 1) / passed_s if passed_s > 0 else 0.0
     return FoundTopic(topic, heard.type_name, stream, rate, values, len(streams) == 1, has_changed, joints)
+
+
+def _list_frames(types: MessageTypes, heard: _Listened) -> tuple[str, ...]:
+    """List the frames in the first and the newest message of a topic of transforms, by name."""
+    found: set[str] = set()
+    for data in filter(None, (heard.first, heard.newest)):
+        with contextlib.suppress(MessageError):
+            for each in stamped_poses(types.decode(data, TF_MESSAGE), TF_MESSAGE):
+                found |= {each.parent, each.child}
+    return tuple(sorted(found - {""}))
 
 
 def propose_topics(found: Sequence[FoundTopic], joints: Sequence[str] = ()) -> dict[Stream, FoundTopic]:

@@ -165,6 +165,20 @@ def test_a_tool_behind_several_transforms_is_read_with_those_that_are_latched():
     assert decoder.device_message == ""
 
 
+def test_a_tree_of_transforms_is_listed_with_its_frames_and_not_proposed():
+    types = dds.message_types()
+    identity = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    data = [
+        types.encode(tree(types, (parent, child, 1.0, identity)), "tf2_msgs/msg/TFMessage")
+        for parent, child in (("base", "link1"), ("link1", "tool0"))
+    ]
+    heard = ros_topics._Listened("tf2_msgs/msg/TFMessage", None, 101, data[0], data[1], [0, 10**9])
+    found = ros_topics._describe(types, "/tf", heard)
+    assert found.words == "tf2_msgs/TFMessage, 100/s, frames base, link1, tool0: --tool needs ?frame=TOOL&base=BASE"
+    assert ros_topics._can_be_read(types, "tf2_msgs/msg/TFMessage")
+    assert ros_topics.propose_topics([found]) == {}, "two frames must be chosen"
+
+
 class Recorded:
     """A reader and what it brought."""
 
