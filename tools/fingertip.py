@@ -85,7 +85,7 @@ def layout_text() -> tuple[str, int]:
     points = make_points()
     flat = flatten_points(points * 1e-3) * 1e3
     middle = int((flat**2).sum(axis=1).argmin())
-    rows = ", ".join(f"[{x:.3f}, {y:.3f}]" for x, y in (flat + 0.0).tolist())
+    rows = ", ".join(f"[{x:.3f}, {y:.3f}]" for x, y in (np.round(flat, 3) + 0.0).tolist())
     low, high = flat.min(axis=0) - 1.5, flat.max(axis=0) + 1.5
     outline = ", ".join(
         f"[{x:.2f}, {y:.2f}]" for x, y in ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))
