@@ -152,9 +152,9 @@ class SkinStep(Step):
         self.paxini_sdk.setPlaceholderText("the installed package")
         self.paxini.returnPressed.connect(self.use_paxini)
         choose = button("Choose\N{HORIZONTAL ELLIPSIS}", "choose: wheel of paxini-sdk", self._choose_paxini_sdk)
-        self.read_points = button("Read the &points", run=self.use_paxini)
+        self.read_points = button("&Read the points", run=self.use_paxini)
         package = make_row((self.paxini_sdk, 1), choose, margins=0)
-        make_form(("Mod&ules", self.paxini), ("Packa&ge", package), ("", row_of(self.read_points)), within=page, margins=0)
+        make_form(("&Modules", self.paxini), ("Packa&ge", package), ("", row_of(self.read_points)), within=page, margins=0)
         return page
 
     def update_fields(self, preview: PartPreview) -> None:

@@ -9,11 +9,10 @@ from __future__ import annotations
 import importlib
 import sys
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from skincal.geometry import FloatArray
+if TYPE_CHECKING:
+    from skincal.geometry import FloatArray
 
 LATE_FIGURES = ("matplotlib", "matplotlib.colors", "matplotlib.pyplot", "matplotlib.backends.backend_agg")
 LATE_DOWNLOADER = "pooch"
@@ -73,6 +72,8 @@ class LateMaps:
 
 def map_to_grey(shares: FloatArray) -> FloatArray:
     """Map shares, (n,) float from 0 to 1, to opaque grey, (n, 4) float."""
+    import numpy as np  # the window is on the screen before it
+
     return np.column_stack([shares, shares, shares, np.ones_like(shares)])
 
 

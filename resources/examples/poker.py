@@ -5,7 +5,7 @@
 
 Fill in the frame and the three functions of `Arm`; docs/robot.md has those for UR by RTDE and for ROS 2. All places of `Arm`
 are metres in the robot's base. With `[tool]` in the scene nobody measures the part: skincal finds its pose in the base of
-`--tool`, and sends it. Until then the robot waits if `Arm.part` is `None`: move the tip to the first landmarks by hand. Try it
+`--tool`, and sends it. Until then the robot waits if `Arm.part` is `None`: guide the tip to the landmarks by hand. Try it
 first on a soft part, with a low `FORCE_LIMIT`, and a hand on the emergency stop.
 
 Between other directions the tip goes back by `CLEAR`, more than the part is wide. It skips the far side of the part.
@@ -43,8 +43,8 @@ class Arm:
     frame = ""
     """Name of the part's frame: the link that the scene calibrates. A target in another frame is a fault."""
     part: Pose | None = None
-    """Pose of the part in the robot's base, as measured; `None` until skincal has found it. With a rough one the robot drives
-    to the first landmarks, and its error is in all taxels. `AT_BASE` if the three functions work in the part's frame."""
+    """Pose of the part in the robot's base, as measured; `None` until skincal sends it, after the landmarks. With a rough one
+    the robot drives to the landmarks, and its error is in all taxels. `AT_BASE` if the functions work in the part's frame."""
 
     def read(self) -> tuple[Vector, float, float]:
         """Return the place of the tip's end; the force along the push, N, not tared; and its age, s."""

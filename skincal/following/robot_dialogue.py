@@ -122,7 +122,10 @@ class RobotDialogue:
             newest.is_held = True
             lines.append(Held(newest.target.number))
         part = snapshot.part_pose
-        if part is not None and part.is_known and part is not self._part:
+        # An arm that drives to a landmark by a pose from the landmarks before it measures nothing: a hand guides it to each.
+        target = None if guidance is None else guidance.target
+        is_guided = self._part is None and target is not None and bool(target.landmark)
+        if part is not None and part.is_known and part is not self._part and not is_guided:
             self._part = part
             lines.append(PartPlace(self._frame, part.base_from_link))
         if self.is_halted:

@@ -48,6 +48,8 @@ class Effects:
     """s, delay of the stream of poses: one to five cycles of a controller at 125 Hz."""
     bend: float = 5e-5
     """m per N, how the tool and the arm yield: collaborative arms have 20 to 50 N/mm. Assumed."""
+    hand: float = 0.0005
+    """m, sd along each axis of the error of a person who guides the tip to a landmark. Assumed: half the slot of a screw."""
 
     @classmethod
     def none(cls) -> Effects:
@@ -71,7 +73,7 @@ class Effects:
         return replace(cls.none(), **{name: sizes[name] for name in names})
 
 
-TOOL_EFFECTS = ("scale", "warp", "tcp", "late", "bend")
+TOOL_EFFECTS = ("scale", "warp", "tcp", "late", "bend", "hand")
 """Effects of a cobot whose poses are streamed: a sensor on the tool, or none. `sag` is in `bend` there."""
 EFFECT_NAMES = tuple(item.name for item in fields(Effects))
 SENSOR_DELAY_S = 0.020

@@ -19,6 +19,7 @@ from skincal.physics.engine import INVERSE_KINEMATICS_TOLERANCE_M, PERIOD_S, Eng
 from skincal.physics.mjcf import TIP_RADIUS_M, RigPlan, write_mjcf
 from skincal.physics.skin import Pads
 from skincal.robot.arm import TipCentre, WrenchReading
+from skincal.robot.target_lines import PokeTarget
 
 if TYPE_CHECKING:
     from skincal.physics.vector_pads import VectorPadErrors, VectorPads
@@ -208,6 +209,9 @@ class SimulatedRobot:
 
     def locate_part(self, base_from_link: FloatArray) -> None:
         """Take the pose of the part as skincal found it; an arm that pokes a part on its sensor knows it."""
+
+    def prepare_for(self, target: PokeTarget) -> None:
+        """Prepare for a target; an arm that knows the place of its part does nothing."""
 
     def pose_record(self) -> FloatArray:
         """Return the reported pose (7,) of a tool that carries the tip; empty for a sensor below the part."""

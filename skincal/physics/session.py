@@ -128,5 +128,6 @@ def make_client(
     if not robot.scene.has_sensor:
         settings = replace(settings, held_wait_s=HELD_WAIT_WITHOUT_SENSOR_S)
     client = PokingClient(robot, surface, answer, settings)
-    client.locate_part = robot.locate_part if has_tool else None
+    if has_tool:
+        client.locate_part, client.prepare_arm = robot.locate_part, robot.prepare_for
     return client

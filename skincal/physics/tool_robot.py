@@ -2,6 +2,8 @@
 
 The arm knows the pose of its flange, and where the part is only roughly (`Effects.base`). Once skincal has found the part's
 pose in the base of the flange's poses, the arm uses it (`locate_part`): its belief of the part moves, and nothing else.
+
+At a landmark a person guides the tip by hand. They see where it is (`Effects.hand`), and the arm's belief does not matter.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from skincal.physics.layouts import ARM_BASE_TO_PART_M, TOOL_LENGTH_M, place_arm
 from skincal.physics.mjcf import Joint, RigPlan
 from skincal.physics.rig import RigLayout, SimulatedRobot
 from skincal.robot.arm import TipCentre
+from skincal.robot.target_lines import PokeTarget
 
 TOOL_MASS_KG = 0.3
 """kg behind the sensor: a gripper's plate and the tip. Assumed."""
@@ -30,6 +33,8 @@ STIFF_TIP_N_PER_M = 1e5
 POSITION_ERROR_LENGTH_M = 0.3
 """m, over which the position error of a cobot changes. Assumed."""
 DEFAULT_TIP_M = (0.0, 0.0, 0.12)
+HAND_FOLLOWS_S = 0.2
+"""s, time constant with which a hand follows its eye. Assumed."""
 
 
 def tool_arm(scene: Scene, surface: Surface, effects: Effects) -> RigLayout:
@@ -58,6 +63,9 @@ def tool_arm(scene: Scene, surface: Surface, effects: Effects) -> RigLayout:
 class ToolRobot(SimulatedRobot):
     """The cobot in the physics engine; parameters and errors as of `SimulatedRobot`."""
 
+    _mistaken: FloatArray | None = None
+    """(3,) float, m, part's frame: how far next to its place a person sees the tip; `None` while the arm aims."""
+
     def __init__(self, scene: Scene, surface: Surface, effects: Effects, seed: int) -> None:
         # The arm's own compliance is in `bend`.
         effects = replace(effects, sag=0.0)
@@ -73,6 +81,9 @@ class ToolRobot(SimulatedRobot):
         self._waves = errors.standard_normal((3, 3)) / POSITION_ERROR_LENGTH_M
         self._phases = errors.uniform(0.0, 2.0 * np.pi, 3)
         self._directions = rotations(errors.standard_normal((1, 3)))[0]
+        self._hand_rng = errors
+        self._guided_by = np.zeros(3)
+        """(3,) float, m, part's frame: shift of the commands, so that the seen tip gets to its goal."""
         self._poses: deque[FloatArray] = deque(maxlen=1 + round(effects.late / PERIOD_S))
         self.add_listener(lambda: self._poses.append(self._read_pose()))
 
@@ -99,6 +110,24 @@ class ToolRobot(SimulatedRobot):
     def pose_record(self) -> FloatArray:
         """Return the reported pose (7,) of the flange, as late as its stream is."""
         return self._poses[0] if self._poses else self._read_pose()
+
+    def prepare_for(self, target: PokeTarget) -> None:
+        """Let a person guide the tip to a known point."""
+        self._mistaken = self.effects.hand * self._hand_rng.standard_normal(3) if target.known else None
+        self._guided_by = np.zeros(3)
+
+    def read_tip(self) -> TipCentre:
+        """Read the tip in the part's frame as the arm believes it, or as a person sees it."""
+        believed = super().read_tip()
+        if self._mistaken is None:
+            return believed
+        return TipCentre(self.engine.tip_in_part()[0] + self._mistaken, believed.direction)
+
+    def command(self, position: FloatArray, direction: FloatArray, speed_m_s: float) -> None:
+        if self._mistaken is not None and self.engine.touch() is None:
+            miss = super().read_tip().position - self.read_tip().position
+            self._guided_by = self._guided_by + PERIOD_S / HAND_FOLLOWS_S * (miss - self._guided_by)
+        super().command(position + (self._guided_by if self._mistaken is not None else 0.0), direction, speed_m_s)
 
     def locate_part(self, base_from_link: FloatArray) -> None:
         """Take the pose of the part in the base, (4, 4) metres, as skincal found it. The arm does not move by it.

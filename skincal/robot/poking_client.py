@@ -165,6 +165,8 @@ class PokingClient:
         """Target that is not planned yet."""
         self.locate_part: Callable[[FloatArray], object] | None = None
         """Takes the pose (4, 4) of the part in the base of the arm, metres, as skincal found it; `None` if the arm knows it."""
+        self.prepare_arm: Callable[[PokeTarget], object] | None = None
+        """Called before a poke is planned; `None` if the arm does the same for every target."""
         self._part: PartPlace | None = None
         """The newest one, which is not used yet."""
         self._plan: PokePlan | None = None
@@ -364,6 +366,8 @@ class PokingClient:
         if part is not None and self.locate_part is not None:
             # Not during a motion, whose points are in the frame of the part.
             self.locate_part(part.base_from_link)
+        if self.prepare_arm is not None:
+            self.prepare_arm(goal)
         self._shift = self._shift_for(goal)
         plan = self._plan_poke(goal)
         if isinstance(plan, str):

@@ -10,10 +10,12 @@ from pathlib import Path
 from PySide6.QtWidgets import QApplication, QDialog, QFileDialog, QWidget
 
 import app.dialogs
+from app.builder.fixed_point_dialog import FixedPointDialog
 from app.dialogs.dialog import Dialog
 from app.dialogs.task_dialog import TaskDialog
 from app.session.opening import OpenRequest
 from skincal.model.scene import resource
+from skincal.part.tool_draft import ToolDraft
 from tests.app.whole_window import OPEN_MS
 
 DIALOG_COMMANDS = (
@@ -78,6 +80,14 @@ def dialogs(bench, monkeypatch) -> Iterator[tuple[str, QWidget]]:
             yield f"dialog {type(dialog).__name__}", dialog
             dialog.reject()
         bench.until(lambda: not open_dialogs(), 5000)
+    # Its command needs a part that a tool pokes.
+    test = FixedPointDialog(ToolDraft(), parent=bench.window)
+    test.open()
+    bench.qtbot.wait(60)
+    found.add(type(test))
+    yield "dialog FixedPointDialog", test
+    test.reject()
+    bench.until(lambda: not open_dialogs(), 5000)
     missing = {each.__name__ for each in dialog_classes() - found}
     assert not missing, f"no command of this test opens {missing}"
 

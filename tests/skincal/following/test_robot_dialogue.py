@@ -94,6 +94,18 @@ def test_the_pose_of_the_part_is_sent_once_it_is_known_and_again_to_another_robo
     assert isinstance(again, PartPlace)
 
 
+def test_the_pose_of_the_part_is_sent_after_the_landmarks_since_an_arm_that_drives_to_them_by_it_measures_nothing():
+    course = Course()
+    course.part = replace(NO_PART_POSE, state=PartPoseState.KNOWN, link_from_base=np.eye(4))
+    screw = replace(wants(3).target, channel=None, landmark="screw")
+    at_landmark = wants(3, target=screw)
+    assert not any(isinstance(line, PartPlace) for line in course.at(1.0, at_landmark))
+    assert any(isinstance(line, PartPlace) for line in course.at(1.1, wants(4)))
+    course.part = replace(course.part, link_from_base=np.diag([1.0, -1.0, -1.0, 1.0]))
+    lines = course.at(1.2, at_landmark)
+    assert any(isinstance(line, PartPlace) for line in lines), "a robot that knows it is told of a better one"
+
+
 def test_a_known_point_and_what_is_said_where_there_is_no_target():
     course = Course()
     head = replace(wants(3).target, channel=None, landmark="wrist, top")

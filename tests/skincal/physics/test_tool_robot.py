@@ -20,6 +20,7 @@ from skincal.physics.engine import PERIOD_S
 from skincal.physics.robots import make_robot
 from skincal.physics.session import make_client
 from skincal.physics.tool_robot import ToolRobot
+from skincal.robot.target_lines import PokeTarget
 
 pytest.importorskip("mujoco")
 
@@ -98,6 +99,25 @@ def test_a_part_that_is_located_moves_in_the_arms_belief_and_the_arm_stays() -> 
     arm.advance()
     np.testing.assert_allclose(arm.engine.data.qpos, angles, atol=1e-4)
     assert miss() < 0.0005
+
+
+def test_a_hand_guides_the_tip_to_a_landmark_wherever_the_arm_believes_it_to_be() -> None:
+    arm = cobot(replace(Effects.none(), base=0.004, tcp=0.002))
+    place, push = arm.pads.places[40], -arm.pads.normals[40]
+    above = place - 0.02 * push
+
+    def miss(*, known: bool) -> float:
+        """Distance of the tip from the point above the place that it goes to, metres."""
+        arm.prepare_for(PokeTarget(1, None, place, push, known))
+        for _ in range(round(4.0 / PERIOD_S)):
+            arm.command(above, push, 0.2)
+            arm.advance()
+        return float(np.linalg.norm(arm.engine.tip_in_part()[0] - above))
+
+    assert miss(known=False) > 0.002
+    assert miss(known=True) < 0.0003
+    assert np.linalg.norm(arm.read_tip().position - above) < 0.0003
+    assert miss(known=False) > 0.002
 
 
 def test_poses_are_late_and_wrong_by_the_effects_alone() -> None:
