@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.solve import Json
-from skincal.devices.column_names import quaternion_order
 from skincal.model.errors import InputError, shortened
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
 from skincal.model.length_units import METRES_PER_UNIT, LengthUnit
@@ -77,6 +76,7 @@ def _read_touches(path: Path) -> tuple[FloatArray, list[str], str]:
     """
     import numpy as np
 
+    from skincal.devices.column_names import quaternion_order
     from skincal.rig.pivot import MIN_TOUCHES
 
     try:
