@@ -427,7 +427,7 @@ def finish(
     unpoked: list[str] = []
     thresholds, has_sensor = snapshot.decisions.thresholds, pipeline.scene.has_sensor
     if imported and not (snapshot.pokes or silent):
-        too_short = too_short_sentence(pipeline.before_pokes, thresholds, has_sensor=has_sensor)
+        too_short = too_short_sentence(pipeline.before_pokes, thresholds, live.links, has_sensor=has_sensor)
     if not (snapshot.pokes or silent or too_short):
         unpoked = [no_poke_sentence(pipeline.before_pokes, thresholds, live.links, has_sensor=has_sensor)]
     frames = frame_sentences(pipeline.session.wrench_frames, snapshot.contacts)

@@ -216,7 +216,9 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         accepted = sum(isinstance(outcome, Contact) for outcome in outcomes)
         if silent and (not accepted or any(link.is_mixture for link in links)):
             raise InputError(f"{silent} No session was made.")
-        too_short = "" if outcomes else too_short_sentence(pipeline.before_pokes, scene.contacts, has_sensor=scene.has_sensor)
+        too_short = ""
+        if not outcomes:
+            too_short = too_short_sentence(pipeline.before_pokes, scene.contacts, links, has_sensor=scene.has_sensor)
         if too_short:
             raise InputError(f"{too_short} {WHOLE_RECORDINGS} No session was made.")
         unpoked = (

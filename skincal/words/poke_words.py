@@ -230,10 +230,17 @@ def missed_words(missed: MissedLandmark) -> str:
 WHOLE_RECORDINGS = "Give the whole recordings of one run."
 
 
-def too_short_sentence(seen: BeforePokes, thresholds: ContactSettings, *, has_sensor: bool = True) -> str:
-    """Explain why a recording is too short for any poke; empty if it is long enough."""
+def _find_numberless(links: Sequence[LinkHealth]) -> LinkHealth | None:
+    """Find a link whose readings are mostly NaN or infinite; `None` if there is none."""
+    return next((link for link in links if link.link != Stream.JOINTS.value and 2 * link.numberless > link.readings), None)
+
+
+def too_short_sentence(
+    seen: BeforePokes, thresholds: ContactSettings, links: Sequence[LinkHealth] = (), *, has_sensor: bool = True
+) -> str:
+    """Explain why a recording is too short for any poke; empty if it is long enough, or NaN is the cause."""
     needed_s = thresholds.quiet_s + thresholds.still_s
-    if not seen.samples or seen.seconds >= needed_s:
+    if not seen.samples or seen.seconds >= needed_s or _find_numberless(links) is not None:
         return ""
     streams = "Force and skin were recorded together" if has_sensor else "The skin was recorded"
     return (
@@ -265,7 +272,7 @@ def no_poke_sentence(
     seen: BeforePokes, thresholds: ContactSettings, links: Sequence[LinkHealth] = (), *, has_sensor: bool = True
 ) -> str:
     """Describe a recording without a poke: its content, the needs of a poke, and the next check."""
-    mostly = next((link for link in links if link.link != Stream.JOINTS.value and 2 * link.numberless > link.readings), None)
+    mostly = _find_numberless(links)
     if mostly is not None:
         return (
             f"No poke was found: {mostly.numberless} of the {mostly.readings} readings of the {link_name(mostly)} are NaN or "
