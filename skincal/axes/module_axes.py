@@ -198,7 +198,8 @@ def find_axes(
         # Readings of other taxels say nothing about axes.
         wrong = (AxisMistake(AxisMistakeKind.ORDER, None, (), float("nan"), order.log_odds_wrong, ()),)
         return AxisFindings(tuple(modules), log_odds, wrong if order.is_wrong else ())
-    known = {plan.id: plan.rotation for plan in plans}
+    pressed = {each.id: {poke for one in each.turn.channels for poke in turns.pokes[one].pokes.tolist()} for each in modules}
+    known = {plan.id: plan.rotation if len(pressed.get(plan.id, ())) >= MIN_POKES_TO_NAME else None for plan in plans}
     mistakes = _plan_mistakes(modules, known, turns.taxels) if any(each is not None for each in known.values()) else ()
     if not mistakes:
         mistakes = _normal_mistakes(turns)
@@ -303,6 +304,10 @@ def _spread(turn: Turn, single: Sequence[Turn]) -> float:
     weights = np.array([2.0 / float(np.trace(fit.covariance[:2, :2])) for fit in fits])
     excess = float(weights @ angles**2) - 2.0 * (len(fits) - 1)
     return float(np.sqrt(max(0.0, excess) / float(weights.sum() - weights @ weights / weights.sum())))
+
+
+MIN_POKES_TO_NAME = 5
+"""Pokes on a module before its axes are judged: taxels that one poke presses share its errors, so fewer give too large odds."""
 
 
 def _plan_mistakes(

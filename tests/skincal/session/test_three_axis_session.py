@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from skincal.cli import main
 from skincal.contacts.outcome import Contact
 from skincal.journal.writer import create_session
 from skincal.model.scene import load_scene
@@ -66,3 +67,11 @@ def test_a_poke_that_counts_later_has_its_readings(scene, tmp_path):
     assert found.channels.tolist() == [3]
     assert found.vectors == pytest.approx(np.array([READINGS[0][3]]), abs=1.0)
     assert_same(live, load(folder), replay(folder))
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_three_pokes_on_a_pad_do_not_name_a_turned_module(seed, tmp_path, capsys):
+    # Each poke presses six taxels or more: their readings share its errors, and odds of 30,000 to 1 were said.
+    out = str(tmp_path / "s")
+    assert main(["simulate", "--scene", "three-axis-pad", "--pokes", "6", "--seed", str(seed), "--out", out]) == 0
+    assert "do not fit the pokes" not in capsys.readouterr().out
