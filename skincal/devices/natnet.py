@@ -5,7 +5,8 @@ A message is its kind and size (uint16 each, little-endian) and the content. The
 (uint64), the data port (uint16), and whether and where it multicasts (byte, 4 bytes). 4 asks for the descriptions, 5 has them:
 type 1 is a rigid body with its name, a zero, and its number (int32). 7 is a frame: its number (int32), marker sets, other
 markers, then the rigid bodies: number, x y z in m, quaternion x y z w, mean error (floats), and a word whose bit 0 says that it
-is tracked. Behind skeletons, markers and devices come the times. From 4.1 on each count is followed by a size in bytes.
+is tracked. Behind skeletons, markers and devices come the times. From 4.1 on each count is followed by a size in bytes; from
+4.2 on the description of a body has its turn to its parent, too.
 
 **A lost body is sent with a pose**; only the bit tells. The axes are those of Motive's calibration, y up unless it streams z
 up.
@@ -43,7 +44,8 @@ TIMES_STRUCT = struct.Struct("<2id3Q")
 BYTES_BEHIND_TIMES = (2, 6, 10, 14)
 """Frame flags, with or without a precise time and a closing zero."""
 IS_TRACKED = 1
-VERSION_OLDEST, VERSION_NEWEST, VERSION_WITH_SIZES = (3, 0), (4, 99), (4, 1)
+VERSION_OLDEST, VERSION_NEWEST = (3, 0), (4, 99)
+VERSION_WITH_SIZES, VERSION_WITH_TURNS = (4, 1), (4, 2)
 CONNECT_AGAIN_AFTER_MESSAGES = 200
 """One or two seconds: a unicast server forgets a silent host, and names may have changed."""
 
@@ -221,7 +223,7 @@ def read_body_names(content: bytes, version: tuple[int, int]) -> dict[int, str]:
 def _read_body(cursor: _Cursor) -> tuple[str, int]:
     """Read name and number of a rigid body, and pass over its parent, its offset and its markers."""
     name, number = cursor.read_name(), cursor.read_int()
-    cursor.skip(16)
+    cursor.skip(32 if cursor.version >= VERSION_WITH_TURNS else 16)
     markers = cursor.read_count()
     cursor.skip((MARKER_BYTES + 4) * markers)
     if cursor.version >= (4, 0):

@@ -177,7 +177,7 @@ def test_the_maker_s_export_has_the_columns_of_the_matrix_too():
 # ------------------------------------------------------------------ OptiTrack
 
 QUATERNION = tuple(TURN.as_quat().tolist())
-VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1)]
+VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 3)]
 
 
 def natnet_body(number, pose=(*PLACE_M, *QUATERNION), *, tracked=True):
@@ -215,7 +215,8 @@ def natnet_names(version, **numbers):
     found = [dataset(0, b"all\0" + struct.pack("<i", 2) + b"a\0b\0")]
     for name, number in numbers.items():
         marker = struct.pack("<i3fi", 1, 0.0, 0.0, 0.0, 0) + (b"marker\0" if version >= (4, 0) else b"")
-        found.append(dataset(1, name.encode() + b"\0" + struct.pack("<2i3f", number, -1, 0.0, 0.0, 0.0) + marker))
+        turn = struct.pack("<4f", 0.0, 0.0, 0.0, 1.0) if version >= (4, 2) else b""
+        found.append(dataset(1, name.encode() + b"\0" + struct.pack("<2i3f", number, -1, 0.0, 0.0, 0.0) + turn + marker))
     found.append(dataset(5, b"camera\0" + bytes(28)))
     return pack(1, natnet.message(5, struct.pack("<i", len(found)) + b"".join(found)))
 
