@@ -11,7 +11,7 @@ from skincal.cli.solve import Json
 from skincal.model.errors import InputError, shortened
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
 from skincal.model.length_units import METRES_PER_UNIT, LengthUnit
-from skincal.model.pose_form import QUATERNION_FORMS, RotationForm
+from skincal.model.pose_form import PoseForm, RotationForm
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
@@ -50,48 +50,40 @@ def tool(
     import numpy as np
 
     from skincal.cli import output
-    from skincal.model.pose_form import PoseForm
     from skincal.rig.pivot import PivotState, judge_touches
     from skincal.words.tool_words import pivot_sentences
 
     if degrees and not (rotation is not None and rotation.has_angles):
         raise InputError("--degrees needs a --rotation with angles: vector, rpy, abc, xyz or zyz.")
-    values, where, order = _read_touches(touches)
+    values, where, names = _read_touches(touches)
     given = None if rotation is None else PoseForm(rotation, degrees)
-    if rotation in QUATERNION_FORMS and order and rotation.value != order:
-        raise InputError(
-            f"{touches}: its columns name the quaternion in the order {' '.join(order)}, and --rotation is {rotation.value}; "
-            "correct the one that is wrong."
-        )
+    _check_names(touches, names, given, unit)
     result = judge_touches(values, METRES_PER_UNIT[unit], where, given)
     lines = pivot_sentences(result, None if tip is None else np.array(tip) * 1e-3)
     output.print_result({"touches": touches, **_json(result), "said": lines}, lines, as_json)
     return 0 if result.state is PivotState.AGREES else 2
 
 
-def _read_touches(path: Path) -> tuple[FloatArray, list[str], str]:
-    """Read the numbers of each touch, (n, width), the place of each in the file, and the order of the quaternion.
-
-    The order is that of a first line of names; empty if it states none.
-    """
+def _read_touches(path: Path) -> tuple[FloatArray, list[str], list[str]]:
+    """Read the numbers of each touch, (n, width), the place of each in the file, and the names of a first line."""
     import numpy as np
 
-    from skincal.devices.column_names import quaternion_order
     from skincal.rig.pivot import MIN_TOUCHES
 
     try:
         text = read_regular(path, MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: is no text; expected a line of numbers for each touch.") from None
-    rows, order = list[list[float]](), ""
-    where = list[str]()
+    rows = list[list[float]]()
+    where, names = list[str](), list[str]()
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
     for index, (number, line) in enumerate(lines):
         try:
             row = [float(word) for word in line.translate(SPACES_FOR_SEPARATORS).split()]
         except ValueError:
             if index == 0:
-                order = quaternion_order(line.lower().translate(SPACES_FOR_SEPARATORS).split())
+                mark = next((each for each in ";\t," if each in line), None)
+                names = [name.strip() for name in line.lower().split(mark)]
                 continue
             raise InputError(f"{path}, line {number}: is {shortened(line, 60)!r}; expected numbers alone.") from None
         if rows and len(row) != len(rows[0]):
@@ -104,7 +96,24 @@ def _read_touches(path: Path) -> tuple[FloatArray, list[str], str]:
         )
     if len(rows[0]) not in {form.width for form in RotationForm}:
         raise InputError(f"{path}: its lines have {len(rows[0])} values; expected 6, 7, 12 or 16: x y z and a rotation.")
-    return np.array(rows), [f"{path}, {each}" for each in where], order
+    return np.array(rows), [f"{path}, {each}" for each in where], names
+
+
+def _check_names(touches: Path, names: list[str], given: PoseForm | None, unit: LengthUnit) -> None:
+    """Compare the names of the columns with the options. Raises InputError: they differ, or x y z are not first."""
+    from skincal.devices.pose_names import PoseNames
+
+    found = PoseNames.read(names)
+    if found.is_rotation_first:
+        raise InputError(
+            f"{touches}: its columns are {' '.join(names)}, the rotation before the place; expected x y z, then the rotation: "
+            "order the columns so."
+        )
+    clash = found.clash(given, METRES_PER_UNIT[unit])
+    if clash is not None:
+        seen, key, value = clash
+        said = f"--{key} is {value}" if key != "degrees" else f"--degrees is {'' if value == 'true' else 'not '}given"
+        raise InputError(f"{touches}: its columns name {seen}, and {said}; correct the one that is wrong.")
 
 
 def _json(result: PivotResult) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 from skincal.devices.netft_page import FORCE_UNITS, TORQUE_UNITS
 
@@ -26,9 +25,6 @@ _WRENCH_AXIS_RE = re.compile(
     r"(?:.*[./_ ])?([fmt]|force|torque|moment|kraft|drehmoment|couple)[._/ ,-]*([xyz])"
     r"((?:[ _,/]*[\[(].*[\])]|[ _,/]*[a-z][a-z .*\u00b7-]*)?)"
 )
-_AXIS_LETTER_RE = re.compile(r".*?([xyzw])(?:[ _]*[\[(]?(?:m|mm|rad|deg)[\])]?)?")
-QUATERNION_LETTERS = "wxyz"
-POSE_WITH_QUATERNION_VALUES = 7
 _BRACKETS_RE = re.compile(r"[\[(]")
 MOMENT_UNITS = {**TORQUE_UNITS, "mnm": 1e-3, "ncm": 1e-2, "knmm": 1.0}
 _UNIT_WORDS = (("newtons?", "n"), ("millimet(er|re)s?", "mm"), ("met(er|re)s?", "m"), ("lbf", "lb"), ("kgf", "kg"), ("gf", "g"))
@@ -55,19 +51,6 @@ def axis_of(name: str) -> tuple[str, str] | None:
     if unit and not _BRACKETS_RE.search(found[3]) and unit not in {**FORCE_UNITS, **MOMENT_UNITS}:
         return None
     return axis, unit
-
-
-def axis_letter(name: str) -> str:
-    """Return x, y, z or w with which a column's name ends, before its unit; empty without one."""
-    found = _AXIS_LETTER_RE.fullmatch(name)
-    return "" if found is None else found[1]
-
-
-def quaternion_order(names: Sequence[str]) -> str:
-    """Return the order of the quaternion that the names of a pose's columns state, such as `wxyz`; empty if they state none."""
-    letters = "".join(axis_letter(name) for name in names)
-    is_pose = len(names) == len(letters) == POSE_WITH_QUATERNION_VALUES and letters.startswith("xyz")
-    return letters[3:] if is_pose and "".join(sorted(letters[3:])) == QUATERNION_LETTERS else ""
 
 
 def plain_unit(text: str) -> str:

@@ -10,6 +10,7 @@ from itertools import islice
 from pathlib import Path
 
 from skincal.contacts.outcome import Contact, Rejection
+from skincal.devices.pose_names import clash_in_scene
 from skincal.files.importers.preview import RecordingFiles, guess_streams
 from skincal.files.importers.registry import RecordedPlace, StoppedError, importer_of
 from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
@@ -17,7 +18,6 @@ from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME, describe_lock_holder
 from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
-from skincal.model.pose_form import QUATERNION_FORMS
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.part.part import anchor_findings, load_scene_surface
@@ -109,10 +109,10 @@ def play_recording(
     pose : name of the arm pose, if joints were not recorded
     go_on : gets the finished share, 0 to 1, and says whether to continue; if not, a `StoppedError` follows
 
-    Raises InputError: the recording names another order of the quaternions than the scene.
+    Raises InputError: the names of the columns of the poses contradict the scene.
     """
     try:
-        _check_quaternion_order(pipeline.scene, recording)
+        _check_pose_names(pipeline.scene, recording)
         if pose:
             pipeline.act(SetPose(pose), SESSION_START_TIME_NS)
         span_ns = max(recording.span_ns, 1)
@@ -125,16 +125,12 @@ def play_recording(
         pipeline.close()
 
 
-def _check_quaternion_order(scene: Scene, recording: OpenRecording) -> None:
-    """Compare the order of the quaternions that the columns of a recording name with that of `[tool]`. Raises InputError."""
-    form = None if scene.tool is None else scene.tool.form
-    if form is None or not recording.quaternion_order or form.rotation not in QUATERNION_FORMS:
-        return
-    if form.rotation.value != recording.quaternion_order:
-        raise InputError(
-            f"The columns of the tool's poses name the quaternion in the order {' '.join(recording.quaternion_order)}, and "
-            f'{scene.path.name} has rotation = "{form.rotation.value}" in [tool]: correct the one that is wrong.'
-        )
+def _check_pose_names(scene: Scene, recording: OpenRecording) -> None:
+    """Compare what the columns of the poses of a recording name with `[tool]`. Raises InputError: they differ."""
+    given = None if scene.tool is None else scene.tool.streamed_form
+    clash = None if given is None else recording.pose_names.clash(*given)
+    if clash is not None:
+        raise InputError(f"The columns of the tool's poses name {clash_in_scene(clash, scene.path.name)}.")
 
 
 def stream_findings(pipeline: Pipeline) -> list[str]:

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.devices.column_names import plain_unit, quaternion_order
+from skincal.devices.column_names import plain_unit
 from skincal.devices.decoding import WRENCH_VALUES
+from skincal.devices.pose_names import NO_POSE_NAMES, PoseNames
 from skincal.files.importers.array_file import AnyArray, ArrayFile, NamedArray, open_array_file
 from skincal.files.importers.array_streams import (
     FEW_ROWS,
@@ -147,7 +148,7 @@ def open_recording(
     sources: list[Callable[[], Iterator[Sequence[bytes]]]] = []
     findings: list[str] = []
     frame_shape: tuple[int, ...] = ()
-    order = ""
+    pose_names = NO_POSE_NAMES
     for stream, place in places.items():
         if not place.topic:
             file = files.get((place.path, None)) or open_array_file(place.path)
@@ -168,13 +169,13 @@ def open_recording(
             check_assumed_seconds(file.path, stream, timeline.interval, "state the unit: --time NAME:ms, NAME:us or NAME:ns")
         findings += [*timeline.sentences(), *(f"{stream.value}: {each}" for each in (*said, *rows.findings, *left_out))]
         frame_shape = rows.shape if stream is Stream.SKIN and len(rows.shape) == 2 else frame_shape
-        order = quaternion_order(rows.labels) if stream is Stream.TOOL else order
+        pose_names = _pose_names(file, spec, rows) if stream is Stream.TOOL else pose_names
         links.append(LinkSpec(stream.value, f"file:{file.path}::{spec.text}", (stream,), "records"))
         timelines.append(timeline)
         sources.append(partial(_lines, stamps, values, rows.frame if stream is Stream.WRENCH else ""))
     check_overlap(timelines)
     findings += late_streams(timelines)
-    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings), frame_shape, order)
+    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings), frame_shape, pose_names)
 
 
 def _values(
@@ -225,6 +226,17 @@ def _pose_values(file: ArrayFile, spec: ArraySpec, rows: StreamRows) -> tuple[An
     if rows.shape == (4, 4):
         return values, [f'{spec.text}: poses of 4 x 4, row by row; [tool] needs rotation = "4x4", or "4x4-columns".']
     return values, [f"{spec.text}: poses of {width} values, in the form of [tool]: the file does not state one."]
+
+
+def _pose_names(file: ArrayFile, spec: ArraySpec, rows: StreamRows) -> PoseNames:
+    """Read what the labels state on a pose. Raises InputError: the rotation comes before the place."""
+    found = PoseNames.read([label.lower() for label in rows.labels])
+    if found.is_rotation_first:
+        raise InputError(
+            f"{file.path}: the values of {spec.text} are {', '.join(rows.labels)}, the rotation before the place; expected x y "
+            "z, then the rotation: choose the columns in that order."
+        )
+    return found
 
 
 def _angle_unit(file: ArrayFile, spec: ArraySpec, rows: StreamRows) -> str:

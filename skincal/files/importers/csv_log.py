@@ -38,6 +38,7 @@ import numpy as np
 from skincal.devices.column_names import MOMENT_UNITS, TIME_UNITS
 from skincal.devices.decoding import TIME_STAMP_MAX_S, WRENCH_VALUES
 from skincal.devices.netft_page import FORCE_UNITS
+from skincal.devices.pose_names import NO_POSE_NAMES
 from skincal.files.importers.labview import ABSOLUTE_MIN_S
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
 from skincal.files.importers.table_columns import (
@@ -113,7 +114,7 @@ class _Table:
             self._time, self._number = _unnamed_time(form), None
             values, has_others = _unnamed_values(form, self._time, stream, channels), False
         self.values = values.at
-        self.quaternion_order = values.quaternion_order
+        self.pose_names = values.pose_names
         self._empty_words = EMPTY_WORDS if has_others else frozenset(("",))
         self._uses = form.number_uses()
         self._has_gaps = form.has_gaps()
@@ -276,7 +277,7 @@ def open_recording(places: Mapping[Stream, RecordedPlace], channels: int = 0) ->
         tuple(timelines),
         tuple(table.lines for table in tables),
         tuple(findings),
-        quaternion_order=next((table.quaternion_order for table in tables if table.quaternion_order), ""),
+        pose_names=next((table.pose_names for table in tables if table.stream is Stream.TOOL), NO_POSE_NAMES),
     )
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.devices.decoding import WRENCH_VALUES
+from skincal.devices.pose_names import NO_POSE_NAMES
 from skincal.files.importers.registry import (
     RANK_OF_GUESS_BY_CHANNELS,
     RECORDING_IMPORTERS,
@@ -164,7 +165,7 @@ def open_places(
             f"The files are of two kinds ({titles}): their clocks must agree, since readings are paired by their times.",
         ),
         next((one.frame_shape for one in opened if one.frame_shape), ()),
-        next((one.quaternion_order for one in opened if one.quaternion_order), ""),
+        next((one.pose_names for one in opened if one.pose_names != NO_POSE_NAMES), NO_POSE_NAMES),
     )
 
 

@@ -19,12 +19,12 @@ from skincal.devices.column_names import (
     MOMENT_UNITS,
     TIME_COLUMN_RE,
     WRENCH_AXES,
-    axis_letter,
     axis_of,
     plain_unit,
     short_unit,
 )
 from skincal.devices.netft_page import FORCE_UNITS
+from skincal.devices.pose_names import NO_POSE_NAMES, POSE_UNIT, PoseNames, axis_letter
 from skincal.files.importers.table_form import TableForm
 from skincal.files.importers.table_values import is_date, is_time_of_day, to_float
 from skincal.model.errors import InputError, plural
@@ -50,9 +50,9 @@ _JOINT_NAME_RE = re.compile(r".+[ _\[(](?:deg|rad)[\])]?")
 _JOINT_WORD_RE = re.compile(r"joint|(?:^|[^a-z])(?:j|q|a|axis|pos|position|angle)[ _\[(]?\d|position$|angle$")
 _POSE_COLUMN_RE = re.compile(
     r"(?:.*[./_ ])?(?:(?:p|t|pos|position|translation)?[._]?[xyz]|(?:q|quat|rot|r|orientation|rotation)[._]?[xyzw]"
-    r"|roll|pitch|yaw|w)(?:[ _]*[\[(]?(?:m|mm|rad|deg)[\])]?)?"
+    rf"|roll|pitch|yaw|w|[abc](?=[ _]*[\[(]?(?:deg|rad|\u00b0))){POSE_UNIT}"
 )
-"""Columns of a position, a quaternion, a rotation vector, or three angles."""
+"""Columns of a position, a quaternion, a rotation vector, or three angles; a, b and c alone may be anything."""
 _PRESSURE_CENTRE_RE = re.compile(r"(?:.*[./_ ])?(?:a|cop|cop_|cop |p|cp)[xy](?:[ _]*[\[(].*)?")
 
 
@@ -78,8 +78,8 @@ class ValueColumns:
     factors: tuple[float, ...]
     """To N, N m, degrees or raw values."""
     findings: tuple[str, ...] = ()
-    quaternion_order: str = ""
-    """Of a pose, as the names state it, such as `wxyz`; empty if they state none."""
+    pose_names: PoseNames = NO_POSE_NAMES
+    """What the names state on the numbers of a pose."""
 
 
 @dataclass(slots=True)
@@ -331,6 +331,12 @@ class TableColumns:
         named = [k for k in self.named_pose if k in columns]
         chosen = named if len(named) in POSE_WIDTHS else [k for k in self.others if k in columns]
         ends = [axis_letter(self.names[k]) for k in chosen]
+        stated = PoseNames.read([self.names[k] for k in chosen])
+        if stated.is_rotation_first:
+            raise InputError(
+                f"{self.path}: its columns are {self._list_names(chosen)}, the rotation before the place; expected x y z, then "
+                "the rotation: order the columns so."
+            )
         if len(chosen) not in POSE_WIDTHS or (len(chosen) < 16 and ends[:3] not in (["x", "y", "z"], [""] * 3)):
             raise InputError(
                 f"{self.path}: has no pose of a tool; seen {self._list_names(range(len(self.names)))}; expected x y z and the "
@@ -346,7 +352,7 @@ class TableColumns:
                 f"{self.path}: its quaternion is in the order {' '.join(ends[3:])}; expected x y z w, or w x y z: order the "
                 "columns so."
             )
-        return ValueColumns(tuple(chosen), (1.0,) * len(chosen), (said,), order if all(ends) else "")
+        return ValueColumns(tuple(chosen), (1.0,) * len(chosen), (said,), stated)
 
     # Skin
 

@@ -22,6 +22,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from skincal.devices.pose_names import NO_POSE_NAMES, PoseNames
 from skincal.files.importers.tape import BLOCK_NUMBERS, NumberFile
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError, plural
@@ -374,8 +375,8 @@ class OpenRecording:
     """Sentences."""
     frame_shape: tuple[int, ...] = ()
     """Rows and columns of a frame of the skin; empty if the recording does not state them."""
-    quaternion_order: str = ""
-    """Order of the quaternions of the tool's poses that the recording states, such as `wxyz`; empty if it states none."""
+    pose_names: PoseNames = NO_POSE_NAMES
+    """What the recording states on the numbers of the tool's poses."""
 
     @property
     def span_ns(self) -> int:

@@ -24,13 +24,13 @@ from skincal.devices.column_names import (
     TIME_COLUMN_RE,
     TIME_UNITS,
     WRENCH_AXES,
-    quaternion_order,
     short_unit,
 )
 from skincal.devices.decoding import CLOCK_MODULUS_US, DEFAULT_UNITS, NO_SEQ, FrameDecoder, FrameSplitter
+from skincal.devices.pose_names import PoseNames, clash_in_scene
 from skincal.devices.rising_columns import RISING_COLUMNS_MAX, RisingColumns, rising_words
 from skincal.model.errors import list_channels
-from skincal.model.pose_form import QUATERNION_FORMS
+from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.line_forms import (
     HEXADECIMAL_FORM,
@@ -93,8 +93,8 @@ class TextDecoder(FrameDecoder):
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._columns = LeadingColumns()
-        self._other_order = ""
-        """Sentence on a header whose quaternion has another order than the scene's; empty if they agree."""
+        self._other_pose = ""
+        """Sentence on a header that names other poses than the scene; empty if they agree."""
         # Of a skin frame whose rows are lines of their own, until the blank line that ends it.
         self._rows: list[list[float]] = []
         self._has_too_many_rows = self._has_blank_ends = False
@@ -146,7 +146,7 @@ class TextDecoder(FrameDecoder):
         """Read a header or a line of another form, or pass over a banner. A line that is mostly numbers is damaged."""
         names = [field.strip("\"' ").lower() for field in fields]
         if Stream.TOOL in self._widths:
-            self._read_quaternion_order(names)
+            self._read_pose_names(names)
         if self._columns.named_by(names, self._stream_of):
             return None
         if not self._first and self._is_read(line, fields):
@@ -159,19 +159,17 @@ class TextDecoder(FrameDecoder):
         readable = sum(to_numbers([field]) is not None for field in fields)
         return Loss.UNREADABLE if 2 * readable >= len(fields) else None
 
-    def _read_quaternion_order(self, names: list[str]) -> None:
-        """Compare the order of the quaternion in a header of a pose with that of the scene."""
-        order = quaternion_order([name for name in names if not is_clock_or_counter(name)])
-        form = None if self._pose_form is None else self._pose_form[0].rotation
-        if order and form in QUATERNION_FORMS:
-            self._other_order = (
-                ""
-                if form.value == order
-                else (
-                    f"The header names the quaternion in the order {' '.join(order)}, and [tool] of the scene has "
-                    f'rotation = "{form.value}": correct the one that is wrong'
-                )
-            )
+    def _read_pose_names(self, names: list[str]) -> None:
+        """Compare what a header of a pose names with the scene."""
+        columns = [name for name in names if not is_clock_or_counter(name)]
+        found = PoseNames.read(columns)
+        clash = None if self._pose_form is None else found.clash(*self._pose_form)
+        if found.is_rotation_first:
+            self._other_pose = f"The header is {' '.join(columns)}, the rotation before the place: send x y z first"
+        elif clash is not None:
+            self._other_pose = f"The header names {clash_in_scene(clash, 'the scene')}"
+        elif len(columns) in POSE_WIDTHS:
+            self._other_pose = ""
 
     # Lines of numbers alone
 
@@ -199,8 +197,8 @@ class TextDecoder(FrameDecoder):
             return Loss.UNREADABLE
         seq, device_s, missing = self._columns.read(numbers[:lead])
         self._count_missing(missing)
-        if stream is Stream.TOOL and self._other_order:
-            self._problem = self._other_order
+        if stream is Stream.TOOL and self._other_pose:
+            self._problem = self._other_pose
             return Loss.NO_POSE
         return self._add(stream, seq, device_s, numbers[lead:])
 

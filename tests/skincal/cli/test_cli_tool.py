@@ -82,6 +82,21 @@ def test_a_header_with_another_order_of_the_quaternion_is_said(tmp_path, capsys)
     assert "name the quaternion in the order x y z w, and --rotation is wxyz" in said
 
 
+@pytest.mark.parametrize(
+    ("names", "options", "says"),
+    [
+        ("x [mm],y [mm],z [mm],rx,ry,rz", [], "name the lengths in mm, and --unit is m"),
+        ("x y z rx_deg ry_deg rz_deg", ["--rotation", "vector"], "name the angles in deg, and --degrees is not given"),
+        ("rx;ry;rz;x;y;z", [], "the rotation before the place; expected x y z, then the rotation"),
+        ("x_m,y_m,z_m,rx,ry,rz", [], ""),
+    ],
+)
+def test_a_header_of_other_units_or_another_order_is_said(tmp_path, capsys, names, options, says):
+    path = written(tmp_path, np.hstack([PLACES, TURNS.as_rotvec()]), f"{names}\n")
+    assert main(["tool", str(path), "--unit", "m", *options]) == (2 if says else 0)
+    assert says in " ".join(capsys.readouterr().err.split())
+
+
 def test_a_line_of_words_or_of_another_length_is_named(tmp_path, capsys):
     path = written(tmp_path, np.hstack([PLACES, Rotation.identity(len(PLACES)).as_rotvec()]))
     lines = path.read_text(encoding="utf-8").splitlines()

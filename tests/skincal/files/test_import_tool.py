@@ -219,6 +219,34 @@ def test_columns_that_name_another_order_of_the_quaternion_than_the_scene_are_re
     assert not out.exists()
 
 
+@pytest.mark.parametrize(
+    ("names", "rotation", "unit", "degrees", "says"),
+    [
+        ("qx qy qz qw x y z", "xyzw", "m", "", "the rotation before the place; expected x y z, then the rotation"),
+        ("rx ry rz x y z", "vector", "m", "false", "the rotation before the place"),
+        ("a b c x y z", "abc", "m", "false", "the rotation before the place"),
+        ("roll pitch yaw x y z", "rpy", "m", "false", "the rotation before the place"),
+        ("x_mm y_mm z_mm rx ry rz", "vector", "m", "false", 'the lengths in mm, and scene.toml has unit = "m" in [tool]'),
+        ("x y z roll_deg pitch_deg yaw_deg", "rpy", "m", "false", "the angles in deg, and scene.toml has degrees = false"),
+        ("x y z roll_rad pitch_rad yaw_rad", "rpy", "m", "true", "the angles in rad, and scene.toml has degrees = true"),
+        ("x_[mm] y_[mm] z_[mm] a_[deg] b_[deg] c_[deg]", "abc", "mm", "true", ""),
+        ("x_m y_m z_m qx qy qz qw", "xyzw", "m", "", ""),
+    ],
+)
+def test_column_names_that_contradict_the_form_of_the_poses_are_refused(tmp_path, capsys, names, rotation, unit, degrees, says):
+    form = f'rotation = "{rotation}"\nunit = "{unit}"\n' + f"degrees = {degrees}\n" * bool(degrees)
+    scene_of(tmp_path, scene_text(form))
+    times, columns = np.arange(60) / 50, names.split()
+    rows = np.full((60, len(columns)), 0.1)
+    rows[:, :3] = 100.0 if unit == "mm" else 0.1
+    rows[:, 6:] = np.sqrt(1.0 - 3 * 0.01)
+    tables = write_tables(tmp_path, {"skin": (times, np.zeros((60, 9))), "tool": (times, rows)}, columns)
+    code = main(["import", "csv", *tables, "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")])
+    assert says in " ".join(capsys.readouterr().err.split())
+    assert code == (2 if says else 0)
+    assert (tmp_path / "out").exists() != bool(says)
+
+
 def test_a_header_of_streamed_lines_is_compared_with_the_scene():
     row = "0.1,-0.2,0.3,0.038135,0.189308,0.239298,0.951549\n"
     for names, poses in (("qx,qy,qz,qw", 5), ("qw,qx,qy,qz", 0), ("a,b,c,d", 5)):
@@ -228,6 +256,20 @@ def test_a_header_of_streamed_lines_is_compared_with_the_scene():
         assert sum(len(batch.seq) for batch in batches) == poses
         assert decoder.counts[Loss.NO_POSE] == 5 - poses
         assert ("in the order w x y z" in decoder.device_message) == (poses == 0)
+
+
+def test_units_and_order_in_a_header_of_streamed_lines_are_compared_with_the_scene():
+    for names, says in (
+        ("x_m,y_m,z_m,rx,ry,rz", ""),
+        ("x_mm,y_mm,z_mm,rx,ry,rz", 'The header names the lengths in mm, and the scene has unit = "m" in [tool]'),
+        ("x,y,z,rx_deg,ry_deg,rz_deg", "The header names the angles in deg, and the scene has degrees = false in [tool]"),
+        ("rx,ry,rz,x,y,z", "The header is rx ry rz x y z, the rotation before the place: send x y z first"),
+    ):
+        decoder = make_decoder("text", None, (Stream.TOOL,))
+        decoder.set_pose_form(PoseForm(RotationForm.ROTATION_VECTOR), 1.0)
+        batches = decoder.feed(f"t_s,{names}\n{''.join(f'{k}.0,0.1,-0.2,0.3,0.1,0.2,0.3{chr(10)}' for k in range(5))}".encode())
+        assert sum(len(batch.seq) for batch in batches) == (0 if says else 5)
+        assert says in decoder.device_message
 
 
 def test_python_reads_the_poses_of_a_tool(made, tmp_path):
