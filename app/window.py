@@ -6,11 +6,11 @@ It is on the screen before anything heavy is imported, so it imports neither num
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, QUrl, Signal, Slot, qVersion
 from PySide6.QtGui import QCloseEvent, QColor, QDesktopServices, QPalette
@@ -482,6 +482,7 @@ class Window(QMainWindow):
     def _open_fixed_point(self, address: str) -> None:
         from app.builder.fixed_point_dialog import FixedPointDialog
         from skincal.part.part_draft import open_draft
+        from skincal.part.tool_draft import changes_by_test
 
         try:
             files = self._scene_files()
@@ -494,8 +495,9 @@ class Window(QMainWindow):
         dialog = FixedPointDialog(tool, address, self)
 
         def ask(found: ToolDraft) -> None:
-            words = tip_words(found.tip_mm or (), "" if found.rotation == tool.rotation else found.rotation, files)
-            self._offer("Write this tip?", words, "Write", lambda: self._use_tip(found, files, paused=paused), resume)
+            changed = changes_by_test(tool, found)
+            words = tip_words(changed, files)
+            self._offer("Write this tip?", words, "Write", lambda: self._use_tip(changed, files, paused=paused), resume)
 
         dialog.found.connect(ask)
         self._open_page(dialog, paused=paused)
@@ -514,8 +516,8 @@ class Window(QMainWindow):
             )
         return files
 
-    def _use_tip(self, tool: ToolDraft, files: Sequence[Path], *, paused: bool) -> None:
-        """Write the tool into scene files, and open the session again: its pokes are found again from the bytes."""
+    def _use_tip(self, changed: Mapping[str, Any], files: Sequence[Path], *, paused: bool) -> None:
+        """Write a tip that was found into scene files, and open the session again: its pokes are found again from the bytes."""
         from app.session.opening import addresses_of
         from skincal.part.part_draft import save_tool
 
@@ -526,7 +528,7 @@ class Window(QMainWindow):
         given = addresses_of(self.controller.links) if read else Addresses()
         try:
             for path in files:
-                save_tool(path, tool)
+                save_tool(path, changed)
         except InputError as error:
             self.tell_failure(str(error))
             if paused:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from skincal.model.errors import plain_text
 
@@ -50,9 +52,17 @@ def kept_messages_text(kept: Iterable[tuple[datetime, Message]]) -> str:
     return "\n\n".join(reversed(lines)) or "There is no message yet."
 
 
-def tip_words(tip_mm: Sequence[float], form: str, files: Sequence[Path]) -> str:
-    """Ask whether to write a tip that the fixed-point test found, with the form of the poses if it is another one."""
-    lines = [f"tip_mm = [{', '.join(f'{value:g}' for value in tip_mm)}]", *([f'rotation = "{form}"'] if form else [])]
+def tip_words(changed: Mapping[str, Any], files: Sequence[Path]) -> str:
+    """Ask whether to write a tip that the fixed-point test found, with the form of the poses if it is another one.
+
+    Parameters
+    ----------
+    changed : values by their key in `[tool]`; `None` for a key that is left out
+    """
+    words = {key: json.dumps(value) for key, value in changed.items() if value is not None}
+    if tip_mm := changed.get("tip_mm"):
+        words["tip_mm"] = f"[{', '.join(f'{value:g}' for value in tip_mm)}]"
+    lines = [f"{key} = {word}" for key, word in words.items()]
     return (
         f"{' and '.join(lines)} will be written into [tool] of\n\n"
         + "\n".join(plain_text(str(path)) for path in files)

@@ -586,9 +586,10 @@ def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None 
         return open_draft(path)
 
 
-def save_tool(path: Path, tool: ToolDraft) -> None:
-    """Write the tool into `[tool]` of a scene file, and change nothing else. Raises InputError as `save_draft`."""
-    save_draft(replace(open_draft(path), tool=tool), path)
+def save_tool(path: Path, changed: Mapping[str, Any]) -> None:
+    """Write changed fields of a `ToolDraft` into a scene file, and nothing else. Raises InputError as `save_draft`."""
+    draft = open_draft(path)
+    save_draft(replace(draft, tool=replace(draft.tool, **changed)), path)
 
 
 @contextlib.contextmanager

@@ -74,9 +74,10 @@ def tool_entries(rig: Rig, tool: ToolDraft) -> dict[tuple[str, ...], Any]:
     left_out = {"degrees"} if tool.form is None or not tool.form.has_angles else set[str]()
     left_out |= {"unit"} if tool.form is None else set()
     left_out |= set(_OF_SENSOR) if rig is Rig.NONE else set()
+    left_out |= {"base_from_link_sd_mm"} if tool.base_from_link is None else set()
     entries: dict[tuple[str, ...], Any] = {("tool", "sensor"): rig.value}
     entries |= {("tool", key): getattr(tool, key) for key in _KEYS if key not in left_out}
-    entries |= {("tool", key): value for key, value in tool.kept}
+    entries |= {("tool", key): value for key, value in tool.kept if key not in left_out}
     return {key: value for key, value in entries.items() if value not in (None, "")}
 
 
@@ -87,6 +88,12 @@ def read_tool_draft(table: Mapping[str, Any] | None) -> tuple[Rig, ToolDraft]:
     known: dict[str, Any] = {key: table[key] for key in _KEYS if key in table}
     kept = tuple((key, value) for key, value in table.items() if key != "sensor" and key not in _KEYS)
     return Rig(table["sensor"]), ToolDraft(**known, kept=kept)
+
+
+def changes_by_test(before: ToolDraft, found: ToolDraft) -> dict[str, Any]:
+    """List what a fixed-point test changed of a tool: its tip, and the form of its poses if that was another one."""
+    after = {key: getattr(found, key) for key in ("tip_mm", "rotation", "degrees")}
+    return {key: value for key, value in after.items() if key == "tip_mm" or value != getattr(before, key)}
 
 
 def tool_problem(rig: Rig, tool: ToolDraft, *, has_arm: bool) -> str:

@@ -10,8 +10,8 @@ import pytest
 from skincal.model.scene import load_scene, resource
 from skincal.part.draft_preview import PartPreviewer
 from skincal.part.draft_summary import State, can_start, summarize
-from skincal.part.part_draft import IDENTITY_POSE, LandmarkDraft, PartDraft, open_draft, save_draft, scene_text
-from skincal.part.tool_draft import Rig, ToolDraft, tool_problem
+from skincal.part.part_draft import IDENTITY_POSE, LandmarkDraft, PartDraft, open_draft, save_draft, save_tool, scene_text
+from skincal.part.tool_draft import Rig, ToolDraft, changes_by_test, tool_problem
 
 MESH = resource("scenes/icub-forearm/forearm.obj")
 TURNED = ((0.0, -1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.02), (0.0, 0.0, 0.0, 1.0))
@@ -57,6 +57,29 @@ def test_entries_that_the_page_does_not_know_stay_with_their_comments():
     assert "flange =" not in without
     assert 'sensor = "none"' in without
     assert "base_from_link" in without
+
+
+def test_a_typed_pose_that_is_cleared_takes_its_error_with_it(tmp_path):
+    saved = save_draft(
+        draft_of(Rig.ON_TOOL, base_from_link=TURNED, kept=(("base_from_link_sd_mm", 3.0),)), tmp_path / "scene.toml"
+    )
+    assert "base_from_link_sd_mm = 3" in saved.text
+    cleared = save_draft(replace(saved, tool=replace(saved.tool, base_from_link=None)), saved.source)
+    assert "base_from_link" not in cleared.text
+
+
+def test_a_tip_that_was_found_changes_nothing_else_in_a_file_that_differs(tmp_path):
+    form = {"rotation": "vector", "unit": "mm", "degrees": False}
+    before = ToolDraft(**form, tip_radius_mm=2.0, flange=TURNED)
+    saved = save_draft(draft_of(Rig.ON_TOOL, **form, tip_radius_mm=3.0, tip_sd_mm=0.4), tmp_path / "scene.toml")
+    for found, keys in (
+        (replace(before, tip_mm=(1.0, 2.0, 3.0)), {"tip_mm"}),
+        (replace(before, tip_mm=(1.0, 2.0, 4.0), rotation="rpy", degrees=True), {"tip_mm", "rotation", "degrees"}),
+    ):
+        changed = changes_by_test(before, found)
+        assert set(changed) == keys
+        save_tool(saved.source, changed)
+        assert open_draft(saved.source).tool == replace(saved.tool, **changed)
 
 
 def test_a_missing_tip_or_form_is_said_before_a_session_starts():
