@@ -11,7 +11,7 @@ from skincal.axes.module_axes import AxisFindings, ModulePlan, find_axes
 from skincal.axes.session_turns import SessionTurns, ShownTurn
 from skincal.axes.taxel_frames import FrameState, TaxelFrame, frames_of_taxels
 from skincal.contacts.value_order import OrderOfValues
-from skincal.geometry import FloatArray, fit_rotation
+from skincal.geometry import FloatArray, cross_matrix, fit_rotation, length_of
 from skincal.model.skin import Layout, Module
 from skincal.taxels.result import Estimate, Method
 
@@ -77,32 +77,65 @@ class AxisResults:
 
 def module_plans(layout: Layout, estimates: Sequence[Estimate]) -> list[ModulePlan]:
     """Make the plan of each module, placed by the estimates of its taxels."""
-    by_channel = {
-        each.channel: (each.position, each.normal)
-        for each in estimates
-        if each.position is not None and each.normal is not None
+    by_channel = {each.channel: each for each in estimates if each.position is not None and each.normal is not None}
+    return [place_plan(module, by_channel) for module in layout.modules]
+
+
+def place_plan(module: Module, by_channel: Mapping[int, Estimate]) -> ModulePlan:
+    """Fit the rotation from the plan of a module to its estimated taxels, with its error.
+
+    The errors of the positions move the n points that are fitted: all together by those that taxels share, and each by the
+    others. These may agree, so the sum of n errors has n times the sum of their variances (Cauchy and Schwarz).
+    """
+    channels = tuple(module.channels.tolist())
+    known = [by_channel[channel] for channel in channels if channel in by_channel]
+    places = {
+        each.channel: (each.position, each.normal) for each in known if each.position is not None and each.normal is not None
     }
-    return [
-        ModulePlan(module.id, tuple(module.channels.tolist()), plan_rotation(module, by_channel)) for module in layout.modules
-    ]
+    placed = fit_plan(module, places)
+    if placed is None:
+        return ModulePlan(module.id, channels, None)
+    rotation, points = placed
+    return ModulePlan(module.id, channels, rotation, _turn_covariance(points @ rotation.T, known))
 
 
-def plan_rotation(module: Module, by_channel: dict[int, tuple[FloatArray, FloatArray]]) -> FloatArray | None:
-    """Fit the rotation (3, 3) from the plan of a module to its estimated taxels; `None` if they do not determine it."""
+def fit_plan(module: Module, places: Mapping[int, tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray] | None:
+    """Fit the rotation (3, 3) from the plan of a module to the positions and normals of its taxels, by channel.
+
+    Also gives the fitted points (n + 1, 3), m, in the plan, around their mean; the last one is that of the mean normal, as far
+    out as the farthest taxel. `None` if they do not determine the rotation.
+    """
     pads = module.kind.pads[~np.isnan(module.kind.pads[:, 0])] * np.array([-1.0 if module.mirror else 1.0, 1.0])
-    known = [
-        (pad, by_channel[channel]) for pad, channel in zip(pads, module.channels.tolist(), strict=True) if channel in by_channel
-    ]
+    known = [(pad, *places[channel]) for pad, channel in zip(pads, module.channels.tolist(), strict=True) if channel in places]
     if len(known) < MIN_TAXELS_OF_PLAN:
         return None
-    flat = np.array([[*pad, 0.0] for pad, _ in known])
-    places = np.array([place for _, (place, _) in known])
-    normal = np.array([each for _, (_, each) in known]).sum(axis=0)
+    flat = np.array([[*pad, 0.0] for pad, _, _ in known])
+    found = np.array([place for _, place, _ in known])
+    normal = np.array([each for _, _, each in known]).sum(axis=0)
     size = float(np.abs(flat - flat.mean(axis=0)).max())
     # The side is that of the normals.
     flat = np.concatenate([flat - flat.mean(axis=0), [[0.0, 0.0, size]]])
-    places = np.concatenate([places - places.mean(axis=0), [size * normal / np.linalg.norm(normal)]])
-    products = flat.T @ places
+    found = np.concatenate([found - found.mean(axis=0), [size * normal / np.linalg.norm(normal)]])
+    products = flat.T @ found
     if np.linalg.svd(products, compute_uv=False)[1] < 0.01 * size**2:
         return None
-    return np.ascontiguousarray(fit_rotation(products).T)
+    return np.ascontiguousarray(fit_rotation(products).T), flat
+
+
+def _turn_covariance(points: FloatArray, estimates: Sequence[Estimate]) -> FloatArray:
+    """Compute the covariance (3, 3), rad^2, of the turn of `points` (n + 1, 3), as `fit_plan` gives them, in the link frame."""
+    # Least squares of turn x point = error; the sum of S(p)'S(p) is |p|^2 I - p p'.
+    information = np.sum(points**2) * np.eye(3) - points.T @ points
+    slopes = list[FloatArray](np.linalg.inv(information) @ cross_matrix(points))
+    own = np.zeros((3, 3))
+    shared = list[FloatArray]()
+    for slope, estimate in zip(slopes, estimates, strict=False):
+        covariance, moved = estimate.covariance, estimate.moved
+        assert covariance is not None
+        if moved is not None:
+            covariance = covariance - moved @ moved.T
+            shared.append(slope @ moved)
+        own += slope @ covariance @ slope.T
+    of_normal = max(estimate.normal_sd or 0.0 for estimate in estimates) * length_of(points[-1]) * slopes[-1]
+    of_shared = np.sum(shared, axis=0) if shared else np.zeros((3, 0))
+    return len(estimates) * own + of_normal @ of_normal.T + of_shared @ of_shared.T

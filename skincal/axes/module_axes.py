@@ -23,9 +23,13 @@ Few pokes on a taxel make the odds of one turn too large: `SHARED_MARGIN` lowers
 
 A module's plan has axes, too: x and y of the layout, and z out of the skin. A scene whose axes are right has R close to these
 in the module's pose. If the axes of the readings are close to another signed permutation P of the plan's axes, a plain mistake
-is there. Both are compared with the tolerance `PLAN_TOLERANCE` in each direction, since modules are glued by hand:
+is there. Both are compared with the tolerance `PLAN_TOLERANCE` in each direction, since modules are glued by hand, and with
+the error of the module's pose, which few pokes leave large:
 
-    score(P) = E(fit of P's hand) + ln N(turn of R from P; 0, V) + ln prior(P),   V = cov(R) + tolerance^2.      (5)
+    score(P) = w E(fit of P's hand) + ln N(turn of R from P; 0, V) + ln prior(P),
+    V = cov(R)/w + cov(pose) + tolerance^2.                                                                      (5)
+
+One poke presses many taxels, and they share its errors: w is the number of pokes over that of readings.
 
 The P of the whole skin has the largest sum of scores, each module with at most `MAX_LOG_LOSS` below its own best: a single
 turned module does not speak for the others. It is named if its odds over the scene's axes are certain, and if no other
@@ -38,7 +42,7 @@ the sum of theirs, with the tolerance `CURVED_PLAN_TOLERANCE`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import permutations, product
 
@@ -162,6 +166,8 @@ class ModulePlan:
     channels: tuple[int, ...]
     rotation: FloatArray | None
     """(3, 3) float: columns are x, y and the outward z of its plan in the link frame; `None` while its pose is unknown."""
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) float, rad^2, link frame: of the error of this rotation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,9 +204,7 @@ def find_axes(
         # Readings of other taxels say nothing about axes.
         wrong = (AxisMistake(AxisMistakeKind.ORDER, None, (), float("nan"), order.log_odds_wrong, ()),)
         return AxisFindings(tuple(modules), log_odds, wrong if order.is_wrong else ())
-    pressed = {each.id: {poke for one in each.turn.channels for poke in turns.pokes[one].pokes.tolist()} for each in modules}
-    known = {plan.id: plan.rotation if len(pressed.get(plan.id, ())) >= MIN_POKES_TO_NAME else None for plan in plans}
-    mistakes = _plan_mistakes(modules, known, turns.taxels) if any(each is not None for each in known.values()) else ()
+    mistakes = _plan_mistakes(modules, {plan.id: plan for plan in plans}, turns)
     if not mistakes:
         mistakes = _normal_mistakes(turns)
     return AxisFindings(tuple(modules), log_odds, mistakes)
@@ -306,20 +310,17 @@ def _spread(turn: Turn, single: Sequence[Turn]) -> float:
     return float(np.sqrt(max(0.0, excess) / float(weights.sum() - weights @ weights / weights.sum())))
 
 
-MIN_POKES_TO_NAME = 5
-"""Pokes on a module before its axes are judged: taxels that one poke presses share its errors, so fewer give too large odds."""
-
-
-def _plan_mistakes(
-    modules: Sequence[ModuleTurn], rotations: Mapping[int, FloatArray | None], taxels: Mapping[int, Turn]
-) -> tuple[AxisMistake, ...]:
+def _plan_mistakes(modules: Sequence[ModuleTurn], plans: Mapping[int, ModulePlan], turns: SkinTurns) -> tuple[AxisMistake, ...]:
     """Name mistakes against the plans of modules: the one of the whole skin, and those of single modules."""
     scores: dict[int, FloatArray] = {}
     for module in modules:
-        rotation = rotations[module.id]
-        if rotation is None:
+        plan = plans[module.id]
+        if plan.rotation is None:
             continue
-        own = _scores_of_taxels(module, rotation, taxels) if module.is_separate else score_permutations(module.turn, rotation)
+        if module.is_separate:
+            own = _scores_of_taxels(module, plan, turns)
+        else:
+            own = score_permutations(module.turn, plan, share=_share_of_own_errors(module.turn.channels, turns.pokes))
         if own is not None:
             scores[module.id] = own
     if not scores:
@@ -347,24 +348,36 @@ def _likeliest(scores: FloatArray, usual: int = 0) -> tuple[int, float]:
     return (first, log_odds) if first != usual and log_odds > CERTAIN_LOG_ODDS and is_clear else (usual, 0.0)
 
 
-def _scores_of_taxels(module: ModuleTurn, plan: FloatArray, taxels: Mapping[int, Turn]) -> FloatArray | None:
+def _share_of_own_errors(channels: Sequence[int], pokes: Mapping[int, AxisPokes]) -> float:
+    """Compute the information of a reading if the taxels of a poke share its errors: pokes over readings."""
+    numbers = np.concatenate([pokes[channel].pokes for channel in channels])
+    return len(np.unique(numbers)) / len(numbers)
+
+
+def _scores_of_taxels(module: ModuleTurn, plan: ModulePlan, turns: SkinTurns) -> FloatArray | None:
     """Sum the scores (48,) of taxels with axes of their own; `None` if they do not agree on a permutation."""
+    taxels = turns.taxels
     judged = sorted(module.turn.channels, key=lambda channel: -taxels[channel].pokes)[:MAX_JUDGED_TAXELS]
     if len(judged) < MIN_JUDGED_TAXELS:
         return None
     each = np.array([score_permutations(taxels[channel], plan, CURVED_PLAN_TOLERANCE) for channel in judged])
-    scores = each.sum(axis=0)
+    scores = _share_of_own_errors(judged, turns.pokes) * each.sum(axis=0)
     agree = each[:, scores.argmax()] > each.max(axis=1) - CERTAIN_LOG_ODDS
     return scores if agree.mean() >= AGREEING_MIN_SHARE else None
 
 
-def score_permutations(turn: Turn, plan: FloatArray, tolerance: float = PLAN_TOLERANCE) -> FloatArray:
-    """Compute the scores (48,) of `SIGNED_PERMUTATIONS` of a plan's axes (3, 3), without priors (5); `tolerance` in rad."""
+def score_permutations(turn: Turn, plan: ModulePlan, tolerance: float = PLAN_TOLERANCE, share: float = 1.0) -> FloatArray:
+    """Compute the scores (48,) of `SIGNED_PERMUTATIONS` of the axes of a placed plan, without priors (5).
+
+    `tolerance` in rad; `share` is the information of a reading over that of readings with errors of their own.
+    """
+    assert plan.rotation is not None
     scores = np.empty(len(SIGNED_PERMUTATIONS))
     for place, permutation in enumerate(SIGNED_PERMUTATIONS):
         fit = turn.fits[int(np.linalg.det(permutation) < 0)]
-        variance = fit.covariance[:3, :3] + tolerance**2 * np.eye(3)
-        scores[place] = fit.log_evidence + _log_normal(_turn_between(plan @ permutation, fit), variance)
+        variance = fit.covariance[:3, :3] / share + tolerance**2 * np.eye(3)
+        variance = variance + fit.rotation.T @ plan.covariance @ fit.rotation
+        scores[place] = share * fit.log_evidence + _log_normal(_turn_between(plan.rotation @ permutation, fit), variance)
     return scores
 
 
@@ -408,7 +421,8 @@ def _normal_mistakes(turns: SkinTurns) -> tuple[AxisMistake, ...]:
         log_odds += 0.5 * ((np.pi - angle) ** 2 - angle**2) / variance
         inward += angle < 0.5 * np.pi
     is_mirrored = turns.log_odds_mirrored + LOG_PRIOR_OF_MISTAKE > CERTAIN_LOG_ODDS
-    if log_odds > CERTAIN_LOG_ODDS and inward == len(turns.taxels):
+    is_hand_known = abs(turns.log_odds_mirrored) > CERTAIN_LOG_ODDS
+    if log_odds > CERTAIN_LOG_ODDS and inward == len(turns.taxels) and is_hand_known:
         # Two axes of the opposite sign are no mirror.
         signs = [1.0, 1.0, -1.0] if turns.log_odds_mirrored >= 0 else [1.0, -1.0, -1.0]
         return (describe_permutation(np.diag(signs), None, float(log_odds)),)

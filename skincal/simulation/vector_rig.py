@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.axes.axis_results import plan_rotation
+from skincal.axes.axis_results import fit_plan
 from skincal.files.reference import truth_as_json
 from skincal.geometry import FloatArray, IntArray, rotations
 from skincal.model.scene import Scene
@@ -91,10 +91,10 @@ def _axes_of_housing(
     leans = np.zeros((len(channels), 3))
     row_of = {channel: row for row, channel in enumerate(channels.tolist())}
     for module in scene.skin.layout.modules:
-        plan = plan_rotation(module, where)
+        plan = fit_plan(module, where)
         glue = MODULE_GLUE_SD * rng.standard_normal(3)
         for channel in (channel for channel in module.channels.tolist() if channel in where):
-            x_axes[channel] = np.array([1.0, 0.0, 0.0]) if plan is None else plan[:, 0]
+            x_axes[channel] = np.array([1.0, 0.0, 0.0]) if plan is None else plan[0][:, 0]
             leans[row_of[channel]] = glue
     along = np.array([x_axes[channel] for channel in channels.tolist()])
     x = along - np.sum(along * normals, axis=1, keepdims=True) * normals

@@ -1,0 +1,74 @@
+"""The turn of a module's plan that estimates place: its error follows from theirs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.axes.axis_results import fit_plan, place_plan
+from skincal.geometry import rotation_by, rotation_vector
+from skincal.model.scene import load_scene, scene_file
+from skincal.taxels.result import Estimate, Method, State
+
+SD_M = 0.0004
+
+
+@pytest.fixture(scope="module")
+def placed():
+    """A module, its true turn, and exact estimates of its taxels by channel."""
+    layout = load_scene(scene_file(Path("three-axis-pad"))).skin.layout
+    module, turn = layout.modules[0], rotation_by(np.array([0.4, -0.7, 1.1]))
+    flat = np.column_stack([module.kind.pads, np.zeros(len(module.kind.pads))])
+    estimates = {
+        channel: Estimate(channel, Method.FREE, State.TOUCHED, 1, place, turn[:, 2], SD_M**2 * np.eye(3), normal_sd=0.0)
+        for channel, place in zip(module.channels.tolist(), flat @ turn.T, strict=True)
+    }
+    return module, turn, estimates
+
+
+def shifted(module, estimates, shifts):
+    """Fit the rotation with shifted estimates."""
+    moved = zip(estimates.values(), shifts, strict=True)
+    return fit_plan(module, {each.channel: (each.position + shift, each.normal) for each, shift in moved})[0]
+
+
+def test_exact_estimates_place_the_plan(placed):
+    module, turn, estimates = placed
+    assert place_plan(module, estimates).rotation == pytest.approx(turn, abs=1e-12)
+
+
+def test_errors_of_their_own_are_inside_the_predicted_error(placed):
+    """They scatter by less, since they may agree: by the square root of their number."""
+    module, turn, estimates = placed
+    rng = np.random.default_rng(0)
+    turns = [
+        rotation_vector(shifted(module, estimates, SD_M * rng.normal(size=(len(estimates), 3))) @ turn.T) for _ in range(400)
+    ]
+    found = np.sqrt(np.diag(place_plan(module, estimates).covariance))
+    assert np.std(turns, axis=0) * np.sqrt(len(estimates)) == pytest.approx(found, rel=0.1)
+
+
+def test_the_error_that_all_taxels_share_is_exact(placed):
+    """One shared error turns the skin by its positions, another one shifts it and turns nothing."""
+    module, turn, estimates = placed
+    about = np.array([3e-3, -1e-3, 2e-3])
+    common = np.array([0.004, 0.001, -0.002])
+    every = {
+        channel: replace(each, moved=(moved := np.stack([np.cross(about, each.position), common], axis=1)),
+                         covariance=moved @ moved.T)
+        for channel, each in estimates.items()
+    }  # fmt: skip
+    turned = rotation_vector(shifted(module, estimates, [each.moved[:, 0] for each in every.values()]) @ turn.T)
+    assert place_plan(module, every).covariance == pytest.approx(np.outer(turned, turned), abs=1e-3 * turned @ turned)
+
+
+def test_the_error_of_normals_leans_the_plan(placed):
+    module, _, estimates = placed
+    every = {channel: replace(each, covariance=np.zeros((3, 3)), normal_sd=0.1) for channel, each in estimates.items()}
+    plan = place_plan(module, every)
+    in_plan = plan.rotation.T @ plan.covariance @ plan.rotation
+    # The taxels hold the plane, too: the normal counts by its share.
+    assert 0.0 < in_plan[0, 0] < 0.1**2
+    assert 0.0 < in_plan[1, 1] < 0.1**2
+    assert in_plan[2, 2] == pytest.approx(0.0, abs=1e-12)
