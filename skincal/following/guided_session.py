@@ -5,7 +5,7 @@ All of it follows the session before a tick is published. A view shows what it s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import PressPhase, Progress
@@ -19,7 +19,7 @@ from skincal.guide.guidance import Guidance, Target
 from skincal.guide.press_coaching import PokeError, SmoothedWrench, compare_to_target, smooth_wrench
 from skincal.guide.robot_order import RobotPace
 from skincal.mesh.surface import Surface, point_on_skin
-from skincal.model.actions import AskLandmark, BeginClosing
+from skincal.model.actions import AskLandmark, BeginClosing, DroveToLandmark
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.part.part import Part, lay_part
@@ -29,6 +29,7 @@ from skincal.robot.target_server import RobotChange
 from skincal.robot.targets import Targets
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
+from skincal.words.robot_words import drove_sentence
 from skincal.words.units import ChannelNames
 
 if TYPE_CHECKING:
@@ -129,7 +130,16 @@ class GuidedSession:
                 sentences.append(meaning.warning)
             if meaning.protocol_error:
                 server.refuse(meaning.protocol_error)
-        return sentences
+        return [*sentences, *self._record_drives(pipeline, now_ns)]
+
+    def _record_drives(self, pipeline: Pipeline, now_ns: int) -> Iterator[str]:
+        """Record the landmarks to which a robot drove; give a sentence for the first. Only the pose of a part needs that."""
+        for name in self._robot.take_driven():
+            if pipeline.scene.tool is None:
+                continue
+            if not pipeline.session.decisions.driven_to_landmarks:
+                yield drove_sentence(name)
+            pipeline.act(DroveToLandmark(name), now_ns)
 
     def _take_robot(self, news: RobotPace | RobotChange) -> None:
         if isinstance(news, RobotPace):

@@ -52,6 +52,10 @@ class _Request:
     """No verdict on it follows."""
     is_held: bool = False
     """The robot knows that it may let go."""
+    is_driven: bool = False
+    """The robot says that it drove to this known point."""
+    landmark: str = ""
+    """Name of the landmark that its poke was at; empty before, and at none."""
 
     def end(self) -> None:
         self.is_open, self.is_judged = False, True
@@ -84,6 +88,8 @@ class RobotDialogue:
         """The operator has stopped the robot."""
         self._reasons: set[str] = set()
         """Reasons for skips that the operator knows."""
+        self._driven: list[str] = []
+        """Landmarks of `take_driven`."""
         self._part: PartPose | None = None
         """Pose of the part that the robot knows."""
         self._judged_poke = -1
@@ -164,6 +170,7 @@ class RobotDialogue:
         """Process a robot's answer and return its meaning."""
         if not 0 < answer.number <= self._number:
             return Meaning(protocol_error=f"it answers {write_answer(answer)[:40]!r}, and was asked {self._number} at most.")
+        self._note_drive(answer)
         request, skips = self._requests[-1], answer.kind is AnswerKind.SKIP
         is_newest = answer.number == request.target.number
         if is_newest and skips and self._is_stopped:
@@ -184,6 +191,20 @@ class RobotDialogue:
             warning=f"The robot has stopped at target {answer.number}: {why}. It is asked again once it connects again, "
             "or for another once it skips this one."
         )
+
+    def _note_drive(self, answer: Answer) -> None:
+        """Remember that the robot drove to a known point; the answer may come before or after the verdict on the poke."""
+        if answer.kind is not AnswerKind.REACHED or answer.by_hand:
+            return
+        for request in self._requests:
+            if request.target.number == answer.number and request.target.known and not request.is_driven:
+                request.is_driven = True
+                self._driven += [request.landmark] if request.landmark else []
+
+    def take_driven(self) -> list[str]:
+        """Return the landmarks to which the robot drove since the last call: the newest poke at each is meant."""
+        driven, self._driven = self._driven, []
+        return driven
 
     def _skipped(self, answer: Answer) -> Meaning:
         is_new = answer.text not in {"", *self._reasons}
@@ -229,6 +250,8 @@ class RobotDialogue:
             self._judged_poke = outcome.poke
             if request is not None and not request.is_judged:
                 request.end()
+                request.landmark = snapshot.at_landmarks.get(outcome.poke, "")
+                self._driven += [request.landmark] if request.landmark and request.is_driven else []
                 lines.append(Judged(request.target.number, _why_rejected(record, snapshot)))
         newest = self._requests[-1] if self._requests else None
         if newest and newest.is_open and newest.reached_s is not None and now_s - newest.reached_s > POKE_DETECTION_TIMEOUT_S:

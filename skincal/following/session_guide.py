@@ -202,7 +202,7 @@ class SessionGuide:
         """
         guidance = self.remaining_work(snapshot, method)
         estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.decisions.corrections.get(RIG)
-        landmarks = agreement_at_landmarks(rig, used, snapshot.part_pose, snapshot.tip_frame)
+        landmarks = agreement_at_landmarks(rig, used, snapshot.part_pose, snapshot.tip_frame, snapshot.driven_to_landmarks)
         verdict = verdict_of(guidance, snapshot, noise, self._surface, self._module_model, landmarks)
         pokes = snapshot.counting_landmark_pokes
         unchecked = None
@@ -442,7 +442,9 @@ class ClosingGuide:
         for at in ClosingPlaces:
             poked, again, targets = self._places(at, guidance, snapshot, pose, now)
             names = [name for name in poked[:CLOSING_CHECK_PLACES] if name in targets]
-            if len(names) < CLOSING_CHECK_MIN_PLACES:
+            # A robot that drives to a landmark touches the same place again although the part has moved.
+            is_driven = at is ClosingPlaces.LANDMARKS and bool(snapshot.decisions.driven_to_landmarks)
+            if is_driven or len(names) < CLOSING_CHECK_MIN_PLACES:
                 continue
             places = [] if now.is_complete else [ClosingPlace(at, name) for name in names if name not in again]
             place = next((place for place in places if place not in now.begun.skipped), now.repeat_place)

@@ -104,9 +104,10 @@ class Check:
 def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
     """Tell whether held-out pokes on the skin and landmarks both confirm the predicted errors.
 
-    Landmarks alone show a shift of all taxels, and only if their own misses do not enlarge their predicted ones.
+    Landmarks alone show a shift of all taxels, and only if their own misses do not enlarge their predicted ones, and no robot
+    drove to them by a pose of the part.
     """
-    by_landmarks = landmarks is not None and landmarks.agrees and not landmarks.by_noise
+    by_landmarks = landmarks is not None and landmarks.agrees and not landmarks.by_noise and not landmarks.driven
     return check.has_enough and check.agrees and by_landmarks
 
 

@@ -107,6 +107,13 @@ class MissedLandmark:
 
 
 @dataclass(frozen=True, slots=True)
+class DroveToLandmark:
+    """A robot drove to the landmark by a pose of the part, and no hand guided it: the newest poke there is meant."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
 class AskLandmark:
     """Request pokes at a landmark from now on; an empty name requests none."""
 
@@ -228,7 +235,7 @@ class Uncorrect:
 Action: TypeAlias = (
     Exclude | Restore | Undo | Redo | SetPose | MarkDead | Revive | AddLandmark | AtLandmark | FoundAtLandmark | MissedLandmark
     | AskLandmark | AskPoke | SkipPoke | SkipLandmark | BeginClosing | SetThresholds | UseSkinUnit | SkipClosing | Correct
-    | Uncorrect
+    | Uncorrect | DroveToLandmark
 )
 # fmt: on
 

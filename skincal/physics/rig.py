@@ -210,8 +210,9 @@ class SimulatedRobot:
     def locate_part(self, base_from_link: FloatArray) -> None:
         """Take the pose of the part as skincal found it; an arm that pokes a part on its sensor knows it."""
 
-    def prepare_for(self, target: PokeTarget) -> None:
-        """Prepare for a target; an arm that knows the place of its part does nothing."""
+    def prepare_for(self, target: PokeTarget) -> bool:  # noqa: ARG002 - of other arms
+        """Prepare for a target, and return whether a person guides the tip; an arm that knows its part drives by itself."""
+        return False
 
     def pose_record(self) -> FloatArray:
         """Return the reported pose (7,) of a tool that carries the tip; empty for a sensor below the part."""

@@ -111,10 +111,11 @@ class ToolRobot(SimulatedRobot):
         """Return the reported pose (7,) of the flange, as late as its stream is."""
         return self._poses[0] if self._poses else self._read_pose()
 
-    def prepare_for(self, target: PokeTarget) -> None:
-        """Let a person guide the tip to a known point."""
+    def prepare_for(self, target: PokeTarget) -> bool:
+        """Let a person guide the tip to a known point; return whether one does."""
         self._mistaken = self.effects.hand * self._hand_rng.standard_normal(3) if target.known else None
         self._guided_by = np.zeros(3)
+        return target.known
 
     def read_tip(self) -> TipCentre:
         """Read the tip in the part's frame as the arm believes it, or as a person sees it."""

@@ -261,6 +261,8 @@ class LandmarkAgreement:
     """Factor on the scene's noise in the prediction (`RigAnswer.noisier`); 1 without a correction."""
     by_part: bool = False
     """Each landmark was predicted from all other touches of a tool, without the sensor (`part_agreement`)."""
+    driven: int = 0
+    """Pokes to whose landmark a robot drove by a pose of the part: then agreement confirms nothing."""
 
     @property
     def agrees(self) -> bool:

@@ -1,7 +1,8 @@
 """Agreement of the touches of landmarks with the pose of a part that follows from them, where a tool's tip places the pokes.
 
 Each landmark is predicted from all other touches (`part_pose`). So a landmark with a wrong name or place, a wrong mesh and a
-wrong tip show, and the pose cannot hide its own errors. All touches together must agree, too.
+wrong tip show, and the pose cannot hide its own errors. All touches together must agree, too. Touches of a robot that drove to
+the landmarks by a pose of the part agree with each other whatever that pose is.
 """
 
 from __future__ import annotations
@@ -12,15 +13,19 @@ from skincal.rig.part_pose import PartPose
 from skincal.rig.tip_frame import TipFrame
 
 
-def agreement_with_part(pose: PartPose | None) -> LandmarkAgreement | None:
-    """Compare the touches of landmarks with their prediction; `None` with too few, or while the pose is unknown."""
+def agreement_with_part(pose: PartPose | None, driven: int = 0) -> LandmarkAgreement | None:
+    """Compare the touches of landmarks with their prediction; `None` with too few, or while the pose is unknown.
+
+    `driven` is as in `agreement_at_landmarks`.
+    """
     if pose is None or not pose.is_known or pose.landmark_places < MIN_LANDMARKS:
         return None
-    return LandmarkAgreement(pose.landmarks, max(pose.held_out_ratio, pose.ratio), corrected=False, by_part=True)
+    ratio = max(pose.held_out_ratio, pose.ratio)
+    return LandmarkAgreement(pose.landmarks, ratio, corrected=False, by_part=True, driven=driven)
 
 
 def agreement_at_landmarks(
-    rig: RigAnswer | None, used: UsedCorrection | None, part: PartPose | None, tip: TipFrame | None
+    rig: RigAnswer | None, used: UsedCorrection | None, part: PartPose | None, tip: TipFrame | None, driven: int = 0
 ) -> LandmarkAgreement | None:
     """Compare landmark pokes with their prediction, in any rig; `None` with too few.
 
@@ -31,7 +36,8 @@ def agreement_at_landmarks(
     rig, used : as of `landmark_agreement`
     part : pose of the part that is found from the touches; `None` in other rigs
     tip : frame of the tip; `None` without one
+    driven : number of the touches in `part` at landmarks to which a robot drove by a pose of the part
     """
     if used is None and part is not None and tip is not None and tip.places_pokes:
-        return agreement_with_part(part)
+        return agreement_with_part(part, driven)
     return landmark_agreement(rig, used)

@@ -165,8 +165,10 @@ class PokingClient:
         """Target that is not planned yet."""
         self.locate_part: Callable[[FloatArray], object] | None = None
         """Takes the pose (4, 4) of the part in the base of the arm, metres, as skincal found it; `None` if the arm knows it."""
-        self.prepare_arm: Callable[[PokeTarget], object] | None = None
-        """Called before a poke is planned; `None` if the arm does the same for every target."""
+        self.prepare_arm: Callable[[PokeTarget], bool] | None = None
+        """Called before a poke is planned, and says whether a person guides the tip; `None` if the arm always drives."""
+        self._is_by_hand = False
+        """A person guides the tip to the present target."""
         self._part: PartPlace | None = None
         """The newest one, which is not used yet."""
         self._plan: PokePlan | None = None
@@ -367,7 +369,7 @@ class PokingClient:
             # Not during a motion, whose points are in the frame of the part.
             self.locate_part(part.base_from_link)
         if self.prepare_arm is not None:
-            self.prepare_arm(goal)
+            self._is_by_hand = self.prepare_arm(goal)
         self._shift = self._shift_for(goal)
         plan = self._plan_poke(goal)
         if isinstance(plan, str):
@@ -476,7 +478,7 @@ class PokingClient:
         if self._is_pressed_well(missing):
             self._enter(Phase.HOLD, plan.target.hold + own.held_wait_s)
         elif self.arm.time_s > self._expected_s or self._is_held:
-            self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
+            self._let_go(Answer(AnswerKind.REACHED, plan.target.number, by_hand=self._is_by_hand))
         else:
             self._move_by_force(missing, own.press_speed)
 
@@ -486,7 +488,7 @@ class PokingClient:
         is_over = self._is_held or self.arm.time_s > self._expected_s
         # A tip that has slid lets go, too: skincal sees that and says what it wants now.
         if is_over or self.force < own.slip_share * plan.target.force:
-            self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
+            self._let_go(Answer(AnswerKind.REACHED, plan.target.number, by_hand=self._is_by_hand))
         elif not self._is_pressed_well(missing):
             self._move_by_force(missing, own.press_speed / 4.0)
 

@@ -17,7 +17,7 @@ from skincal.geometry import FloatArray, quaternion_of_rotation
 from skincal.guide.robot_order import RobotPace
 from skincal.model.errors import InputError, plain_text, shortened
 
-GREETING = "skincal targets 2"
+GREETING = "skincal targets 3"
 """First line of every connection: protocol and version."""
 LINE_MAX_BYTES = 512
 """A target has about 150; the rest is for long names and reasons."""
@@ -29,6 +29,8 @@ NO_TAXEL = "-"
 """In place of the channel: a place at which a taxel may be. In place of a name: there is none."""
 KNOWN_POINT = "+"
 """In place of the channel: a known point of the part, such as a screw head or a corner."""
+BY_HAND = "hand"
+"""After `reached N`: a person guided the tip to a known point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +110,7 @@ class AnswerKind(Enum):
     """Words of a robot on a target."""
 
     REACHED = "reached"
-    """It pressed there as requested, and released."""
+    """It pressed there as requested, and released. Without `BY_HAND` it drove to the place."""
     SKIP = "skip"
     """It cannot or will not; another target is wanted. With a text it never can, and the text says why."""
     FAULT = "fault"
@@ -123,6 +125,8 @@ class Answer:
     number: int
     text: str = ""
     """What happened, for a fault; why it is impossible, for a skip."""
+    by_hand: bool = False
+    """A person guided the tip to the place that was reached: no pose of the part did."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +141,7 @@ class TipPose:
 
 RobotLine: TypeAlias = Answer | RobotPace | TipPose
 
-ANSWER_HELP = "reached N, skip N [REASON], fault N TEXT, robot SPEED SECONDS or tip X Y Z PX PY PZ"
+ANSWER_HELP = "reached N [hand], skip N [REASON], fault N TEXT, robot SPEED SECONDS or tip X Y Z PX PY PZ"
 COORDINATE_MAX_M = 10.0
 """m. No part reaches so far from its frame's origin."""
 ROBOT_SPEED_AND_POKE_TIME_MAX = 1000.0
@@ -181,7 +185,8 @@ def write_answer(answer: RobotLine) -> str:
         case TipPose():
             return " ".join(["tip", *(f"{value:.6f}" for value in (*answer.place, *answer.push))])
         case Answer():
-            return f"{answer.kind.value} {answer.number} {_words(answer.text)}".rstrip()
+            text = BY_HAND if answer.by_hand else _words(answer.text)
+            return f"{answer.kind.value} {answer.number} {text}".rstrip()
 
 
 def read_answer_line(line: str) -> RobotLine | None:
@@ -195,8 +200,10 @@ def read_answer_line(line: str) -> RobotLine | None:
         if words[0] == "tip":
             return _tip_of(words[1:])
         kind, number = AnswerKind(words[0]), read_number(words[1])
-        if len(words) > 2 and kind is AnswerKind.REACHED:
-            raise ValueError(line)
+        if kind is AnswerKind.REACHED:
+            if words[2:] not in ([], [BY_HAND]):
+                raise ValueError(line)
+            return Answer(kind, number, by_hand=len(words) > 2)
     except (ValueError, IndexError, TypeError):
         raise InputError(f"it says {shortened(line.strip(), 80)!r}; expected {ANSWER_HELP}.") from None
     return Answer(kind, number, _words(" ".join(words[2:])))

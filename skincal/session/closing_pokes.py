@@ -129,7 +129,10 @@ def _was_poked(snapshot: Snapshot, place: ClosingPlace, begun: ClosingRound) -> 
 def _pokes_at_places_of(snapshot: Snapshot, pokes: frozenset[int]) -> dict[ClosingPlaces, LandmarkPokes]:
     """Collect all landmark pokes, and of thousands of skin pokes those at the same taxels as `pokes`."""
     at_taxels = taxel_pokes(snapshot, strongest_of(snapshot, pokes))
-    return {ClosingPlaces.LANDMARKS: snapshot.counting_landmark_pokes, ClosingPlaces.TAXELS: at_taxels}
+    marked = snapshot.counting_landmark_pokes
+    # A robot that drives to a landmark touches the same place again although the part has moved.
+    marked = marked[~np.isin(marked.number, list(snapshot.decisions.driven_to_landmarks))]
+    return {ClosingPlaces.LANDMARKS: marked, ClosingPlaces.TAXELS: at_taxels}
 
 
 def _result(

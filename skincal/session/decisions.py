@@ -17,6 +17,7 @@ from skincal.model.actions import (
     AtLandmark,
     BeginClosing,
     Correct,
+    DroveToLandmark,
     Exclude,
     FoundAtLandmark,
     MarkDead,
@@ -80,6 +81,8 @@ class Decisions:
     """Numbers of the pokes whose landmark the operator named."""
     taken_from_landmarks: frozenset[int] = frozenset()
     """Numbers of the pokes that the operator took from their landmark, by undo too."""
+    driven_to_landmarks: frozenset[int] = frozenset()
+    """Numbers of the landmark pokes to which a robot drove by a pose of the part: they cannot check that pose."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections in use, by `FRAME` and `RIG`."""
     closings: tuple[ClosingRound, ...] = ()
@@ -201,6 +204,12 @@ def _with_landmark_poke(
         raise InputError(f"Poke {poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered.")
     missed = None if by_hand else now.missed_landmarks.get(poke)
     return _name_poke(now, poke, action.name, missed, by_hand=by_hand or poke in now.named_by_hand)
+
+
+def _with_drive(action: DroveToLandmark, now: Decisions, *_: object) -> Decisions:
+    _check_landmark(now, action.name)
+    there = [poke for poke, name in now.landmark_of_poke.items() if name == action.name]
+    return replace(now, driven_to_landmarks=now.driven_to_landmarks | {max(there)}) if there else now
 
 
 def _without_landmark_poke(action: AtLandmark | FoundAtLandmark, before: Decisions, now: Decisions) -> Decisions:
@@ -336,6 +345,7 @@ ACTION_KINDS: dict[type[Action], ActionKind] = {
             now, action.poke, None, action, by_hand=action.poke in now.named_by_hand
         )
     ),
+    DroveToLandmark: ActionKind(_with_drive),
     AskLandmark: ActionKind(_with_request),
     AskPoke: ActionKind(_with_request),
     SkipPoke: ActionKind(_with_request),

@@ -150,6 +150,23 @@ def can_be_at_landmark(outcome: Outcome) -> bool:
     return outcome.force is not None and outcome.moment is not None and outcome.link_from_sensor is not None
 
 
+def driven_to_leave_out(named: Mapping[int, str], driven: Collection[int], *, finds_part_pose: bool = True) -> frozenset[int]:
+    """Select the pokes at landmarks to which a robot drove, and that the pose of the part is not fitted to.
+
+    Such a touch repeats the pose by which the robot drove. It is used only where no other touches give a pose: three other
+    landmarks do, and so does a given pose.
+
+    Parameters
+    ----------
+    named : name of the landmark of each landmark poke that counts
+    finds_part_pose : the scene gives no pose of the part
+    """
+    from skincal.rig.part_pose import MIN_TOUCHES  # other rigs do without
+
+    others = {name for poke, name in named.items() if poke not in driven}
+    return frozenset(driven if len(others) >= MIN_TOUCHES or not finds_part_pose else ()) & named.keys()
+
+
 def nearest_landmarks(
     outcomes: Iterable[Outcome],
     landmarks: Sequence[Landmark],

@@ -31,7 +31,13 @@ from skincal.rig.correction_fit import RigRequest
 from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fit
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions, apply_action, is_undoable, take_back, with_excluded
-from skincal.session.landmark_pokes import NearestLandmark, can_be_at_landmark, landmark_pokes, nearest_landmarks
+from skincal.session.landmark_pokes import (
+    NearestLandmark,
+    can_be_at_landmark,
+    driven_to_leave_out,
+    landmark_pokes,
+    nearest_landmarks,
+)
 from skincal.session.snapshot import ChangePlace, ChannelOrder, PokeRecord, Snapshot, without_excluded
 from skincal.session.solving import Solving
 from skincal.session.undo import ActionEntry, History
@@ -223,6 +229,11 @@ class Session:
         known = {landmark.name: landmark for landmark in self.decisions.landmarks}
         marked = {poke: self._reported[poke] for poke in counting if named.get(poke) in known}
         marked = {poke: outcome for poke, outcome in marked.items() if can_be_at_landmark(outcome)}
+        at = {poke: named[poke] for poke in marked}
+        driven = self.decisions.driven_to_landmarks
+        left_out = driven_to_leave_out(at, driven, finds_part_pose=self.scene.finds_part_pose) if driven else ()
+        marked = {poke: outcome for poke, outcome in marked.items() if poke not in left_out}
+        counting = [poke for poke in counting if poke not in left_out]
         contacts = [outcome for poke in counting if isinstance(outcome := self._reported[poke], Contact)]
         if not self.tool.update(contacts, marked, {poke: known[named[poke]] for poke in marked}):
             return

@@ -26,6 +26,7 @@ from skincal.rig.correction import FRAME, RIG
 from skincal.rig.tip_frame import TipFrame, TipState
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions
+from skincal.session.landmark_pokes import driven_to_leave_out
 from skincal.session.undo import History, describe_entry
 from skincal.taxels.contact_table import ContactTable, Evidence, TableState
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
@@ -280,6 +281,15 @@ class Snapshot:
             if kind in self.decisions.corrections:
                 pokes = self.decisions.corrections[kind].correction.corrected_pokes(pokes)
         return pokes
+
+    @property
+    def driven_to_landmarks(self) -> int:
+        """Number of the touches of landmarks that gave the part's pose although a robot drove there by a pose of the part."""
+        driven, excluded = self.decisions.driven_to_landmarks, self.decisions.excluded
+        if not driven:
+            return 0
+        at = {poke: name for poke, name in self.at_landmarks.items() if poke not in excluded}
+        return len(driven & at.keys()) - len(driven_to_leave_out(at, driven))
 
     @property
     def poke_counts(self) -> PokeCounts:

@@ -478,8 +478,8 @@ class GuidedOperator(AutoOperator):
     """s, time of the next touch; `None` while the hand rests."""
     _poked: int = 0
     """Number of the last poked target."""
-    _unanswered: int = 0
-    """Target number without an answer, or 0."""
+    _unanswered: Answer | None = None
+    """Answer to give once the hand is back; `None` after it."""
     answered: Callable[[Answer], object] | None = None
     """Receives the answers."""
 
@@ -499,9 +499,9 @@ class GuidedOperator(AutoOperator):
             self._newest = line
 
     def next(self, now: float) -> OperatorAction | None:
-        self._seen, number, self._unanswered = self._newest, self._unanswered, 0
-        if number and self.answered is not None:
-            self.answered(Answer(AnswerKind.REACHED, number))
+        self._seen, answer, self._unanswered = self._newest, self._unanswered, None
+        if answer is not None and self.answered is not None:
+            self.answered(answer)
         if self._seen in (NoTarget.WAIT, NoTarget.STOP, NoTarget.ENOUGH):
             self._touch = None
             return None
@@ -515,7 +515,8 @@ class GuidedOperator(AutoOperator):
             self._touch = now + self._rng.uniform(*self._habits.approach_s)
         if now < self._touch - self._habits.reaction_s or self._seen.number == self._poked:
             return None
-        self._poked = self._unanswered = self._seen.number
+        self._poked = self._seen.number
+        self._unanswered = Answer(AnswerKind.REACHED, self._poked, by_hand=self._seen.known)
         # After a wait the touch is now, or as soon as a tool is there.
         touch, self._touch = max(self._touch, now + self._habits.tool_s), None
         self.begun += 1

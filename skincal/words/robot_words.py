@@ -1,4 +1,4 @@
-"""Sentences about a robot's force/torque sensor and its meshes, shared by window and commands."""
+"""Sentences about a robot: its force/torque sensor, its meshes and its pokes; shared by window and commands."""
 
 from __future__ import annotations
 
@@ -7,6 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from skincal.model.urdf import LinkMesh, Robot
+
+
+def drove_sentence(landmark: str) -> str:
+    """Warn of a robot that drove to a landmark by a pose of the part that it was given."""
+    return (
+        f"The robot drove to the landmark {landmark} by a pose of the part, so its touch cannot check that pose. "
+        "Guide the tip to the landmarks by hand, and look that it touches them."
+    )
 
 
 def sensor_findings(robot: Robot, sensor_name: str, link: str) -> list[str]:

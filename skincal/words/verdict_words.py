@@ -165,7 +165,18 @@ def _landmark_words(verdict: Verdict) -> str:
         return "Not checked with landmarks: a common shift of all taxels would go unnoticed."
     if not landmarks.agrees:
         return ""
+    if landmarks.driven:
+        return driven_sentence(landmarks)
     return f"Landmarks agree only {_noise_words(landmarks)}." if landmarks.by_noise else "Landmarks agree."
+
+
+def driven_sentence(landmarks: LandmarkAgreement) -> str:
+    """Warn of landmarks to which a robot drove by a pose of the part."""
+    return (
+        f"A robot drove to {landmarks.driven} of {count(landmarks.pokes, 'landmark poke')} by a pose of the part: they agree "
+        "whatever that pose is, and a common shift of all taxels would go unnoticed. "
+        f"Guide the tip to {MIN_LANDMARKS} landmarks by hand."
+    )
 
 
 def _error_words(verdict: Verdict) -> str:
@@ -231,6 +242,8 @@ def agreement_words(landmarks: LandmarkAgreement | None, *, has_arm: bool) -> st
     how = "each predicted from all other touches" if landmarks.by_part else how
     how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
     words = f"errors of {count(landmarks.pokes, 'landmark poke')} are {landmarks.ratio:.1f} x the expected size ({how})"
+    if landmarks.agrees and landmarks.driven:
+        return f"{words}. {driven_sentence(landmarks)}"
     if landmarks.agrees:
         return words
     things = "the landmarks, the sensor and the arm" if has_arm else "the landmarks and the sensor"

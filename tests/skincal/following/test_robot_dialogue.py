@@ -157,6 +157,29 @@ def test_a_poke_that_began_before_is_of_the_target_before_or_of_nobody():
     assert course.at(2.6, wants(5))[0] == Judged(2)
 
 
+@pytest.mark.parametrize("is_late", [False, True], ids=["before the verdict", "after it"])
+@pytest.mark.parametrize("by_hand", [False, True])
+def test_a_robot_that_drove_to_a_landmark_is_remembered_by_its_answer(is_late, by_hand):
+    course = Course()
+    screw = replace(wants(3).target, channel=None, landmark="screw")
+    course.asked(1.0, wants(3, target=screw))
+    answer = Answer(REACHED, 1, by_hand=by_hand)
+    if not is_late:
+        course.robot.handle_answer(answer, 2.4)
+    course.pokes.append(poke(1, 2.0, Reason.NO_TAXEL))
+    course.landmarks[1] = "screw"
+    assert course.at(2.6, wants(4))[0] == Judged(1)
+    if is_late:
+        course.robot.handle_answer(answer, 2.7)
+    assert course.robot.take_driven() == ([] if by_hand else ["screw"])
+    assert course.robot.take_driven() == []
+    # A taxel is no landmark, and a poke that missed is at none.
+    course.robot.handle_answer(Answer(REACHED, 2), 3.0)
+    course.pokes.append(poke(2, 2.9))
+    course.at(3.6, wants(5))
+    assert course.robot.take_driven() == []
+
+
 def test_what_is_reached_and_not_felt_is_rejected_in_the_end():
     course = Course()
     course.asked(1.0, wants(3))

@@ -64,6 +64,17 @@ def test_a_tip_survives_its_line():
     np.testing.assert_allclose(read.push, SHOWN.push, atol=1e-6)
 
 
+def test_a_touch_by_hand_survives_its_line_and_nothing_else_follows_reached():
+    for by_hand, line in ((False, "reached 7"), (True, "reached 7 hand")):
+        answer = Answer(AnswerKind.REACHED, 7, by_hand=by_hand)
+        assert write_answer(answer) == line
+        assert read_answer_line(line) == answer
+    assert read_answer_line("skip 7 hand") == Answer(AnswerKind.SKIP, 7, "hand")
+    for wrong in ("reached 7 hands", "reached 7 hand x"):
+        with pytest.raises(InputError):
+            read_answer_line(wrong)
+
+
 def test_the_pose_of_the_part_survives_its_line():
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation_by(np.array([0.3, -2.0, 1.0])), (0.4, -0.123456, 0.2)

@@ -15,9 +15,10 @@ from skincal.cli.output import poke_counts, poke_lines
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.contacts.touch_detector import RestWatch, _Seen
 from skincal.following.results import SessionResults
+from skincal.guide.verdict import Check, is_believed
 from skincal.journal.writer import create_session
 from skincal.mesh.load import load_surface
-from skincal.model.actions import AskLandmark, AtLandmark
+from skincal.model.actions import AskLandmark, AtLandmark, DroveToLandmark
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.model.scene import Landmark, load_scene
@@ -34,7 +35,7 @@ from skincal.words.outcome_words import outcome_headline
 from skincal.words.poke_words import rejection_advice, rejection_words, short_rejection
 from skincal.words.tool_words import tool_findings
 from skincal.words.units import ChannelNames
-from skincal.words.verdict_words import verdict_sentence
+from skincal.words.verdict_words import figures, verdict_sentence
 from tests.skincal.session.test_tool_rig import ANCHOR, BASE_FROM_PART, LAYOUT, MESH, STREAMS, TAXELS, TIP, line
 
 RADIUS, ABOVE = 0.002, 0.03
@@ -331,6 +332,38 @@ def test_results_say_nothing_of_a_sensor_and_landmarks_check_the_part(recorded):
     names = ChannelNames(None)
     contact = next(each for each in outcomes_of(recorded) if isinstance(each, Contact))
     assert outcome_headline(contact, names) == f"accepted: taxel {contact.strongest_channel}"
+
+
+def test_landmarks_to_which_a_robot_drove_confirm_nothing_and_the_verdict_says_so(tmp_path):
+    """They agree with the pose by which it drove, and so with each other."""
+    pipeline = calibrate(scene_of(tmp_path, scene_text()), chunks(EVERY[:5]))
+    for row in range(len(MARKS)):
+        pipeline.act(AtLandmark(row + 1, f"m{row}"), 0)
+    verdict = SessionResults(pipeline).verdict(Method.SURFACE)
+    assert verdict.landmarks.driven == 0
+    for row in range(len(MARKS)):
+        pipeline.act(DroveToLandmark(f"m{row}"), 0)
+    driven = SessionResults(pipeline).verdict(Method.SURFACE)
+    assert (driven.landmarks.driven, driven.landmarks.ratio) == (4, verdict.landmarks.ratio)
+    assert driven.landmarks.agrees
+    enough = Check(30, 30)
+    assert is_believed(enough, verdict.landmarks)
+    assert not is_believed(enough, driven.landmarks)
+    assert "A robot drove to 4 of 4 landmark pokes" in verdict_sentence(driven)
+    assert "by hand" in dict(figures(driven))["Landmarks"]
+
+
+def test_a_landmark_to_which_a_robot_drives_later_changes_no_pose_that_three_others_give(tmp_path):
+    pipeline = calibrate(scene_of(tmp_path, scene_text()), chunks(EVERY[:4]))
+    for row in range(3):
+        pipeline.act(AtLandmark(row + 1, f"m{row}"), 0)
+    by_hand = pipeline.snapshot().part_pose
+    pipeline.act(AtLandmark(4, "m3"), 0)
+    assert pipeline.snapshot().part_pose.landmarks == 4
+    pipeline.act(DroveToLandmark("m3"), 0)
+    after = pipeline.snapshot()
+    assert after.driven_to_landmarks == 0
+    np.testing.assert_array_equal(after.part_pose.link_from_base, by_hand.link_from_base)
 
 
 @pytest.mark.parametrize(
