@@ -133,7 +133,7 @@ class GuidedSession:
         return [*sentences, *self._record_drives(pipeline, now_ns)]
 
     def _record_drives(self, pipeline: Pipeline, now_ns: int) -> Iterator[str]:
-        """Record the landmarks to which a robot drove; give a sentence for the first. Only the pose of a part needs that."""
+        """Record the landmarks that a robot drove to; give a sentence for the first. Only the pose of a part needs that."""
         for name in self._robot.take_driven():
             if pipeline.scene.tool is None:
                 continue

@@ -202,7 +202,7 @@ class RobotDialogue:
                 self._driven += [request.landmark] if request.landmark else []
 
     def take_driven(self) -> list[str]:
-        """Return the landmarks to which the robot drove since the last call: the newest poke at each is meant."""
+        """Return the landmarks that the robot drove to since the last call: the newest poke at each is meant."""
         driven, self._driven = self._driven, []
         return driven
 

@@ -211,7 +211,7 @@ class SimulatedRobot:
         """Take the pose of the part as skincal found it; an arm that pokes a part on its sensor knows it."""
 
     def prepare_for(self, target: PokeTarget) -> bool:  # noqa: ARG002 - of other arms
-        """Prepare for a target, and return whether a person guides the tip; an arm that knows its part drives by itself."""
+        """Prepare for a target, and return whether a person guides the tip; an arm that knows its part always drives."""
         return False
 
     def pose_record(self) -> FloatArray:

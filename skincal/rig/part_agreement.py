@@ -2,7 +2,7 @@
 
 Each landmark is predicted from all other touches (`part_pose`). So a landmark with a wrong name or place, a wrong mesh and a
 wrong tip show, and the pose cannot hide its own errors. All touches together must agree, too. Touches of a robot that drove to
-the landmarks by a pose of the part agree with each other whatever that pose is.
+the landmarks by a pose of the part agree with each other under any such pose.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def agreement_at_landmarks(
     rig, used : as of `landmark_agreement`
     part : pose of the part that is found from the touches; `None` in other rigs
     tip : frame of the tip; `None` without one
-    driven : number of the touches in `part` at landmarks to which a robot drove by a pose of the part
+    driven : number of the touches in `part` at landmarks that a robot drove to by a pose of the part
     """
     if used is None and part is not None and tip is not None and tip.places_pokes:
         return agreement_with_part(part, driven)

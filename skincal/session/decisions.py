@@ -82,7 +82,7 @@ class Decisions:
     taken_from_landmarks: frozenset[int] = frozenset()
     """Numbers of the pokes that the operator took from their landmark, by undo too."""
     driven_to_landmarks: frozenset[int] = frozenset()
-    """Numbers of the landmark pokes to which a robot drove by a pose of the part: they cannot check that pose."""
+    """Numbers of the landmark pokes that a robot drove to by a pose of the part: they cannot check that pose."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections in use, by `FRAME` and `RIG`."""
     closings: tuple[ClosingRound, ...] = ()

@@ -151,9 +151,9 @@ def can_be_at_landmark(outcome: Outcome) -> bool:
 
 
 def driven_to_leave_out(named: Mapping[int, str], driven: Collection[int], *, finds_part_pose: bool = True) -> frozenset[int]:
-    """Select the pokes at landmarks to which a robot drove, and that the pose of the part is not fitted to.
+    """Select the landmark pokes that a robot drove to, and that the part's pose is not fitted to.
 
-    Such a touch repeats the pose by which the robot drove. It is used only where no other touches give a pose: three other
+    Their touches repeat the pose that the robot used. They are used only if no other touches give a pose: three other
     landmarks do, and so does a given pose.
 
     Parameters

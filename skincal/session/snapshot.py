@@ -284,7 +284,7 @@ class Snapshot:
 
     @property
     def driven_to_landmarks(self) -> int:
-        """Number of the touches of landmarks that gave the part's pose although a robot drove there by a pose of the part."""
+        """Number of the touches of landmarks that gave the part's pose although a robot drove there by a pose of it."""
         driven, excluded = self.decisions.driven_to_landmarks, self.decisions.excluded
         if not driven:
             return 0

@@ -171,10 +171,10 @@ def _landmark_words(verdict: Verdict) -> str:
 
 
 def driven_sentence(landmarks: LandmarkAgreement) -> str:
-    """Warn of landmarks to which a robot drove by a pose of the part."""
+    """Warn of landmarks that a robot drove to by a pose of the part."""
     return (
         f"A robot drove to {landmarks.driven} of {count(landmarks.pokes, 'landmark poke')} by a pose of the part: they agree "
-        "whatever that pose is, and a common shift of all taxels would go unnoticed. "
+        "under any such pose, and a common shift of all taxels would go unnoticed. "
         f"Guide the tip to {MIN_LANDMARKS} landmarks by hand."
     )
 
