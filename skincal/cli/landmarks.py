@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
@@ -337,17 +336,13 @@ def _outcomes(session: Session) -> Iterator[Outcome]:
 
 
 def _misses(session: Session) -> dict[int, float]:
-    """Compute the distance of each landmark poke from its landmark, m, by poke: of the tip if it is known, else of the axis."""
+    """Compute the distance of each landmark poke from its landmark, m, by poke: `misses_of_landmarks`."""
+    from skincal.session.landmark_pokes import misses_of_landmarks
+
     if not session.snapshot().is_placed:
         return {}
     pokes = session.landmark_pokes
-    misses: dict[int, float] = dict(zip(pokes.number.tolist(), pokes.landmark_miss.tolist(), strict=True))
-    places = dict(zip(pokes.number.tolist(), pokes.place, strict=True))
-    for outcome in session.frame_corrected(misses):
-        tip = session.tip_of(outcome)
-        if tip is not None:
-            misses[outcome.poke] = math.dist(tip, places[outcome.poke])
-    return misses
+    return dict(zip(pokes.number.tolist(), misses_of_landmarks(pokes, session.contact_at).tolist(), strict=True))
 
 
 def begin_s_of(folder: Path) -> float:

@@ -23,6 +23,7 @@ from skincal.guide.verdict import Verdict
 from skincal.methods import estimate_taxels
 from skincal.modules.health import spacing_ratio
 from skincal.part.part import Part
+from skincal.session.landmark_pokes import misses_of_landmarks
 from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
@@ -75,7 +76,7 @@ class SessionFacts:
     series: ErrorSeries
     """`errors` over the session, by every method."""
     misses: Mapping[str, tuple[float, ...]]
-    """m, by landmark: distances of its pokes, as the rig reports them."""
+    """m, by landmark: distances of its pokes, as the rig reports them (`misses_of_landmarks`)."""
     rejected: Mapping[Reason, tuple[Rejection, ...]]
     """Rejected pokes that are not at landmarks, by reason, the most frequent first."""
     lint: tuple[str, ...]
@@ -98,6 +99,7 @@ def gather_facts(results: SessionResults, name: str, truth: TaxelPositions | Non
     session, snapshot, pokes = results.session, results.snapshot, results.session.landmark_pokes
     if not snapshot.is_placed:  # positions are in the base, truth and landmarks in the part's frame
         truth, pokes = None, pokes[:0]
+    misses = misses_of_landmarks(pokes, session.contact_at)
     calibration, errors = session.calibration(), errors_of(snapshot.estimates[method], truth, snapshot.part_size)
     names = [mark.name for mark in session.decisions.landmarks]
     return SessionFacts(
@@ -111,7 +113,7 @@ def gather_facts(results: SessionResults, name: str, truth: TaxelPositions | Non
         gains=calibration.gains(method),
         truth=truth,
         series=_series(results.part, snapshot, truth),
-        misses={mark: tuple(pokes.landmark_miss[pokes.name == mark].tolist()) for mark in names},
+        misses={mark: tuple(misses[pokes.name == mark].tolist()) for mark in names},
         rejected=_rejected(snapshot),
         lint=calibration_file(calibration, ExportFormat.ICUB, method, ExportOptions(is_asked=False))[1],
         versions=_versions(),

@@ -29,7 +29,7 @@ MAX_MISS_OVER_EXPECTED_MISS = 3.0
 Nine in ten pass at 19 mm; a poke at another landmark passes at 33 to 81."""
 
 LANDMARK_MATCH_MAX_DISTANCE_M = 0.020
-"""m. A poke is matched to the landmark that its axis passes within this distance..."""
+"""m. A poke is matched to the landmark that its axis passes, or its tip touches, within this distance..."""
 OTHER_LANDMARK_MIN_DISTANCE_RATIO = 2.0
 """...if it passes every other landmark at this many times that distance. On 40 rigs with the paper's errors this names 90 % of
 840 landmark pokes, none wrongly: axes pass their landmarks at 10 mm in the median, at 19 mm in nine of ten. The axes of 29 % of
@@ -59,10 +59,18 @@ class LandmarkFinder:
     ----------
     places : gives the planned places of taxels, (3,) float, metres, by channel; called when first needed
     surface : for the outward direction at landmarks without a normal
+    contact_at : as in `misses_of_landmarks`
+    part_sd : gives the standard deviation of the part's place in the frame of the pokes, metres; zero if that is given
     """
 
-    def __init__(self, places: Callable[[], Mapping[int, FloatArray]], surface: Surface | None) -> None:
-        self._places, self._surface = places, surface
+    def __init__(
+        self,
+        places: Callable[[], Mapping[int, FloatArray]],
+        surface: Surface | None,
+        contact_at: Callable[[int], FloatArray | None] = lambda _: None,
+        part_sd: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        self._places, self._surface, self._contact_at, self._part_sd = places, surface, contact_at, part_sd
         self._outward: dict[bytes, FloatArray | None] = {}
         self.asked = ""
         """Name of the requested landmark; empty without one."""
@@ -86,6 +94,7 @@ class LandmarkFinder:
         A poke counts if it began `VISUAL_REACTION_TIME_S` after the request, has a force axis, and no taxel far from the
         landmark answered. A poke that misses by more than `MAX_MISS_OVER_EXPECTED_MISS` times the expected miss is rejected,
         unless at least half of the earlier pokes missed as much. Then the sensor's frame may be wrong, and these pokes show it.
+        A touched point may miss by `LANDMARK_MATCH_MAX_DISTANCE_M`, or by three standard deviations of the part's place.
         Once most pokes hit, those that missed are removed, except those that the operator named.
 
         Parameters
@@ -115,8 +124,13 @@ class LandmarkFinder:
     def _misses(self, pokes: LandmarkPokes, known: Mapping[str, Landmark], noise: NoiseSettings) -> list[MissedLandmark | None]:
         """Describe how each poke missed its landmark; `None` for a hit."""
         found: list[MissedLandmark | None] = []
-        limits: list[float] = (MAX_MISS_OVER_EXPECTED_MISS * expected_miss(pokes, noise)).tolist()
-        of_poke = zip(pokes.number.tolist(), pokes.name.tolist(), pokes.landmark_miss.tolist(), limits, strict=True)
+        limits = MAX_MISS_OVER_EXPECTED_MISS * expected_miss(pokes, noise)
+        # A tip measures the touched point far better than a sensor its force axis.
+        has_contact = [self._contact_at(number) is not None for number in pokes.number.tolist()]
+        touched = max(LANDMARK_MATCH_MAX_DISTANCE_M, 3.0 * self._part_sd())
+        limits = np.where(has_contact, np.minimum(limits, touched), limits)
+        off = misses_of_landmarks(pokes, self._contact_at)
+        of_poke = zip(pokes.number.tolist(), pokes.name.tolist(), off.tolist(), limits.tolist(), strict=True)
         for (number, name, miss, limit), direction in zip(of_poke, pokes.direction, strict=True):
             outward = self._outward_at(known[name])
             behind = outward is not None and float(outward @ direction) > MAX_PUSH_COSINE
@@ -141,6 +155,19 @@ def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], n
     there = [(outcome, landmark) for outcome, landmark in there if can_be_at_landmark(outcome)]
     pokes = Pokes.collect(outcome for outcome, _ in there)
     return LandmarkPokes.at(pokes, [landmark.name for _, landmark in there], [landmark.place for _, landmark in there])
+
+
+def misses_of_landmarks(pokes: LandmarkPokes, contact_at: Callable[[int], FloatArray | None]) -> FloatArray:
+    """Compute the distance (n,) of each poke from its landmark, metres: of the touched point, or without one of the force axis.
+
+    `contact_at` gives the point (3,) that a tool's tip touched at a poke, metres, link frame; `None` if it is not measured.
+    """
+    misses = pokes.landmark_miss.copy()
+    for row, number in enumerate(pokes.number.tolist()):
+        contact = contact_at(number)
+        if contact is not None:
+            misses[row] = np.linalg.norm(contact - pokes.place[row])
+    return misses
 
 
 def can_be_at_landmark(outcome: Outcome) -> bool:
@@ -171,7 +198,7 @@ def nearest_landmarks(
     outcomes: Iterable[Outcome],
     landmarks: Sequence[Landmark],
     surface: Surface | None,
-    tip_of: Callable[[Outcome], FloatArray | None] = lambda _: None,
+    contact_of: Callable[[Outcome], FloatArray | None] = lambda _: None,
 ) -> dict[int, NearestLandmark]:
     """Find the landmark nearest to the tip or the force axis of each poke, by poke number.
 
@@ -179,7 +206,7 @@ def nearest_landmarks(
     ----------
     outcomes : after the frame's correction
     surface : for the outward direction at landmarks without a normal
-    tip_of : gives the position (3,) of the tip at a poke, metres, link frame; `None` if it is unknown: then the axis counts
+    contact_of : gives the point (3,) that a tool's tip touched at a poke, metres, link frame; without one the axis counts
     """
     if not landmarks:
         return {}
@@ -188,8 +215,8 @@ def nearest_landmarks(
     found: dict[int, NearestLandmark] = {}
     possible = [outcome for outcome in outcomes if can_be_at_landmark(outcome)]
     for outcome, poke in zip(possible, Pokes.collect(possible), strict=True):
-        tip = tip_of(outcome)
-        misses = poke.miss(places) if tip is None else np.linalg.norm(places - tip, axis=1)
+        contact = contact_of(outcome)
+        misses = poke.miss(places) if contact is None else np.linalg.norm(places - contact, axis=1)
         # Without an outward direction any push may be at it.
         misses[(outward @ poke.direction > MAX_PUSH_COSINE) & outward.any(axis=1)] = np.inf
         nearest = int(misses.argmin())

@@ -125,7 +125,8 @@ class Pipeline:
         self._delay_fitted = 0
         self._frozen = frozenset[str]()
         self.poses.forget_stream()
-        self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
+        session = self.session
+        self._landmarks = LandmarkFinder(self._taxel_places, session.surface, session.contact_at, lambda: session.part_sd)
         self._totals_ns: int | None = None
         self._begin_ns = 0
         self._ended_links = set[str]()

@@ -176,9 +176,19 @@ class Session:
         """Whether the tip of a tool is known and used."""
         return self.tool is not None and self.tool.has_used_tip
 
-    def tip_of(self, outcome: Outcome) -> FloatArray | None:
-        """Compute the position (3,) of a tool's tip at an outcome of `frame_corrected`, metres; `None` if it is unknown."""
-        return None if self.tool is None else self.tool.tip_of(outcome)
+    def contact_of(self, outcome: Outcome) -> FloatArray | None:
+        """Compute the point (3,) that a tool's tip touched at an outcome of `frame_corrected`, metres; `None` if unknown."""
+        return None if self.tool is None else self.tool.contact_of(outcome)
+
+    @property
+    def part_sd(self) -> float:
+        """m, largest sd of a point of the part in the frame of the pokes; 0 if its pose is not found from them."""
+        part = None if self.tool is None else self.tool.part
+        return 0.0 if part is None or not part.is_known else part.sd
+
+    def contact_at(self, poke: int) -> FloatArray | None:
+        """Compute the point (3,) that a tool's tip touched at a poke, as `contact_of`."""
+        return None if self.tool is None else self.contact_of(self._placed(poke))
 
     def nearest_landmarks(self) -> dict[int, NearestLandmark]:
         """Find the landmark nearest to each poke that is not excluded, by poke; empty while the part's pose is unknown."""
@@ -186,7 +196,7 @@ class Session:
         if not snapshot.is_placed:
             return {}
         pokes = [record.outcome.poke for record in snapshot.pokes if record.outcome.poke not in self.decisions.excluded]
-        return nearest_landmarks(self.frame_corrected(pokes), self.decisions.landmarks, self.surface, self.tip_of)
+        return nearest_landmarks(self.frame_corrected(pokes), self.decisions.landmarks, self.surface, self.contact_of)
 
     def sure_landmarks(self) -> dict[int, str]:
         """Name the landmark of each poke that has none and is surely at one, by poke; not of those that were taken from one."""

@@ -291,27 +291,31 @@ class ToolFindings:
             self._placed[outcome.poke] = outcome, self.part, self.tip, found
 
     def through_tip(self, progress: Progress, link_from_sensor: FloatArray | None) -> Progress:
-        """Move the axis of a press in progress through the tip, as that of a finished poke.
+        """Move the axis of a press in progress through the contact of the tip, as that of a finished poke.
 
         `link_from_sensor` (4, 4), metres, is as `placed_pose` gives it.
         """
         if link_from_sensor is None or not self._tool.has_sensor or not self._is_placed_by_tip or not progress.force.any():
             return progress
-        tip = self.tip.shift if self.part is None or not self.part.is_known else self.tip.shift + self.part.tip_shift
-        return replace(progress, axis_point=link_from_sensor[:3] @ np.append(tip, 1.0))
+        centre = link_from_sensor[:3] @ np.append(self._tip_with_part, 1.0)
+        push = progress.force / np.linalg.norm(progress.force)
+        return replace(progress, axis_point=self._below_centres(centre[None], push[None])[0])
 
     @property
     def has_used_tip(self) -> bool:
         """Whether the tip is known and used."""
         return self.tip.state is TipState.USED
 
-    def tip_of(self, outcome: Outcome) -> FloatArray | None:
-        """Compute the position (3,) of the tip at a placed outcome, metres, link frame; `None` while the tip is not used."""
-        if not self.has_used_tip or outcome.link_from_sensor is None:
-            return None
+    def contact_of(self, outcome: Outcome) -> FloatArray | None:
+        """Compute the touched point (3,) of a placed outcome, metres, link frame; `None` while the tip is not used."""
+        touched = self._contact_points(Pokes.collect([outcome])) if self.has_used_tip else None
+        return None if touched is None or not len(touched) else touched[0]
+
+    @property
+    def _tip_with_part(self) -> FloatArray:
+        """(3,) float, metres, sensor's frame: the tip, less its error that the part's pose shows; without a sensor zero."""
         is_found_with_part = self._tool.has_sensor and self.part is not None and self.part.is_known
-        shift = self.tip.shift + self.part.tip_shift if is_found_with_part and self.part is not None else self.tip.shift
-        return outcome.link_from_sensor[:3] @ np.append(shift, 1.0)
+        return self.tip.shift + self.part.tip_shift if is_found_with_part and self.part is not None else self.tip.shift
 
     def placed_pose(self, link_from_sensor: FloatArray) -> FloatArray:
         """Carry poses of the sensor, (..., 4, 4) float, metres, into the part's frame; themselves while its pose is unknown."""
@@ -330,14 +334,14 @@ class ToolFindings:
         """
         if self.tip.state is not TipState.USED:
             return None
-        shift = self.tip.shift
-        if self._tool.has_sensor and self.part is not None and self.part.is_known:
-            shift = shift + self.part.tip_shift
-        centres = pokes.link_from_sensor[:, :3, :3] @ shift + pokes.sensor
+        centres = pokes.link_from_sensor[:, :3, :3] @ self._tip_with_part + pokes.sensor
+        return self._below_centres(centres, pokes.direction)
+
+    def _below_centres(self, centres: FloatArray, pushes: FloatArray) -> FloatArray:
+        """Compute the contacts (n, 3) of a ball with its middle at centres (n, 3) that is pushed along (n, 3), link frame."""
         is_in_part = self._tool.has_part_pose if self.part is None else self.part.is_known
-        if not is_in_part:
-            return centres + self._tool.tip_radius * pokes.direction
-        return centres + self._tool.tip_radius * self._ways_to_contact(centres, pokes.direction)
+        ways = self._ways_to_contact(centres, pushes) if is_in_part else pushes
+        return centres + self._tool.tip_radius * ways
 
     def _ways_to_contact(self, centres: FloatArray, pushes: FloatArray) -> FloatArray:
         """Compute the directions (n, 3), unit, from the middle of the ball to the contact; all in the link frame."""

@@ -18,13 +18,13 @@ from skincal.following.results import SessionResults
 from skincal.guide.verdict import Check, is_believed
 from skincal.journal.writer import create_session
 from skincal.mesh.load import load_surface
-from skincal.model.actions import AskLandmark, AtLandmark, DroveToLandmark
+from skincal.model.actions import AskLandmark, AtLandmark, DroveToLandmark, FoundAtLandmark, MissedLandmark
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.model.scene import Landmark, load_scene
 from skincal.rig.part_pose import PartPoseState
 from skincal.session.importing import unnamed_landmarks
-from skincal.session.landmark_pokes import nearest_landmarks
+from skincal.session.landmark_pokes import LandmarkFinder, misses_of_landmarks, nearest_landmarks
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.session.tool_streams import check_tool_streams
@@ -194,12 +194,43 @@ def test_a_landmark_far_below_the_touch_is_not_found_by_the_line_of_the_push(rec
     (outcome,) = session.frame_corrected([1])
     by_axis = nearest_landmarks([outcome], [below], None)
     assert by_axis[1].sure, "its axis passes it within 20 mm"
-    by_tip = nearest_landmarks([outcome], [below], None, session.tip_of)
+    by_tip = nearest_landmarks([outcome], [below], None, session.contact_of)
     assert not by_tip[1].sure
     assert by_tip[1].miss == pytest.approx(0.05, abs=0.005)
-    found = nearest_landmarks([outcome], [*session.decisions.landmarks, below], None, session.tip_of)[1]
+    found = nearest_landmarks([outcome], [*session.decisions.landmarks, below], None, session.contact_of)[1]
     assert (found.name, found.sure) == ("m0", True)
     assert found.miss < 0.004
+
+
+def test_a_requested_landmark_far_below_the_touch_is_missed_although_the_line_of_the_push_passes_it(recorded):
+    session = recorded.session
+    below = Landmark("below", MARKS[0] + [0.0, 0.0, -0.05], None)
+
+    def found(**measured):
+        finder = LandmarkFinder(dict, None, **measured)
+        finder.ask("below", 0.0)
+        marks = [*session.decisions.landmarks, below]
+        outcomes, noise = session.frame_corrected([1]), session.scene.noise
+        (action,) = finder.find_landmark_pokes(outcomes, session.landmark_pokes, marks, (), (), noise)
+        return action
+
+    assert isinstance(found(), FoundAtLandmark), "by the line alone"
+    missed = found(contact_at=session.contact_at)
+    assert isinstance(missed, MissedLandmark)
+    assert missed.miss == pytest.approx(0.05, abs=0.003)
+
+
+def test_misses_at_landmarks_are_those_of_the_touched_points(recorded):
+    rng = np.random.default_rng(1)
+    pushes(rng, len(EVERY))
+    true = (0.0008 * rng.standard_normal(EVERY.shape))[: len(MARKS), :2]
+    pokes = recorded.session.landmark_pokes
+    misses = misses_of_landmarks(pokes, recorded.session.contact_at)
+    # The pose of the part follows from these touches, so it takes some of their errors.
+    assert np.abs(misses - np.linalg.norm(true, axis=1)).max() < 0.001
+    centres = misses_of_landmarks(pokes, lambda poke: recorded.session.contact_at(poke) + OUT)
+    assert (centres > misses).all()
+    assert misses_of_landmarks(pokes, lambda _: None).tolist() == pokes.landmark_miss.tolist()
 
 
 def test_the_live_tool_and_press_are_in_the_frame_of_the_part_once_it_is_known(recorded):

@@ -524,10 +524,10 @@ def test_a_wrong_pose_of_the_part_is_named_and_no_correction_of_the_sensor_offer
     assert not (rig.after < 0.5 * rig.before and "would be offered" in rig_sentences(rig, has_arm=True)[0])
 
 
-def test_the_axis_of_a_press_in_progress_passes_a_given_tip_as_that_of_the_finished_poke(tmp_path):
-    scene = scene_of(
-        tmp_path, change=lambda text: text.replace("base_from_link", f"tip_mm = {(TIP * 1e3).tolist()}\nbase_from_link")
-    )
+@pytest.mark.parametrize("radius_mm", [0.0, 4.0])
+def test_the_axis_of_a_press_in_progress_passes_the_contact_as_that_of_the_finished_poke(tmp_path, radius_mm):
+    tip = f"tip_mm = {(TIP * 1e3).tolist()}\ntip_radius_mm = {radius_mm}\nbase_from_link"
+    scene = scene_of(tmp_path, change=lambda text: text.replace("base_from_link", tip))
     # A moment of the sensor that is wrong by 40 N mm moves the axis by 5 mm.
     crossed = np.array([0.0, 0.0, 0.0, 0.04, 0.0, 0.0])
     in_press = (1.0 + REST_S + RAMP_S, 1.0 + REST_S + RAMP_S + 0.5 * HOLD_S)
@@ -539,6 +539,8 @@ def test_the_axis_of_a_press_in_progress_passes_a_given_tip_as_that_of_the_finis
     live = pipeline.live(0)
     force = live.progress.force
     assert np.linalg.norm(force) > 4.0
-    tip = live.link_from_sensor[:3] @ np.append(scene.tool.tip_in_sensor, 1.0)
-    across = np.cross(live.progress.axis_point - tip, force / np.linalg.norm(force))
-    assert np.linalg.norm(across) < 1e-9
+    centre = live.link_from_sensor[:3] @ np.append(scene.tool.tip_in_sensor, 1.0)
+    # A leaning ball touches the plate with its lowest point.
+    contact = centre - np.array([0.0, 0.0, 1e-3 * radius_mm])
+    np.testing.assert_allclose(live.progress.axis_point, contact, atol=1e-9)
+    assert np.linalg.norm(np.cross([0.0, 0.0, 1.0], force / np.linalg.norm(force))) > 0.02, "the push leans"
