@@ -199,11 +199,13 @@ class ComparePanel(Panel):
         """Compare the axes of taxels that measure three; return those of both sets for the picture."""
         if self._guided.part.scene.skin.axes is None:
             return ()
-        from skincal.axes.turn_differences import axes_of_turns, compare_turns  # other skins do without
+        from skincal.axes.session_turns import ShownTurn  # other skins do without
+        from skincal.axes.turn_differences import axes_of_turns, compare_turns
         from skincal.words.turn_words import turn_difference_words
 
-        channels, turns = self._channels.tolist(), state.snapshot.on_part.turns
-        own = {} if turns is None else axes_of_turns(turns.of_channels(channels))
+        channels, snapshot = self._channels.tolist(), state.snapshot.on_part
+        found = {channel: snapshot.shown_turn(channel) for channel in channels}
+        own = axes_of_turns({channel: turn for channel, turn in found.items() if isinstance(turn, ShownTurn)})
         # A layout has no axes; one session has the same by each method.
         here, there = (self._axes.get(name, {} if name in self._others or name == LAYOUT_SET else own) for name in pair)
         same = here is there

@@ -300,8 +300,7 @@ class InspectPanel(Panel):
                 label.setText(text)
         shown = found.get(state.method)
         if self.turn is not None:
-            turns = state.snapshot.turns
-            self.turn.show_turn(None if turns is None else turns.of_channel(channel), None if shown is None else shown.normal)
+            self.turn.show_turn(state.snapshot.shown_turn(channel), None if shown is None else shown.normal)
         reason = state.snapshot.dead.get(channel) or state_sentence(None if shown is None else shown.reason)
         pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
         needs = "" if state.guidance is None else needs_words(state.guidance, channel)

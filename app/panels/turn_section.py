@@ -14,6 +14,7 @@ from skincal.words.turn_words import TURN_ROWS, turn_cells
 
 if TYPE_CHECKING:
     from skincal.axes.session_turns import ShownTurn
+    from skincal.axes.taxel_frames import FrameState
 
 
 class TurnSection(QWidget):
@@ -37,8 +38,8 @@ class TurnSection(QWidget):
         )
         self.hide()
 
-    def show_turn(self, turn: ShownTurn | None, normal: FloatArray | None) -> None:
-        """Show the turn of a taxel with the skin's outward normal there, (3,) unit; `None` while unknown."""
+    def show_turn(self, turn: ShownTurn | FrameState | None, normal: FloatArray | None) -> None:
+        """Show the turn of a taxel, as `turn_cells`, with the skin's outward normal there, (3,) unit; `None` while unknown."""
         for label, text in zip(self.cells, turn_cells(turn, normal), strict=True):
             label.setText(text)
         self.show()

@@ -49,8 +49,9 @@ class TaxelAxesLayer(Layer):
         if key == self._key:
             return False
         self._key = key
-        layer, turns = self._estimates, state.snapshot.turns
-        known = [None if turns is None else turns.of_channel(channel) for channel in layer.shown.tolist()]
+        layer = self._estimates
+        every = [state.snapshot.shown_turn(channel) for channel in layer.shown.tolist()]
+        known = [turn if isinstance(turn, ShownTurn) else None for turn in every]
         lengths = np.where(layer.shown == (-1 if state.selected is None else state.selected), SELECTED_OVER_OTHERS, 1.0)
         axes = np.array([np.eye(3) if turn is None else turn.axes for turn in known]).reshape(-1, 3, 3)
         ways = self.length * lengths[:, None, None] * axes.transpose(0, 2, 1)

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from skincal.axes.axis_checks import DeadAxis, find_dead_axes
 from skincal.axes.module_axes import ModuleTurn, find_module_noise, has_shared_turn, module_turn
 from skincal.axes.push_offset import OffsetCorrection, PushLean, TaxelOffsets
 from skincal.axes.skin_turns import (
@@ -103,6 +104,15 @@ class SessionTurns:
     def is_mirrored(self) -> bool:
         """Whether the axes of the skin are mirrored for certain."""
         return self.skin.is_mirrored
+
+    @cached_property
+    def dead_axes(self) -> tuple[DeadAxis, ...]:
+        """X and y of taxels that do not answer, by channel."""
+        return find_dead_axes(self.skin)
+
+    @cached_property
+    def channels_with_dead_axis(self) -> frozenset[int]:
+        return frozenset(each.channel for each in self.dead_axes)
 
     @cached_property
     def log_odds_shared(self) -> float:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.axes.axis_checks import find_dead_axes
 from skincal.axes.module_axes import AxisFindings
 from skincal.axes.session_turns import SessionTurns
 from skincal.axes.skin_turns import TurnState
@@ -81,7 +80,7 @@ def frames_of_taxels(
 
     `dead_z` are the channels whose z does not answer.
     """
-    dead = {each.channel for each in find_dead_axes(turns.skin)}.union(dead_z)
+    dead = turns.channels_with_dead_axis.union(dead_z)
     mirrored = {mistake.module for mistake in findings.mistakes if mistake.is_mirrored}
     if turns.is_mirrored:
         mirrored.add(None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from skincal.axes.axis_checks import find_dead_axes, find_mesh_lean, find_shear_misses, find_unit_excess
+from skincal.axes.axis_checks import find_mesh_lean, find_shear_misses, find_unit_excess
 from skincal.axes.taxel_frames import FrameState
 from skincal.methods import leading_method
 from skincal.model.skin_axes import ResponseRule
@@ -35,7 +35,7 @@ def session_axis_sentences(snapshot: Snapshot, scene: Scene) -> tuple[str, ...]:
         return tuple(sentences)
     if axes.unit == "N" and axes.rule is ResponseRule.PUSH and scene.has_sensor:
         sentences.append(unit_excess_sentence(find_unit_excess(snapshot.contacts)))
-    sentences.append(dead_axis_sentence([*find_dead_axes(turns), *results.dead_z(method)]))
+    sentences.append(dead_axis_sentence([*results.turns.dead_axes, *results.dead_z(method)]))
     sentences.append(shear_miss_sentence(find_shear_misses(turns)))
     shared = [channel for channel, frame in results.frames(method).items() if frame.state is FrameState.BY_MODULE]
     on_mesh = {

@@ -33,7 +33,8 @@ from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 if TYPE_CHECKING:
     from skincal.axes.axis_results import AxisResults
-    from skincal.axes.session_turns import SessionTurns
+    from skincal.axes.session_turns import SessionTurns, ShownTurn
+    from skincal.axes.taxel_frames import FrameState
     from skincal.model.skin import Layout
     from skincal.modules.distances import TriedDistance
     from skincal.rig.mesh_distance import MeshDistance
@@ -155,6 +156,17 @@ class Snapshot:
         from skincal.axes.axis_results import AxisResults  # other skins do without
 
         return AxisResults(self.turns, layout, self.estimates, self.value_order)
+
+    def shown_turn(self, channel: int) -> ShownTurn | FrameState | None:
+        """Give the turn of a taxel; why its readings show none, if they do not; `None` before a poke shows one."""
+        turns, order = self.turns, self.value_order
+        if turns is None:
+            return None
+        from skincal.axes.taxel_frames import FrameState  # other skins do without
+
+        if order is not None and order.is_wrong:
+            return FrameState.WRONG_ORDER
+        return FrameState.DEAD_AXIS if channel in turns.channels_with_dead_axis else turns.of_channel(channel)
 
     @property
     def is_placed(self) -> bool:

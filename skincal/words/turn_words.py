@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from skincal.words.units import DASH, count, degrees, direction
 if TYPE_CHECKING:
     from skincal.axes.push_offset import PushLean
     from skincal.axes.session_turns import ShownTurn
+    from skincal.axes.taxel_frames import FrameState
     from skincal.axes.turn_differences import TurnDifferences
 
 TURN_ROWS = ("x points to", "y points to", "z points to", "z from normal", "Turn's error", "Turn")
@@ -25,10 +27,13 @@ NO_TURN_YET = "unknown: no poke has pressed it"
 IN_PLANE_UNKNOWN = "turn in the plane is unknown: press leaning"
 
 
-def turn_cells(turn: ShownTurn | None, normal: FloatArray | None) -> tuple[str, ...]:
-    """Make the cells of `TURN_ROWS`; `normal` (3,), unit, outward, is that of the skin at the taxel."""
-    if turn is None:
-        return (*(DASH,) * (len(TURN_ROWS) - 1), NO_TURN_YET)
+def turn_cells(turn: ShownTurn | FrameState | None, normal: FloatArray | None) -> tuple[str, ...]:
+    """Make the cells of `TURN_ROWS`; `turn` is the state that says why readings show none, or `None` before a poke shows one.
+
+    `normal` (3,), unit, outward, is that of the skin at the taxel.
+    """
+    if turn is None or isinstance(turn, Enum):
+        return (*(DASH,) * (len(TURN_ROWS) - 1), NO_TURN_YET if turn is None else f"unknown: {turn.value}")
     x, y, z = turn.axes.T
     if not turn.is_in_plane_known:
         x = y = None

@@ -11,10 +11,14 @@ import pytest
 
 from app.panels.compare_panel import ComparePanel
 from app.panels.inspect_panel import InspectPanel
+from skincal.axes.axis_checks import DeadAxis
 from skincal.axes.turn_differences import compare_turns
+from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts
 from skincal.files.reference import Origin, TaxelPositions
 from skincal.geometry import rotation_by
+from skincal.model.skin_axes import ValueOrder
 from skincal.words.turn_words import IN_PLANE_UNKNOWN, NO_TURN_YET, TURN_ROWS, turn_cells, turn_difference_words
+from skincal.words.units import DASH
 from tests.app.scene3d_support import estimate, laid
 from tests.app.three_axes_support import THREE_AXES_SCENE
 from tests.app.window_support import PLAN, context, frame, part, session, shown
@@ -45,6 +49,21 @@ def test_the_taxel_tab_says_where_the_axes_point_and_what_is_unknown(qtbot):
     assert IN_PLANE_UNKNOWN in cells[-1]
     panel.show_state(at(turns, selected=5))
     assert panel.turn.cells[-1].text() == NO_TURN_YET
+
+
+def test_readings_that_show_no_turn_say_why(qtbot):
+    """A dead axis of this taxel, or values of other taxels: no direction is given, and none is drawn."""
+    turns = turns_of({3: turn_of(3, QUARTER)})
+    panel = shown(qtbot, InspectPanel(context(part(THREE_AXES_SCENE))), (420, 700))
+    turns.__dict__["dead_axes"] = (DeadAxis(3, "x", is_stuck=False, pokes=10),)
+    panel.show_state(at(turns, selected=3))
+    assert [label.text() for label in panel.turn.cells][:3] == [DASH] * 3
+    assert panel.turn.cells[-1].text() == "unknown: an axis does not answer"
+    state = at(turns_of({3: turn_of(3, QUARTER)}), selected=3)
+    wrong = OrderOfValues(ValueOrderCounts(20, on_z_by_taxel=0, on_z_by_axis=20), ValueOrder.BY_TAXEL)
+    panel = shown(qtbot, InspectPanel(context(part(THREE_AXES_SCENE))), (420, 700))
+    panel.show_state(replace(state, snapshot=replace(state.snapshot, value_order=wrong)))
+    assert panel.turn.cells[-1].text() == "unknown: order of values wrong"
 
 
 def test_a_taxel_tab_of_one_axis_has_no_such_section(qtbot):

@@ -12,6 +12,7 @@ from app.scene3d.camera import Viewpoint, pose_of
 from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import LIGHT, Comparison, StaticScene, TaxelAxes, rgb
 from app.scene3d.taxel_axes import SELECTED_OVER_OTHERS
+from skincal.axes.axis_checks import DeadAxis
 from skincal.part.part import Part
 from tests.app.scene3d_support import box, estimate, laid, snapshot, tick_of
 from tests.app.three_axes_support import THREE_AXES_SCENE
@@ -56,6 +57,11 @@ def test_axes_are_drawn_at_near_taxels_whose_turn_is_known(plotter):
     longer = layer.lines.mesh.points.reshape(-1, 2, 3)
     lengths = np.linalg.norm(longer[:, 1] - longer[:, 0], axis=1) / layer.length
     assert lengths == pytest.approx([SELECTED_OVER_OTHERS] * 3 + [1.0] * 4, rel=1e-4)
+    # A dead axis leaves no direction.
+    dead = turns_of({channel: turn_of(channel, QUARTER) for channel in (3, 5)})
+    dead.__dict__["dead_axes"] = (DeadAxis(3, "x", is_stuck=False, pokes=10),)
+    renderer.show(tick_of(replace(snapshot(2, known), turns=dead)))
+    assert layer.lines.mesh.points.reshape(-1, 2, 3)[:, 0] == pytest.approx(np.tile(PLACES[5], (3, 1)), abs=1e-6)
     renderer.hide(frozenset({"turns"}))
     assert not layer.lines.actor.visibility
     renderer.hide(frozenset())
