@@ -50,7 +50,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, fit_rotation, rotations
+from skincal.geometry import FloatArray, IntArray, fit_rotation, rotation_by, rotations
 from skincal.solver.tables import (
     FULL_TRUST_SDS,
     FULL_WEIGHT_MAX_MISS_SDS,
@@ -258,8 +258,8 @@ def lean_slopes(pokes: AxisPokes, fit: TurnFit) -> LeanSlopes:
     problem = _Problem(pokes.mirrored() if fit.is_mirrored else pokes, AxisNoise(0.0, 0.0))
     weights = np.sqrt(fit.trust / fit.variances)[:, None]
     rows = problem.misses(fit.rotation, fit.log_ratio) * weights
-    turned = problem.misses(fit.rotation @ _SMALL_ROTATIONS, fit.log_ratio + _STEPS_BOTH_WAYS[:, 3]) * weights
-    by_turn = ((turned[:4] - turned[4:]) / (2.0 * SMALL_TURN)).reshape(4, -1).T
+    turned = problem.misses(fit.rotation @ _SMALL_ROTATIONS, fit.log_ratio + _SMALL_STEPS[:, 3]) * weights
+    by_turn = ((turned[:4] - turned[4:8]) / (2.0 * SMALL_TURN)).reshape(4, -1).T
     both_ways = SMALL_TURN * np.concatenate([np.eye(3), -np.eye(3)])
     problem.f = problem.f + both_ways[:, None]
     moved = problem.misses(fit.rotation, fit.log_ratio) * weights
@@ -280,9 +280,9 @@ def _trust_of(squares: FloatArray) -> FloatArray:
     return trust if trust.sum() >= MIN_SUM_OF_POKE_TRUSTS else np.ones(len(squares))
 
 
-_STEPS_BOTH_WAYS = SMALL_TURN * np.concatenate([np.eye(4), -np.eye(4)])
-"""(8, 4): steps of omega and ln rho, for derivatives."""
-_SMALL_ROTATIONS = rotations(_STEPS_BOTH_WAYS[:, :3])
+_SMALL_STEPS = SMALL_TURN * np.concatenate([np.eye(4), -np.eye(4), np.zeros((1, 4))])
+"""(9, 4): steps of omega and ln rho both ways, for derivatives, and none."""
+_SMALL_ROTATIONS = rotations(_SMALL_STEPS[:, :3])
 
 
 class _Problem:
@@ -309,22 +309,25 @@ class _Problem:
 
     def minimize(self, rotation: FloatArray, log_ratio: float, trust: FloatArray) -> tuple[FloatArray, float]:
         """Go to the minimum by damped Gauss-Newton steps."""
-        damping, rows = 1e-6, self._rows(rotation, log_ratio, trust)
+        damping, here = 1e-6, self._linearize(rotation, log_ratio, trust)
         for _ in range(MAX_STEPS):
-            jacobian = self._jacobian(rotation, log_ratio, trust)
-            square, pull, value = jacobian.T @ jacobian, jacobian.T @ rows, float(rows @ rows)
+            rows, slopes = here
+            square, pull, value = slopes @ slopes.T, slopes @ rows, float(rows @ rows)
+            scale = np.diag(np.maximum(square.diagonal(), 1e-9))
             for _ in range(MAX_DAMPED_TRIALS):
-                held = square + damping * np.diag(np.maximum(np.diag(square), 1e-9))
-                step = -np.asarray(np.linalg.solve(held, pull), dtype=np.float64)
-                trial = rotation @ rotations(step[None, :3])[0], log_ratio + float(np.clip(step[3], -1.0, 1.0))
-                now = self._rows(*trial, trust)
-                if now @ now <= value:
+                step = -np.asarray(np.linalg.solve(square + damping * scale, pull), dtype=np.float64)
+                turned: FloatArray = rotation @ rotation_by(step[:3])
+                ratio = log_ratio + min(max(float(step[3]), -1.0), 1.0)
+                # With the derivatives of the next step: a trial is rarely refused.
+                there = self._linearize(turned, ratio, trust)
+                now = float(there[0] @ there[0])
+                if now <= value:
                     break
                 damping = max(damping, 1e-6) * 10.0
             else:
                 return rotation, log_ratio
-            (rotation, log_ratio), rows, damping = trial, now, damping / 10.0
-            if float(np.abs(step).max()) < STEP_END or value - float(rows @ rows) < SMALLEST_GAIN * value:
+            rotation, log_ratio, here, damping = turned, ratio, there, damping / 10.0
+            if float(np.abs(step).max()) < STEP_END or value - now < SMALLEST_GAIN * value:
                 break
         return rotation, log_ratio
 
@@ -335,7 +338,8 @@ class _Problem:
     def squares(self, rotation: FloatArray, log_ratio: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Compute (n,) squared misses in standard deviations, and (n,) variances, rad^2: eqs. (2) and (3)."""
         misses, variances, _ = self._misses(rotation, log_ratio)
-        return np.einsum("...i,...i->...", misses, misses) / variances, variances
+        squares: FloatArray = np.vecdot(misses, misses) / variances
+        return squares, variances
 
     def misses(self, rotation: FloatArray, log_ratio: FloatArray | float) -> FloatArray:
         """Compute the misses (n, 3), rad: eq. (2)."""
@@ -343,34 +347,32 @@ class _Problem:
 
     def _misses(self, rotation: FloatArray, log_ratio: FloatArray | float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Compute misses (n, 3), rad, their variances (n,), rad^2, and m (n, 3)."""
-        ratio = np.exp(np.asarray(log_ratio))
-        gains = np.stack([ratio, ratio, np.ones_like(ratio)], axis=-1)[..., None, :]
+        ratio = np.asarray(np.exp(log_ratio))
+        gains = np.ones((*ratio.shape, 1, 3))
+        gains[..., 0, :2] = ratio[..., None]
         m = (self.f @ rotation) * gains
-        square = np.einsum("...i,...i->...", m, m)
-        unit = m / np.sqrt(square)[..., None]
-        along = np.einsum("...i,...i->...", unit, self.u)
-        across = self.u - unit * along[..., None]
-        sine = np.sqrt(np.einsum("...i,...i->...", across, across))
+        square: FloatArray = np.vecdot(m, m)
+        unit: FloatArray = m / np.sqrt(square)[..., None]
+        along: FloatArray = np.vecdot(unit, self.u)
+        across: FloatArray = self.u - unit * along[..., None]
+        sine: FloatArray = np.sqrt(np.vecdot(across, across))
         stretch = np.where(sine > 1e-12, np.arctan2(sine, along) / np.maximum(sine, 1e-12), 1.0)
         squared = gains * gains
-        moved = (squared.sum(axis=-1) - np.sum(unit * unit * squared, axis=-1)) / (2.0 * square)
+        moved = (squared.sum(axis=-1) - np.vecdot(unit * squared, unit)) / (2.0 * square)
         return across * stretch[..., None], self.reading_variance + self.force_variance * moved, m
 
-    def _rows(self, rotation: FloatArray, log_ratio: FloatArray | float, trust: FloatArray) -> FloatArray:
-        misses, variances, _ = self._misses(rotation, log_ratio)
-        rows = misses * np.sqrt(trust / variances)[..., None]
-        prior = np.asarray(self.prior(log_ratio))[..., None]
-        return np.concatenate([rows.reshape(*rows.shape[:-2], -1), prior], axis=-1)
-
-    def _jacobian(self, rotation: FloatArray, log_ratio: float, trust: FloatArray) -> FloatArray:
-        """Compute the derivatives of the rows by (omega, ln rho), by central differences."""
-        rows = self._rows(rotation @ _SMALL_ROTATIONS, log_ratio + _STEPS_BOTH_WAYS[:, 3], trust)
-        return ((rows[:4] - rows[4:]) / (2.0 * SMALL_TURN)).T
+    def _linearize(self, rotation: FloatArray, log_ratio: float, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Compute the rows (3 n + 1,), and their derivatives (4, 3 n + 1) by (omega, ln rho), by central differences."""
+        misses, variances, _ = self._misses(rotation @ _SMALL_ROTATIONS, log_ratio + _SMALL_STEPS[:, 3])
+        rows = np.empty((len(_SMALL_STEPS), 3 * len(trust) + 1))
+        rows[:, :-1] = (misses * np.sqrt(trust / variances)[..., None]).reshape(len(rows), -1)
+        rows[:, -1] = self.prior(log_ratio + _SMALL_STEPS[:, 3])
+        return rows[8], (rows[:4] - rows[4:8]) / (2.0 * SMALL_TURN)
 
     def covariance(self, rotation: FloatArray, log_ratio: float, trust: FloatArray) -> tuple[FloatArray, float]:
         """Compute the covariance (4, 4) of (omega, ln rho), see the module; and `TurnFit.log_det`."""
-        jacobian = self._jacobian(rotation, log_ratio, trust)
-        information = jacobian.T @ jacobian
+        _, slopes = self._linearize(rotation, log_ratio, trust)
+        information = slopes @ slopes.T
         _, variances, m = self._misses(rotation, log_ratio)
         ratio, x = float(np.exp(log_ratio)), self.f @ rotation
         surplus = trust * 2.0 * self.force_variance * ratio**2 / np.einsum("ni,ni->n", m, m) / variances

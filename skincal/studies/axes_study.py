@@ -69,6 +69,7 @@ class AxesSizes:
 
     seeds: int = 6
     mistake_seeds: int = 20
+    skins: tuple[str, ...] = tuple(VECTOR_SKINS)
     leans_deg: tuple[float, ...] = (0.0, 5.0, 15.0, 30.0)
     taxel_pokes: tuple[int, ...] = (5, 8, 20, 40)
     """Pokes on each taxel."""
@@ -121,9 +122,9 @@ def measure(bench: Bench, sizes: AxesSizes) -> Findings:
     """
     seeds = range(1, 1 + sizes.seeds)
     cases = [
-        Task(name, lean, pokes, False, 0) for name in VECTOR_SKINS for lean in sizes.leans_deg for pokes in sizes.taxel_pokes
+        Task(name, lean, pokes, False, 0) for name in sizes.skins for lean in sizes.leans_deg for pokes in sizes.taxel_pokes
     ]
-    cases += [Task(name, GOAL_LEAN_DEG, pokes, True, 0) for name in VECTOR_SKINS for pokes in sizes.module_pokes]
+    cases += [Task(name, GOAL_LEAN_DEG, pokes, True, 0) for name in sizes.skins for pokes in sizes.module_pokes]
     turns = bench.rows([(case, [case._replace(seed=seed) for seed in seeds]) for case in cases], run_session, _row, _row_text)
     named = [(name, [MistakeTask(name, seed) for seed in range(1, 1 + sizes.mistake_seeds)]) for name in TRIED_MISTAKES]
     mistakes = bench.rows(named, pokes_until_named, _mistake_row, _mistake_text)

@@ -29,19 +29,17 @@ def of_quaternion(quaternion):
 def sum_of_squares(unknowns, pokes):
     """The sum of squares by quaternion and ln rho: the angle by its cosine, the variance by the sum over two directions."""
     rotation, ratio = of_quaternion(unknowns[:4]), np.exp(unknowns[4])
-    total = (unknowns[4] / NOISE.log_ratio_sd) ** 2
     gains = np.diag([ratio, ratio, 1.0])
-    for force, reading in zip(pokes.forces, pokes.readings, strict=True):
-        m = gains @ rotation.T @ force
-        along = m / np.linalg.norm(m)
-        side = np.cross(along, [0.3, 0.5, -0.8])
-        side /= np.linalg.norm(side)
-        sides = np.stack([side, np.cross(along, side)])
-        moved = sides @ gains * FORCE_NOISE_N / np.linalg.norm(m)
-        variance = (READING_NOISE / np.linalg.norm(reading)) ** 2 + np.sum(moved**2) / 2
-        angle = np.arccos(np.clip(along @ reading / np.linalg.norm(reading), -1, 1))
-        total += angle**2 / variance
-    return total
+    m = pokes.forces @ rotation @ gains
+    size = np.linalg.norm(m, axis=1)[:, None]
+    along = m / size
+    side = np.cross(along, [0.3, 0.5, -0.8])
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    moved = np.stack([side, np.cross(along, side)]) @ gains * FORCE_NOISE_N / size
+    reading = np.linalg.norm(pokes.readings, axis=1)
+    variance = (READING_NOISE / reading) ** 2 + np.sum(moved**2, axis=(0, 2)) / 2
+    angle = np.arccos(np.clip(np.sum(along * pokes.readings, axis=1) / reading, -1, 1))
+    return (unknowns[4] / NOISE.log_ratio_sd) ** 2 + np.sum(angle**2 / variance)
 
 
 def test_exact_pokes_give_the_exact_turn_and_ratio():

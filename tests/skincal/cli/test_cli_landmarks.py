@@ -1,7 +1,8 @@
-"""`skincal landmarks`: an imported log reaches the error of a session whose landmarks were asked for, in each way."""
+"""`skincal landmarks`: an imported log reaches the error of a session whose landmarks were asked for."""
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import subprocess
@@ -98,11 +99,6 @@ def imported(log, tmp_path_factory):
     return folder
 
 
-def corrected_error(answered, folder: Path, log: Log) -> dict[str, float]:
-    said = answered("solve", folder, "--correct", "--reference", log.folder / "truth.json")
-    return {name: method["error_mm"]["mean"] for name, method in said["methods"].items()}
-
-
 @pytest.fixture(scope="module")
 def asked(log, imported, tmp_path_factory):
     """The same session as the window records it: each poke at a landmark is named there."""
@@ -112,6 +108,19 @@ def asked(log, imported, tmp_path_factory):
         pipeline.act(AtLandmark(poke, name), number + 1)
     pipeline.close()
     return folder
+
+
+def corrected_error(folder: Path, log: Log) -> dict[str, float]:
+    with pytest.MonkeyPatch.context() as patch:
+        said = io.StringIO()
+        patch.setattr("sys.stdout", said)
+        assert main(["solve", str(folder), "--correct", "--reference", str(log.folder / "truth.json"), "--json"]) == 0
+    return {name: method["error_mm"]["mean"] for name, method in json.loads(said.getvalue())["methods"].items()}
+
+
+@pytest.fixture(scope="module")
+def asked_error(log, asked):
+    return corrected_error(asked, log)
 
 
 def test_an_imported_log_knows_no_landmark_until_it_is_said(log, imported, run, answered):
@@ -128,36 +137,20 @@ def test_an_imported_log_knows_no_landmark_until_it_is_said(log, imported, run, 
     assert run("solve", imported, "--correct")[0] == 2
 
 
-def ways(log: Log, imported: Path, folder: Path, answered) -> dict[str, list[str]]:
+def test_names_by_time_reach_the_corrected_error_of_the_recorded_session(log, imported, asked_error, tmp_path, answered):
     rows = {row["poke"]: row for row in answered("landmarks", imported)["pokes"]}
-    numbers = [f'{poke},"{name}"' for poke, name in log.names.items()]
     times = [f'{rows[poke]["start_s"] - 0.3},{rows[poke]["end_s"] + 0.3},"{name}"' for poke, name in log.names.items()]
-    (folder / "numbers.csv").write_text("\n".join(["poke,landmark", *numbers]), encoding="utf-8")
-    (folder / "times.csv").write_text("\n".join(["start_s, end_s, landmark", *times]) + "\n\n", encoding="utf-8")
-    return {
-        "at": [word for poke, name in log.names.items() for word in ("--at", f"{poke}={name}")],
-        "numbers": ["--csv", str(folder / "numbers.csv")],
-        "times": ["--csv", str(folder / "times.csv")],
-        "order": ["--order", "; ".join(log.names.values())],
-    }
-
-
-def test_in_each_way_it_reaches_the_corrected_error_of_the_recorded_session(log, imported, asked, tmp_path, answered):
-    error = corrected_error(answered, asked, log)
+    (tmp_path / "times.csv").write_text("\n".join(["start_s, end_s, landmark", *times]) + "\n\n", encoding="utf-8")
     plain = answered("solve", imported, "--reference", log.folder / "truth.json")["methods"]
-    assert error["modules"] < 0.3 * plain["modules"]["error_mm"]["mean"]
-    for way, words in ways(log, imported, tmp_path, answered).items():
-        folder = shutil.copytree(imported, tmp_path / way)
-        said = answered("landmarks", folder, *words)
-        named = {row["poke"]: row["landmark"] for row in said["pokes"] if row["landmark"] is not None}
-        assert named == log.names
-        assert len(said["said"]) == len(log.names) + 1
-    # The names are the same, so one of the four is corrected.
-    assert corrected_error(answered, folder, log) == error
-    assert main(["export", str(folder), "--correct", "--format", "icub", "--out", str(tmp_path / "p.txt")]) == 0
+    assert asked_error["modules"] < 0.3 * plain["modules"]["error_mm"]["mean"]
+    folder = shutil.copytree(imported, tmp_path / "s")
+    said = answered("landmarks", folder, "--csv", tmp_path / "times.csv")
+    assert {row["poke"]: row["landmark"] for row in said["pokes"] if row["landmark"] is not None} == log.names
+    assert len(said["said"]) == len(log.names) + 1
+    assert corrected_error(folder, log) == asked_error
 
 
-def test_what_was_found_from_the_axes_is_right_and_enough(log, imported, asked, tmp_path, answered):
+def test_what_was_found_from_the_axes_is_right_and_enough(log, imported, asked_error, tmp_path, answered):
     folder = shutil.copytree(imported, tmp_path / "s")
     said = answered("landmarks", folder, "--find")
     named = {row["poke"]: row["landmark"] for row in said["pokes"] if row["landmark"] is not None}
@@ -165,13 +158,13 @@ def test_what_was_found_from_the_axes_is_right_and_enough(log, imported, asked, 
     assert len(named) >= 0.8 * len(log.names)
     unsure = [line for line in said["said"] if "not sure" in line]
     assert len(unsure) == len(log.names) - len(named)
-    assert corrected_error(answered, folder, log)["modules"] < 1.5 * corrected_error(answered, asked, log)["modules"]
+    assert corrected_error(folder, log)["modules"] < 1.5 * asked_error["modules"]
 
 
-def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(imported, tmp_path, run, answered):
-    folder = shutil.copytree(imported, tmp_path / "s")
+def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(small, run, answered):
+    folder = small
     before = load(folder).snapshot()
-    answered("landmarks", folder, "--at", "1=elbow, outer", "--at", "2=side, inner")
+    answered("landmarks", folder, "--at", "1=head", "--at", "2=tail, left")
     answered("landmarks", folder, "--add", "bolt", "-1.5", "2", "3.25", "--at", "2=bolt", "--at", "1=")
     now = load(folder)
     times = [entry.at_s for entry in now.session.history.entries[-5:]]
@@ -181,7 +174,7 @@ def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(
     assert same_estimates(now.snapshot(), replay(folder).snapshot())
     assert replay(folder).session.snapshot().at_landmarks == {2: "bolt"}
     assert len(answered("landmarks", folder, "--undo")["said"]) == 3
-    assert load(folder).session.snapshot().at_landmarks == {1: "elbow, outer", 2: "side, inner"}
+    assert load(folder).session.snapshot().at_landmarks == {1: "head", 2: "tail, left"}
     assert len(answered("landmarks", folder, "--undo")["said"]) == 2
     assert same_estimates(load(folder).snapshot(), before)
     assert load(folder).session.snapshot().at_landmarks == {}

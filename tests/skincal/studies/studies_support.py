@@ -25,7 +25,7 @@ STABILITY_CASES = (
 )  # fmt: skip
 SIZES: dict[str, Any] = {
     "stability": CaseSizes(contacts=6, grid=4, many=300, draws=4, only=frozenset(STABILITY_CASES)),
-    "axes": AxesSizes(seeds=1, mistake_seeds=1, leans_deg=(15.0,), taxel_pokes=(20,), module_pokes=(8,)),
+    "axes": AxesSizes(seeds=1, mistake_seeds=1, skins=("noise",), leans_deg=(15.0,), taxel_pokes=(20,), module_pokes=(8,)),
     "guidance": GuidanceSizes(
         seeds=1, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
         modules_seeds=1, long=40, cases={"drift 0.25 N": Conditions(drift=0.25)},
