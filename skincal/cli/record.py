@@ -409,57 +409,69 @@ def finish(
         Not everything could be recorded, or a link gave nothing that could be used.
     """
     from skincal.cli import output
-    from skincal.following.results import SessionResults
     from skincal.session.importing import KeptError, stream_findings, unnamed_landmarks
     from skincal.words.frame_words import frame_sentences
     from skincal.words.link_words import silent_links
-    from skincal.words.mistake_words import setup_sentences
-    from skincal.words.poke_words import WHOLE_RECORDINGS, no_poke_sentence, too_short_sentence
+    from skincal.words.poke_words import WHOLE_RECORDINGS
 
-    snapshot = pipeline.snapshot()
-    counts = output.poke_counts(snapshot)
-    live = pipeline.live(0)
-    losses = output.loss_counts(live.links, live.losses_unpaired)
+    snapshot, links = pipeline.snapshot(), pipeline.live(0).links
+    silent, too_short, unpoked = silent_links(links), "", ""
+    if not (snapshot.pokes or silent):
+        too_short, unpoked = _explain_no_poke(pipeline, imported=imported)
     uncompared = output.uncompared_findings(snapshot, reference)
-    known = None if uncompared else reference
-    methods = output.method_summaries(snapshot.estimates, known, pipeline.scene.skin.layout, snapshot.part_size)
-    silent, too_short = silent_links(live.links), ""
-    unpoked: list[str] = []
-    thresholds, has_sensor = snapshot.decisions.thresholds, pipeline.scene.has_sensor
-    if imported and not (snapshot.pokes or silent):
-        too_short = too_short_sentence(pipeline.before_pokes, thresholds, live.links, has_sensor=has_sensor)
-    if not (snapshot.pokes or silent or too_short):
-        unpoked = [no_poke_sentence(pipeline.before_pokes, thresholds, live.links, has_sensor=has_sensor)]
-    frames = frame_sentences(pipeline.session.wrench_frames, snapshot.contacts)
-    found = [*frames, *unpoked, *uncompared, *findings, *stream_findings(pipeline), *output.link_notes(live.links)]
+    found = [*frame_sentences(pipeline.session.wrench_frames, snapshot.contacts), *([unpoked] if unpoked else [])]
+    found += [*uncompared, *findings, *stream_findings(pipeline), *output.link_notes(links)]
     found += unnamed_landmarks(pipeline, out) if imported else []
-    results = SessionResults(pipeline)
-    setup = (*results.tool, *setup_sentences(results.setup))
-    text = [
-        *found,
-        *output.poke_lines(counts, pipeline.scene),
-        *(output.method_line(name, summary) for name, summary in methods.items()),
-    ]
-    turns, turn_lines = output.turn_result(results) if snapshot.pokes else ({}, [])
-    text += [*setup, *turn_lines]
-    # Without a byte of one of its devices no poke can ever be found in a recording.
-    no_result = not counts["accepted"] if imported else not snapshot.pokes
-    mixed = imported and any(link.is_mixture for link in live.links)
-    useless = silent and (mixed or no_result) and (imported or not all(link.last_host_ns for link in live.links))
-    kept = (bool(pipeline.journal_failure) or not (useless or too_short)) and out.exists()
-    text += [*output.loss_lines(live.links), *([f"session {out}"] if kept else [])]
-    result: dict[str, Any] = {
-        "session": out if kept else None,
-        **counts,
-        "methods": methods,
-        **losses,
-        **({"turns": turns} if turns else {}),
-        "findings": found,
-    }
-    output.print_result(result, text, as_json)
+    useless = too_short or (silent and _is_of_no_use(pipeline, imported=imported))
+    kept = (bool(pipeline.journal_failure) or not useless) and out.exists()
+    summary, lines = _summarize(pipeline, None if uncompared else reference)
+    text = [*found, *lines, *output.loss_lines(links), *([f"session {out}"] if kept else [])]
+    output.print_result({"session": out if kept else None, **summary, "findings": found}, text, as_json)
     trouble = pipeline.journal_failure or silent or (too_short and f"{too_short} {WHOLE_RECORDINGS}")
     if trouble:
         raise KeptError(trouble) if kept or pipeline.journal_failure else InputError(f"{trouble} No session was made.")
+
+
+def _explain_no_poke(pipeline: Pipeline, *, imported: bool) -> tuple[str, str]:
+    """Explain why no poke was found, by one of two sentences: the recording is too short for one, or what a poke needs."""
+    from skincal.words.poke_words import no_poke_sentence, too_short_sentence
+
+    asked = pipeline.before_pokes, pipeline.snapshot().decisions.thresholds, pipeline.live(0).links
+    has_sensor = pipeline.scene.has_sensor
+    too_short = too_short_sentence(*asked, has_sensor=has_sensor) if imported else ""
+    return too_short, "" if too_short else no_poke_sentence(*asked, has_sensor=has_sensor)
+
+
+def _is_of_no_use(pipeline: Pipeline, *, imported: bool) -> bool:
+    """Whether a session with a silent link need not be kept."""
+    from skincal.cli import output
+
+    links, snapshot = pipeline.live(0).links, pipeline.snapshot()
+    if not imported:
+        # Without a byte of one of its devices no poke can ever be found in a recording.
+        return not snapshot.pokes and not all(link.last_host_ns for link in links)
+    return any(link.is_mixture for link in links) or not output.poke_counts(snapshot)["accepted"]
+
+
+def _summarize(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str]]:
+    """Summarize pokes, methods, turns, setup and losses, as JSON and in lines; with `known` also the error against it."""
+    from skincal.cli import output
+    from skincal.following.results import SessionResults
+    from skincal.words.mistake_words import setup_sentences
+
+    snapshot, live, results = pipeline.snapshot(), pipeline.live(0), SessionResults(pipeline)
+    counts = output.poke_counts(snapshot)
+    methods = output.method_summaries(snapshot.estimates, known, pipeline.scene.skin.layout, snapshot.part_size)
+    turns, turn_lines = output.turn_result(results) if snapshot.pokes else ({}, [])
+    losses = output.loss_counts(live.links, live.losses_unpaired)
+    summary = {**counts, "methods": methods, **losses, **({"turns": turns} if turns else {})}
+    return summary, [
+        *output.poke_lines(counts, pipeline.scene),
+        *(output.method_line(name, method) for name, method in methods.items()),
+        *results.tool,
+        *setup_sentences(results.setup),
+        *turn_lines,
+    ]
 
 
 def warn(sentence: str) -> None:

@@ -8,8 +8,9 @@ types of tactile skins: `tactile_msgs/TactileState` (ubi-agni/tactile_toolbox, `
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -96,6 +97,18 @@ def read_definition(path: Path, type_name: str) -> str:
     return "\n".join([first, *(f"{SECTION_END}\nMSG: {'/'.join(key)}\n{text}" for key, text in sorted(texts.items()))])
 
 
+@cache
+def _standard_definitions(ros: Literal[1, 2]) -> tuple[frozenset[str], Mapping[str, Any]]:
+    """Find the names of the types of ROS itself, and by name the fields of these types and of those of a tactile skin."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores(_STORE_NAMES[ros]))
+    own = frozenset(store.fielddefs)
+    for name, text in _SKIN_DEFINITIONS.items():
+        store.register(_parse_definition(name, text))
+    return own, store.fielddefs
+
+
 class MessageTypes:
     """Message definitions of one version of ROS, and the messages in bytes.
 
@@ -119,12 +132,9 @@ class MessageTypes:
         self.ros = ros
         self._store = get_typestore(Stores.EMPTY)
         self._store.max_sequence_length = MAX_ARRAY_ELEMENTS
-        self._standard = get_typestore(Stores(_STORE_NAMES[ros]))
-        self._of_ros = frozenset(self._standard.fielddefs)
+        self._of_ros, self._standard = _standard_definitions(ros)
         self._complete = set[str]()
         """Full names of types that are in the store with their parts."""
-        for name, text in _SKIN_DEFINITIONS.items():
-            self._standard.register(_parse_definition(name, text))
 
     def is_standard(self, type_name: str) -> bool:
         """Return whether ROS itself defines a type of this name."""
@@ -204,9 +214,9 @@ class MessageTypes:
                 continue
             seen.add(each)
             if each not in self._store.fielddefs:
-                if each not in self._standard.fielddefs:
+                if each not in self._standard:
                     raise _undefined(each)
-                self._store.register({each: self._standard.fielddefs[each]})
+                self._store.register({each: self._standard[each]})
             parts = (_field_of(*one) for one in self._store.fielddefs[each][1])
             waiting += [field.type_name for field in parts if field.kind == "message"]
         self._complete.add(name)

@@ -306,19 +306,25 @@ def test_a_server_says_where_it_multicasts():
     assert found == ServerInfo((3, 1), 10_000_000, ("239.255.42.99", 1511))
 
 
-def test_a_multicast_of_the_server_is_read_and_that_of_others_is_not():
-    outlet, encoder = NatNetOutlet("239.255.42.99", 15117), MAKERS["natnet"].encoder()
-    sent = [*PLACE_M, *TURN.as_quat().tolist()]
+@contextmanager
+def sent_over(outlet, maker):
+    """A tracker that sends the true pose of its tool every 5 ms."""
+    encoder, pose = MAKERS[maker].encoder(), [*PLACE_M, *TURN.as_quat().tolist()]
 
     def send(over):
         count = 0
         while not over.wait(0.005):
             count += 1
             outlet.poll()
-            outlet.write(encoder.record(Stream.TOOL, 5000 * count, sent))
+            outlet.write(encoder.record(Stream.TOOL, 5000 * count, pose))
 
-    decoder = NatNetDecoder(None, TOOL)
-    with closing(outlet), meanwhile(send), closing(open_link(spec(outlet.address, TOOL))) as link:
+    with closing(outlet), meanwhile(send):
+        yield
+
+
+def test_a_multicast_of_the_server_is_read_and_that_of_others_is_not():
+    outlet, decoder = NatNetOutlet("239.255.42.99", 15117), NatNetDecoder(None, TOOL)
+    with sent_over(outlet, "natnet"), closing(open_link(spec(outlet.address, TOOL))) as link:
         poses, end = np.zeros((0, 3, 4)), time.monotonic() + 5.0
         while not len(poses) and time.monotonic() < end:
             poses = poses_of(decoder, link.read(0.2))[0]
@@ -530,18 +536,8 @@ def test_trackers_that_answer_a_broadcast_are_listed_with_their_addresses(monkey
 
 @pytest.mark.parametrize("maker", ["qtm", "natnet", "ndi"])
 def test_a_tracker_s_pose_comes_over_loopback(maker):
-    outlet, encoder = MakerOutlets(64).open(maker, Stream.TOOL, tcp=True), MAKERS[maker].encoder()
-    sent = [*PLACE_M, *TURN.as_quat().tolist()]
-
-    def send(over):
-        count = 0
-        while not over.wait(0.005):
-            count += 1
-            outlet.poll()
-            outlet.write(encoder.record(Stream.TOOL, 5000 * count, sent))
-
-    decoder = make_decoder(maker, None, TOOL)
-    with closing(outlet), meanwhile(send), reading(outlet.address, TOOL) as items:
+    outlet, decoder = MakerOutlets(64).open(maker, Stream.TOOL, tcp=True), make_decoder(maker, None, TOOL)
+    with sent_over(outlet, maker), reading(outlet.address, TOOL) as items:
         poses = np.zeros((0, 3, 4))
         while not len(poses):
             item = items.get(timeout=5.0)

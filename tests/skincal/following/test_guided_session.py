@@ -28,6 +28,8 @@ from skincal.taxels.result import Method
 from tests.approved import approved
 from tests.skincal.sim_support import SLOW_DEVICES, make_rig
 
+BLOCKS_AT_ONCE = 5
+"""The robot and the guide look ten times a second."""
 DEMO_PACE, DEMO_S = 2.0, 170.0
 """The pace of a demo, and the time that is promised for it, three minutes, less what a window takes to open."""
 
@@ -79,8 +81,8 @@ def play(rig, robot, server, method):
     begun_s = line.now
     while not (guide.enough and robot.enough):
         assert line.now - begun_s < DEMO_S, robot.verdicts[-5:]
-        for at_ns, link, data in line.advance():
-            pipeline.feed(Chunk(link, at_ns, data))
+        blocks = line.advance_many(BLOCKS_AT_ONCE)
+        pipeline.feed_many([Chunk(link, at_ns, data) for _, arrived in blocks for at_ns, link, data in arrived])
         assert guide.guide_robot(round(line.now * 1e9)) in ([], [f"A robot connected from {server.host}."])
         robot.step()
     return pipeline

@@ -63,14 +63,14 @@ def judged(pads, seed):
     }  # fmt: skip
 
 
-SEEDS = range(301, 309)
+SEEDS = range(301, 305)
 
 
 def test_pads_off_their_plan_are_found_and_the_surface_method_is_right_as_said():
     landmarks = LandmarkAgreement(ratio=1.0, pokes=21, corrected=False)
     found = [judged(0.001, seed) for seed in SEEDS]
     off = [each[Method.MODULES][0].off_plan for each in found]
-    assert sum(size is not None for size in off) >= 6
+    assert sum(size is not None for size in off) >= 3
     assert all(size is None or 0.0006 <= size <= 0.0016 for size in off)
     for each in found:
         tried, errors = each[Method.MODULES]

@@ -29,7 +29,7 @@ def scene(tmp_path):
 def test_a_session_that_is_closed_while_poking_was_closed(scene, tmp_path):
     """Closing in a hold, in a release, and before the tare after a poke: its last outcome is written behind the end mark."""
     samples, phases = some_pokes(scene, 2).samples, set()
-    for end in range(len(samples) // 2, len(samples), 3):
+    for end in range(len(samples) // 2, len(samples), 7):
         live = new_session(scene, tmp_path / str(end))
         for item in as_chunks(samples[:end]):
             live.feed(item)

@@ -336,7 +336,7 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
         assert f"{own['predicted_error_mm']['mean']:.2f}" in found
     (used,) = facts.results.snapshot.decisions.corrections.values()
     assert correction_sentence(used, has_arm=True) in found
-    assert not skincal.Session.load(session).facts().results.snapshot.decisions.corrections, "the recording is as it was"
+    assert not skincal.Session.load(session).results.snapshot.decisions.corrections, "the recording is as it was"
     assert main(["report", str(SAMPLE), "--correct", "--out", str(tmp_path / "none.html")]) == 2
     assert approved("landmark.needs_landmarks_to_correct") in capsys.readouterr().err
     assert not (tmp_path / "none.html").exists()

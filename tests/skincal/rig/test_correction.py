@@ -85,7 +85,7 @@ def test_what_a_correction_does_not_know_moves_taxels_as_a_correction_changed_by
     nothing = correction_by(np.zeros(len(root)), names, columns, root)
     found, step = solved(rig, contacts, errors_of(nothing, contacts), [method])[method], 0.02
     compared = 0
-    for _ in range(3):
+    for _ in range(2):
         x = rng.standard_normal(len(root))
         there, back = (
             solved(rig, [correction_by(sign * step * root @ x, names, columns).corrected(c) for c in contacts], None, [method])[

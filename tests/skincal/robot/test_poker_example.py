@@ -173,10 +173,10 @@ def test_it_pokes_a_part_in_the_physics_engine_and_its_pokes_count(monkeypatch):
     surface = load_surface(scene.surface)[0]
     robot = make_robot(scene, surface, Effects(base=0.0), 1)
     session = RobotSession(scene, surface, robot)
-    lines = QueueSocket(session.targets, enough=6)
+    lines = QueueSocket(session.targets, enough=3)
     example, arm = load_example(), PhysicsArm(robot)
     monkeypatch.setattr(example, "time", arm)
     monkeypatch.setattr(example.socket, "create_connection", lambda *_args: lines)
     example.Poker(arm, "127.0.0.1", 7010).run()
-    assert sum(not reason for reason in lines.verdicts) >= 5, lines.verdicts
-    assert len(session.pipeline.snapshot().pokes) >= 6
+    assert sum(not reason for reason in lines.verdicts) >= 2, lines.verdicts
+    assert len(session.pipeline.snapshot().pokes) >= 3

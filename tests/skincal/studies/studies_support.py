@@ -39,7 +39,7 @@ SIZES: dict[str, Any] = {
         live_per_taxel=(2,),
         session_pokes=((20,), (20, 100)),
     ),
-    "robot": RobotSizes(("arm",), {"all": 1}, max_pokes=3, displaced_mm=(), are_whole=False),
+    "robot": RobotSizes(("arm",), {"all": 1}, max_pokes=2, displaced_mm=(), are_whole=False),
     "tip": TipSizes(
         seeds=1, pokes_per_taxel=1, counts=(42, 84), cases=(("good", None), ("good", 1.0), ("corrected", 1.0))
     ),

@@ -187,6 +187,7 @@ def test_a_limit_is_met_on_its_own_side_only():
 
 def test_the_study_works_without_quadprog_and_reports_it(monkeypatch):
     monkeypatch.setattr(baselines, "QUADPROG_PACKAGE", "no_such_package")
+    monkeypatch.setitem(runtime.SURFACE_SEARCHES, "slsqp", lambda surface, _: surface.vertices[0])
     sizes = SIZES["runtime"]
     small_part = replace(sizes.small, seeds=1, repeats=1, meshes=(), pokes=())
     sizes = replace(sizes, small=small_part, large=replace(sizes.large, budget_s=0.0), growth_until_s=0.0)
