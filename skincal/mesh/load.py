@@ -17,6 +17,7 @@ wound component inside the box of a larger one is the inner wall of a cover and 
 from __future__ import annotations
 
 import hashlib
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,8 @@ FLAT_COMPONENT_MAX_HEIGHT_M = 1e-6
 """A component with smaller heights (rms) is flat."""
 MAX_OUTER_WALL_CANDIDATES = 32
 """Largest components that are compared as outer walls."""
+KEPT_MESHES, KEPT_MESH_MAX_BYTES = 2, 4 << 20
+"""Meshes that stay ready for other sessions of the same part, and the size of a file from which on none stays."""
 
 
 class MeshSizeError(InputError):
@@ -68,6 +71,16 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
     """
     reader_of(spec.path)  # a file with another suffix is not even opened
     data = read_regular(spec.path, MAX_MESH_BYTES, what="mesh file", advice="check [surface] mesh in the scene")
+    make = _make_surface if len(data) <= KEPT_MESH_MAX_BYTES else _make_surface.__wrapped__
+    return make(data, spec.path, spec.scale, spec.replaces_unit, np.asarray(spec.link_from_mesh, dtype=np.float64).tobytes())
+
+
+@lru_cache(maxsize=KEPT_MESHES)
+def _make_surface(
+    data: bytes, path: Path, scale: float, replaces_unit: bool, link_from_mesh: bytes
+) -> tuple[Surface, tuple[MeshFinding, ...]]:
+    """Make the surface of a file's bytes; the pose is that of a `SurfaceSpec` as bytes."""
+    spec = SurfaceSpec(path, scale, np.frombuffer(link_from_mesh).reshape(4, 4), replaces_unit)
     mesh = read_mesh(spec.path, data)
     vertices, triangles = mesh.vertices, mesh.triangles
     if len(triangles) == 0:
