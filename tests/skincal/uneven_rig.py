@@ -25,7 +25,7 @@ from tests.skincal.ros_support import (
 
 TAXELS = 0.012 * np.array([[0, 0, 3], [1, 0, 3], [2, 0, 3], [0, 1, 3], [1, 1, 3], [2, 1, 3]])
 """(6, 3) float, m, link frame."""
-POKES, POKE_S, BEGIN_S = 24, 2.0, 1.0
+POKES, POKE_S, BEGIN_S = 12, 2.0, 1.0
 MOVE_S = BEGIN_S + POKES * POKE_S / 2
 """The arm moves for 0.6 s from here, between two pokes."""
 END_S = BEGIN_S + POKES * POKE_S + 1.0
@@ -72,7 +72,7 @@ class Recording:
 
 
 def record_rig(scene: Scene) -> Recording:
-    """Record 24 pokes of 8 N, four on each taxel, in two arm poses."""
+    """Record 12 pokes of 8 N, two on each taxel, in two arm poses."""
     rng, found = np.random.default_rng(4), Recording(scene)
     assert scene.arm is not None
     order = np.concatenate([rng.permutation(len(TAXELS)) for _ in range(POKES // len(TAXELS))])

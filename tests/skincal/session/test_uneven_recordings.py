@@ -76,7 +76,7 @@ def test_the_recording_is_right_without_a_fault(rig, imported, write, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("write", "until", "pokes"), [(write_tables, 1e9, 14), *((write, MOVE_S + 6.5, 5) for write in WRITERS)]
+    ("write", "until", "pokes"), [(write_tables, 1e9, 8), *((write, MOVE_S + 6.5, 5) for write in WRITERS)]
 )
 def test_pokes_while_the_joints_pause_and_the_arm_moves_do_not_count(rig, imported, write, until, pokes, tmp_path):
     """The stream pauses before the arm moves: angles that are held would put pokes 30 mm beside."""
@@ -141,7 +141,7 @@ def test_a_joint_without_a_number_is_silent_and_an_unused_column_may_be(rig, imp
 def test_the_advice_on_late_angles_leads_to_the_poke(rig, tmp_path):
     """Live: the operator starts the program of the joints again, and the arm rested. The lost pokes count."""
     times = rig.times[Stream.JOINTS]
-    rig.keep(Stream.JOINTS, (times < 6.0) | ((times > 16.0) & (times < 18.0)))
+    rig.keep(Stream.JOINTS, (times < 4.0) | ((times > 10.0) & (times < 12.0)))
     write_tables(tmp_path / "r", rig)
     recording = files_of(tmp_path / "r").open()
     pipeline = Pipeline(rig.scene, recording.links, None)
@@ -150,12 +150,12 @@ def test_the_advice_on_late_angles_leads_to_the_poke(rig, tmp_path):
         pipeline.feed(chunk)
         told |= {int(chunk.host_ns * 1e-9 - 1.0): [record.outcome for record in pipeline.snapshot(0.0).pokes]}
     pipeline.close()
-    before, after = told[15], [record.outcome for record in pipeline.snapshot().pokes]
-    assert [isinstance(each, Contact) for each in before] == [True] * 3 + [False] * 4
-    for rejected in before[3:]:
+    before, after = told[9], [record.outcome for record in pipeline.snapshot().pokes]
+    assert [isinstance(each, Contact) for each in before] == [True] * 2 + [False] * 2
+    for rejected in before[2:]:
         assert rejection_advice(rejected) == LATE_ANGLES_ADVICE
         assert rejection_words(rejected).startswith("arm pose unknown: its joint angles are")
-    assert [isinstance(each, Contact) for each in after] == [True] * 9 + [False] * 15
+    assert [isinstance(each, Contact) for each in after] == [True] * 6 + [False] * 6
     assert max(errors_mm(pipeline.snapshot())) < RIGHT_MM
 
 
