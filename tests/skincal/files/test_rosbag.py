@@ -53,6 +53,8 @@ def sample_streams():
     decoders = {link.name: LinkDecoder(link.format, None, link.carries) for link in log.links}
     times, rows = {stream: [] for stream in SENSOR_STREAMS}, {stream: [] for stream in SENSOR_STREAMS}
     for item in log.items():
+        if times[Stream.SKIN] and item.host_ns > times[Stream.SKIN][0] + (SAMPLE_S + 1) * SECOND_NS:
+            break
         for host_ns, batch in decoders[item.link].feed(item.data, item.host_ns) if isinstance(item, Chunk) else ():
             times[batch.stream] += [host_ns // 1000 * 1000] * len(batch.values)
             rows[batch.stream] += batch.values.tolist()
