@@ -50,7 +50,7 @@ POSE_REFUSALS_MAX = 100
 """Refusals in a row, about 1 s: a tracker may need a moment after it was started."""
 ROM_CHUNK_BYTES, ROM_MIN_BYTES, ROM_MAX_BYTES = 64, 1024, 2048
 _TOOL_RE = re.compile(
-    rb"([0-9A-F]{2})(?:(?:[+-]\d{5}){4}(?:[+-]\d{6}){3}[+-]\d{5}|MISSING|DISABLED)(?:([0-9A-F]{8})([0-9A-F]{8}))?\n"
+    rb"([0-9A-F]{2})(?:(?:[+-]\d{5}){4}(?:[+-]\d{6}){3}[+-]\d{5}|MISSING|DISABLED|UNOCCUPIED)(?:([0-9A-F]{8})([0-9A-F]{8}))?\n"
 )
 _POSES_RE = re.compile(rb"([0-9A-F]{2})((?:[0-9A-F]{2}[^\n]*\n)*)[0-9A-F]{4}")
 _ERROR_WORDS = {

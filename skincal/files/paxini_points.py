@@ -17,6 +17,7 @@ import importlib.util
 import json
 import re
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -141,7 +142,7 @@ def _wheel_reader(wheel: Path) -> Callable[[str], bytes]:
                 if archive.getinfo(inside).file_size > MAX_JSON_BYTES:
                     raise InputError(f"{wheel}: {inside} is too large; expected the package paxini-sdk.")
                 return archive.read(inside)
-        except (zipfile.BadZipFile, KeyError, OSError):
+        except (zipfile.BadZipFile, zlib.error, KeyError, OSError, RuntimeError):  # encrypted or of another method
             raise InputError(f"{wheel}: has no {inside}; expected the wheel of paxini-sdk.") from None
 
     return read

@@ -18,8 +18,8 @@ MAX_AGE_DIFFERENCE_S = 1.0
 """s. A moving transform that is older than the newest one of its chain by more is no longer published."""
 CLOCK_RESET_S = 0.5
 """s. If a stamp goes back by more, its sender has started again."""
-SAMPLES_KEPT = 256
-"""Of each transform: half a second of the fastest robots, more than the transforms of one chain differ."""
+SAMPLES_KEPT = 2048
+"""Of each transform: at 1 kHz more than `MAX_AGE_DIFFERENCE_S`, so that the newest of a slow one is among them."""
 NORM_TOLERANCE = 0.001
 """Of a quaternion: zeros mark a lost body."""
 FRAMES_LISTED_MAX = 8

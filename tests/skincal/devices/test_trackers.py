@@ -359,7 +359,7 @@ def test_the_check_sum_is_that_of_the_public_library():
 @pytest.mark.parametrize("size", [0, 1, 13])
 def test_a_tool_of_ndi_is_read_by_its_handle(size):
     decoder = NdiDecoder(None, TOOL)
-    data = ndi_start("0A") + ndi_answer(298, ("01", "MISSING"), ("0A", SEEN), ("0B", "DISABLED"))
+    data = ndi_start("0A") + ndi_answer(298, ("01", "MISSING"), ("0A", SEEN), ("0B", "DISABLED"), ("0C", "UNOCCUPIED"))
     poses, _ = poses_of(decoder, data, size)
     assert_true(poses[0], atol=1e-4)
     assert decoder.counts.total() == 0

@@ -74,6 +74,23 @@ def test_another_form_of_the_package_is_named(package, change, sentence):
         read_modules(["25"], package)
 
 
+def test_a_damaged_wheel_is_named(tmp_path):
+    wheel = tmp_path / "paxini_sdk-0.1.0-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in package_files().items():
+            archive.writestr(f"paxini_sdk/data/{name}", json.dumps(content))
+    whole, begin = wheel.read_bytes(), 30 + len("paxini_sdk/data/registry.json")
+    for damaged in (
+        whole[:begin] + b"\xff" * 20 + whole[begin + 20 :],  # packed bytes
+        whole.replace(b"PK\x01\x02\x14\x03\x14\x00\x00\x00", b"PK\x01\x02\x14\x03\x14\x00\x01\x00"),  # encrypted
+        whole.replace(b"\x00\x00\x08\x00", b"\x00\x00\x63\x00"),  # another method
+    ):
+        assert damaged != whole
+        wheel.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"has no paxini_sdk/data/registry.json; expected the wheel"):
+            read_modules(["25"], wheel)
+
+
 def test_a_missing_package_and_an_unknown_module_are_named(package, tmp_path):
     with pytest.raises(InputError, match="not installed"):
         read_modules(["25"])

@@ -87,6 +87,20 @@ def test_transforms_of_several_senders_are_taken_at_one_time():
     assert max(last) > 1e-3, "another time is another pose"
 
 
+def test_a_slow_transform_whose_messages_are_late_is_taken_with_one_of_1_khz():
+    tree, taken = TransformTree("link2", "base_link"), []
+    for k in range(4000):
+        t = 50.0 + 0.001 * k
+        tree.add("base_link", "link1", t, joint(1, t), is_static=False)
+        if k % 1000 == 999:
+            late = t - 0.8
+            tree.add("link1", "link2", late, joint(2, late), is_static=False)
+        taken += filter(None, [tree.take_pose()])
+    assert [stamp for stamp, _ in taken] == pytest.approx([50.199, 51.199, 52.199, 53.199])
+    for stamp, pose in taken:
+        np.testing.assert_allclose(matrix(pose), matrix(joint(1, stamp)) @ matrix(joint(2, stamp)), atol=1e-6)
+
+
 def test_the_rotation_between_two_stamps_is_that_of_slerp():
     first, second = Rotation.from_rotvec([0.1, 0.2, 0.3]), Rotation.from_rotvec([-1.0, 0.4, 2.0])
     tree = TransformTree("b", "a")
