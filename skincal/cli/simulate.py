@@ -104,8 +104,8 @@ def simulate(
         typer.Option(
             "--as",
             help="Devices to simulate, by name, separated by commas: netft, bota, robotiq, robotiq-text, rtde, yarp, "
-            "xela, papillarray, justfloat, flexitac, anyskin, leptrino, tsf85, inspire, paxini, paxini-module, ros2. A "
-            "simulated board sends the other streams.",
+            "xela, papillarray, justfloat, flexitac, anyskin, leptrino, tsf85, inspire, paxini, paxini-module, ros2; for a "
+            "tool also qtm, natnet, ndi. A simulated board sends the other streams.",
         ),
     ] = "",
     ros2: Annotated[

@@ -124,7 +124,7 @@ def _reader(package: Path | None) -> tuple[Callable[[str], bytes], str]:
     for folder in (package, package / "data", package / PACKAGE_NAME / "data", package / "src" / PACKAGE_NAME / "data"):
         if (folder / REGISTRY_FILE).is_file():
             return _folder_reader(folder), str(package)
-    raise InputError(f"{package}: has no {PACKAGE_NAME}/data/{REGISTRY_FILE}; expected the package paxini-sdk. {HOW_TO_GET}.")
+    raise InputError(f"{package}: has no {PACKAGE_NAME}/data/{REGISTRY_FILE}; expected the package paxini-sdk; {HOW_TO_GET}.")
 
 
 def _folder_reader(folder: Path) -> Callable[[str], bytes]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.model.scene import load_scene, scene_file
 from skincal.session.importing import new_session
 from skincal.session.pipeline import Pipeline
+from skincal.simulation.emulated_devices import MAKERS
 from skincal.streams.links import ChunkQueue, LinkSpec
 from skincal.studies import STUDIES
 from tests.approved import approved
@@ -409,7 +411,7 @@ def test_the_part_is_written_to_the_icub_file(run, session, tmp_path):
 
 COMMANDS = [
     "", "solve", "export", "apply", "compare", "report", "devices", "watch", "landmarks", "pokes", "record", "simulate",
-    "import",
+    "import", "tool", "scene new", "scene show",
     *(f"import {each.name}" for each in RECORDING_IMPORTERS), "study", *(f"study {name}" for name in STUDIES),
 ]  # fmt: skip
 
@@ -425,6 +427,11 @@ def test_help_has_an_example_and_every_command_can_print_json(run, command):
     wanted = {"": WINDOW_OPTIONS, "import": (), "study": ()}.get(command, ("--json", *["--quick"] * ("study" in command)))
     assert [option for option in wanted if option not in out] == []
     assert out.count("<bool>") == 1, "a flag has no value; typer shows one for --help itself"
+
+
+def test_the_help_names_every_device_that_can_be_simulated(run):
+    _, out, _ = run("simulate", "--help")
+    assert set(MAKERS) - set(re.findall(r"[a-z0-9-]+", out)) == set()
 
 
 def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path, monkeypatch):
