@@ -53,10 +53,8 @@ class RestWindow:
         place = list(POSITION_COLUMNS)
         moved, turned = float(spans[place].max()), float(np.delete(spans, place).max())
         if moved > REST_MAX_M or turned > REST_MAX_TURN:
-            raise InputError(
-                f"The tool moved by {moved * 1e3:.1f} mm in the last {REST_S:g} s; hold it still at the point, then take the "
-                "touch."
-            )
+            words = f"moved by {moved * 1e3:.1f} mm" if moved > REST_MAX_M else f"turned by {np.degrees(turned):.1f}°"
+            raise InputError(f"The tool {words} in the last {REST_S:g} s; hold it still at the point, then take the touch.")
 
 
 @dataclass(frozen=True, slots=True)
