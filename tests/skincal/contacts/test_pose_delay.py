@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.pose_delay_watch import PoseDelayWatch
-from skincal.contacts.pose_delays import PoseDelays, combine_delays
+from skincal.contacts.pose_delays import PoseDelay, PoseDelays, combine_delays
 from skincal.words.tool_words import pose_delay_sentence, pose_stream_faults
 
 PERIOD_S, PRESS_S, HIGH_M, FOAM_M = 0.02, 4.0, 0.006, 0.002
@@ -34,6 +34,14 @@ def watched(delay_s, *, speed=0.03, presses=5, noise=0.0, creep=0.0, shift_s=0.0
         force = float(force_of(depth))
         watch.feed(t, place, (force, 20.0 * force), shift_s, presses=force > 1.0)
     return watch.delays
+
+
+def test_a_delay_is_a_fault_beyond_its_error_and_that_against_the_wrench_leads():
+    assert [PoseDelay(delay_s, 0.03, 5).is_late for delay_s in (0.15, -0.15, 0.17, -0.17)] == [False, False, True, True]
+    slow, sure = PoseDelays(of_skin=np.full(5, 0.3), of_skin_sd=np.full(5, 0.01)), np.full(5, 0.02)
+    assert slow.leading.delay_s == 0.3
+    both = PoseDelays(slow.of_skin, slow.of_skin_sd, sure, sure)
+    assert both.leading.delay_s == 0.02, "foam answers slowly"
 
 
 @pytest.mark.parametrize("delay_s", [-0.2, 0.0, 0.013, 0.12, 0.4])

@@ -14,7 +14,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.pose_fit import CONTACT_TO_PAD_CENTRE_SD_FACTOR
 from skincal.rig.answer_centres import DEPENDENT_ANSWERS_FACTOR, join_by_centres
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import Method, State
+from skincal.taxels.result import Method, Rival, State
 
 NOISE = NoiseSettings()
 PLACE_SD = 0.0003
@@ -90,7 +90,10 @@ def test_taxels_are_nearer_to_the_truth_and_their_errors_are_as_predicted(falls)
 
 def test_the_shifts_solve_the_equations_that_are_written_one_by_one():
     contacts = pokes(3)
+    for contact in contacts[:60:20]:
+        contact.link_from_sensor[0, 3] += 0.006
     alone, evidence = solved(contacts)
+    assert any(trust < 0.9 for each in alone for trust in each.doubted.values()), "a wrong place is doubted"
     unknown = {each.channel: at for at, each in enumerate(alone)}
     rows, sides, doubted = [], [], {each.channel: each.doubted for each in alone}
 
@@ -130,7 +133,7 @@ def test_the_order_of_the_pokes_changes_no_bit_and_doubtful_taxels_stay():
     found = joined(alone, evidence)
     other = joined(*solved(contacts[::-1]))
     assert all(one.position.tobytes() == two.position.tobytes() for one, two in zip(found, other, strict=True))
-    unsure = replace(alone[0], state=State.INFERRED)
-    kept = joined([unsure, *alone[1:]], evidence)
-    assert kept[0] is unsure
+    for unsure in (replace(alone[0], state=State.INFERRED), replace(alone[0], rival=Rival(alone[0].position + PITCH, 0, 2.0))):
+        kept = joined([unsure, *alone[1:]], evidence)
+        assert kept[0] is unsure
     assert join_by_centres([], evidence, SURFACE, NOISE, PLACE_SD) == []

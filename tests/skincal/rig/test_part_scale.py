@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from skincal.mesh.surface import make_surface
 from skincal.rig.part_pose import fit_part_pose, start_at
-from skincal.rig.part_scale import DrawnThing, find_landmarks_off_mesh
+from skincal.rig.part_scale import WRONG_LANDMARKS_PROBABILITY, DrawnThing, find_landmarks_off_mesh, find_scales
 from skincal.rig.part_touches import LANDMARK_SD_M
 from skincal.words.part_words import landmarks_off_mesh_sentence, wrong_scale_sentence
 from tests.skincal.rig.test_part_pose import LANDMARKS, TIP_SD, TRUE, join, shaken, shape, touch_mesh, touches, wedge
@@ -73,6 +73,49 @@ def test_the_predicted_error_contains_the_scale_whether_it_is_named_or_not(exces
         squares.append(error @ np.linalg.solve(found.scales.moment[3:6, 3:6], error))
     # 95 % of chi-square with three degrees of freedom: 7.8. Without the scale 3 % have a median of 80.
     assert np.median(squares) < 7.8
+
+
+def test_the_error_of_the_pose_follows_that_of_the_scale():
+    def shift_error(found):
+        off = TRUE @ np.linalg.inv(found.link_from_base)
+        return off[:3, :3] @ found.centre + off[:3, 3] - found.centre
+
+    large, small = fitted(drawn(5, 0.02)), fitted(drawn(5, -0.02))
+    moment = fitted(drawn(5, 0.0)).scales.moment
+    by_scale = moment[3:6, 9] / moment[9, 9]
+    assert np.linalg.norm(by_scale) > 0.02, "m: some of the landmarks' middle is far from the link's origin"
+    np.testing.assert_allclose(by_scale, (shift_error(large) - shift_error(small)) / 0.04, atol=0.002)
+
+
+def scales_of(size, excess, *, misfit=0.0, counts=(6, 0)):
+    """Equations that tell each of the four errors with the weight `size`, and give it the value `excess`."""
+    normal, gradient = np.eye(14), np.zeros(14)
+    normal[10:, 10:] = np.diag(size)
+    gradient[10:] = -np.array(size) * excess
+    return find_scales(normal, gradient, (misfit, 100), counts)
+
+
+@pytest.mark.parametrize(("sd", "excess"), [(0.01, 0.0), (0.01, 0.02), (0.02, -0.05), (0.04, 0.03)])
+def test_the_second_moment_of_a_scale_is_that_of_its_posterior(sd, excess):
+    """Against an integral over a grid: e is 0, or with a small probability from a normal distribution."""
+    grid = np.linspace(-0.5, 0.5, 200_001)
+    step, spread = grid[1] - grid[0], 0.03
+    likelihood = np.exp(-0.5 * ((excess - grid) / sd) ** 2)
+    drawn_wrong = WRONG_LANDMARKS_PROBABILITY * np.exp(-0.5 * (grid / spread) ** 2) / (spread * np.sqrt(2 * np.pi)) * likelihood
+    right = np.exp(-0.5 * (excess / sd) ** 2)
+    expected = np.sum(drawn_wrong * grid**2) * step / (right + np.sum(drawn_wrong) * step)
+    assert scales_of([sd**-2.0] + [1.0] * 3, excess).moment[9, 9] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_scale_is_named_with_all_that_fit_as_well_unless_the_touches_miss_by_more():
+    size, both = [1e4, 2e4, 1e6, 1e4], (6, 80)
+    found = scales_of(size, 0.05, counts=both).wrong
+    assert found.thing is DrawnThing.DRAWING, "it has all of their evidence"
+    assert {other for other, _ in found.others} == set(), "the next, the mesh, has 25 less"
+    assert scales_of([1.0, 1e6, 1.0, 1.0], 0.05, counts=both).wrong.others, "width and mesh are one there"
+    alone = {"size": [1e4] + [1.0] * 3, "excess": 0.06}
+    assert scales_of(**alone).wrong.thing is DrawnThing.LANDMARKS
+    assert scales_of(**alone, misfit=900.0).wrong is None, "something else is wrong, too"
 
 
 def test_a_mesh_that_is_too_wide_is_named_with_what_looks_alike():

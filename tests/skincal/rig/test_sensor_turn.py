@@ -44,6 +44,12 @@ def test_nothing_is_named_that_the_weight_does_not_show(more):
     assert find_sensor_turn(*forces(**{"turn": [0.0, 0.0, 1.57], **more})) is None
 
 
+def test_a_turn_that_explains_little_of_the_forces_is_not_named():
+    turned = {"turn": [0.0, 0.0, 0.3], "count": 300}
+    assert find_sensor_turn(*forces(**turned, noise=0.05)) is not None
+    assert find_sensor_turn(*forces(**turned, noise=0.5)) is None, "a cable that pulls may look like it"
+
+
 def test_a_reaction_shows_the_same_turn():
     rotations, rest = forces([0.0, 0.0, 1.57])
     np.testing.assert_allclose(find_sensor_turn(rotations, -rest).turn, find_sensor_turn(rotations, rest).turn, atol=1e-9)
