@@ -255,10 +255,10 @@ def document_comments(calibration: Calibration, method: Method) -> list[ET.Eleme
     return [_comment(line) for line in comment_lines(calibration, method)]
 
 
-def comment_lines(calibration: Calibration, method: Method) -> list[str]:
-    """List the comments on the content of a file."""
+def comment_lines(calibration: Calibration, method: Method, units: str = "metres and radians") -> list[str]:
+    """List the comments on the content of a file in these units."""
     return [
-        f"skincal {calibration.version}, {method.value} method, metres and radians in {calibration.scene.link}",
+        f"skincal {calibration.version}, {method.value} method, {units} in {calibration.scene.link}",
         *_axis_lines(calibration, method),
         *calibration.correction_comments(),
         *calibration.verdict_comments(method),

@@ -42,7 +42,7 @@ def taxel_geometry_text(calibration: Calibration, method: Method) -> str:
             frame = calibration.frame(channel, method)
         rows += _row(channel, estimate, frame, has_rotation=has_rotations)
     comments = [
-        *comment_lines(calibration, method),
+        *comment_lines(calibration, method, "millimetres and degrees"),
         f"frame sensor is the link {calibration.scene.link}; taxel i of the stream is the i-th row",
     ]
     lines = [

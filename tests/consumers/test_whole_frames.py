@@ -116,6 +116,7 @@ def geometry_of(path):
     """Read by the documented schema alone."""
     document = yaml.safe_load(path.read_text())
     assert (document["frame"], document["units"]) == ("sensor", "mm")
+    assert "millimetres and degrees in" in path.read_text().partition("\n")[0], "the comments have the units of the rows"
     assert document["num_taxels"] == len(document["taxels"])
     assert len({"rotation" in row for row in document["taxels"]}) == 1, "a rotation for all taxels or for none"
     return document
