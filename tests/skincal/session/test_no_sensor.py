@@ -309,6 +309,36 @@ def test_a_tool_that_is_parked_for_long_needs_no_memory_and_keeps_its_way():
     assert touch.end_s - touch.start_s > 110
 
 
+def test_a_rest_has_the_mean_of_its_places_and_its_strongest_answer():
+    watch, start = RestWatch(0.3), np.array([0.0, 0.0, 0.03])
+    answers = {40: (6.0, 10.0), 45: (8.0, 20.0), 46: (np.nan, 10.0)}
+    for k in range(60):
+        tremble = [0.0002 * (k % 2) if k >= 30 else 0.0, 0.0, 0.0]
+        response, needed = answers.get(k, (1.0, 10.0))
+        watch.feed(_Seen(k / 50, start * (1.0 - min(k, 30) / 30) + tremble, None, response, needed))
+    left = [watch.feed(_Seen((60 + k) / 50, start * k / 30, None, 0.0, 10.0)) for k in range(30)]
+    (touch,) = [each for each in left if each is not None]
+    assert touch.place[0] == pytest.approx(0.0001, abs=0.00001)
+    assert (touch.response, touch.needed) == (6.0, 10.0), "the largest share of what an answer needs"
+
+
+def test_a_long_press_of_something_else_beside_a_parked_tip_is_no_poke(tmp_path):
+    at_rest, on_taxel = np.random.default_rng(1), np.arange(len(TAXELS)) == 4
+    turn = Rotation.from_matrix(BASE_FROM_PART[:3, :3])
+
+    def items():
+        for k in range(15 * 20):
+            t = k / 20
+            # The tool comes, and rests beside the skin; a hand then lies on a taxel from 3 s on.
+            place = BASE_FROM_PART[:3, 3] + [0.0, 0.05, 0.05 + 0.03 * max(0.0, 1.0 - t)]
+            yield Chunk("tool", round((1 + t) * 1e9), line("P", k, 1 + t, [*(place - turn.apply(TIP)), *turn.as_quat()]))
+            skin = 20 + np.round(0.4 * at_rest.standard_normal(len(TAXELS)) + 150 * (t > 3) * on_taxel)
+            yield Chunk("skin", round((1 + t) * 1e9), line("T", k, 1 + t, skin))
+
+    (outcome,) = outcomes_of(calibrate(scene_of(tmp_path, scene_text()), items()))
+    assert outcome.reason is Reason.NO_TARE
+
+
 def test_landmarks_without_a_poke_are_named_with_the_command_that_finds_them(tmp_path):
     pipeline = calibrate(scene_of(tmp_path, scene_text()), chunks(EVERY[:5]))
     (before,) = unnamed_landmarks(pipeline, tmp_path / "monday")
