@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from typing import Any, cast
+from urllib.parse import quote
 
 BODIES_LISTED_MAX = 8
 """Bodies that a sentence lists."""
@@ -60,10 +61,16 @@ class BodyChoice:
         if not labels:
             return "The tracker sends no body: define a rigid body in its program, and enable it"
         if not self._wanted:
-            return f"The tracker sends several bodies ({listed}{more}): choose one by ?body={shown_name(labels[0])}"
+            return f"The tracker sends several bodies ({listed}{more}): choose one by {_option(labels[0])}"
         if found:
             return f"{len(found)} bodies are called {shown_name(self._wanted)}: give each its own name in the tracker's program"
-        return f"The tracker has no body {shown_name(self._wanted)}; it sends {listed}{more}: correct ?body= of the address"
+        known = f"it sends {listed}{more}: correct the address, such as {_option(labels[0])}"
+        return f"The tracker has no body {shown_name(self._wanted)}; {known}"
+
+
+def _option(name: str) -> str:
+    """Write the option that chooses a body: an address has a plus or a space in another form."""
+    return f"?body={quote(shown_name(name), safe='')}"
 
 
 def shown_name(name: str) -> str:

@@ -88,6 +88,8 @@ class TransformTree:
         """Add a transform; return whether it is one of the chain, or may complete it."""
         known = self._transforms.get((parent, child))
         if known is None or (known.is_static and not is_static):
+            # As in tf2 a frame hangs in one other frame, in that of its newest transform.
+            self._transforms = {pair: each for pair, each in self._transforms.items() if pair[1] != child}
             known = self._transforms[parent, child] = Transform(parent, child, is_static)
             self._chain = None
         if known.add(stamp_s, pose):

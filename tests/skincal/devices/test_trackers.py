@@ -109,7 +109,12 @@ def test_a_lost_qtm_body_is_counted_and_no_pose():
     ("body", "names", "sentence"),
     [
         ("", ("hat", "probe"), "The tracker sends several bodies (hat, probe): choose one by ?body=hat"),
-        ("tool", ("hat", "probe"), "The tracker has no body tool; it sends hat, probe: correct ?body= of the address"),
+        ("tool", ("hat", "probe"), "The tracker has no body tool; it sends hat, probe: correct the address, such as ?body=hat"),
+        (
+            "",
+            ("Rigid Body 1+", "hat"),
+            "The tracker sends several bodies (Rigid Body 1+, hat): choose one by ?body=Rigid%20Body%201%2B",
+        ),
         ("hat", ("hat", "hat"), "2 bodies are called hat: give each its own name in the tracker's program"),
         ("", (), "The tracker sends no body: define a rigid body in its program, and enable it"),
         ("hat", ("hat",), "QTM sends 2 bodies and names 1: enable all of them in its project"),

@@ -130,6 +130,18 @@ def test_a_break_in_the_chain_is_named_with_the_frames_that_came():
     assert tree.problem == ""
 
 
+def test_a_frame_that_is_moved_to_another_parent_leaves_the_one_before():
+    tree = TransformTree("tool0", "base")
+    tree.add("base", "flange", 1.0, joint(1, 1.0), is_static=False)
+    tree.add("flange", "tool0", None, TOOL0, is_static=True)
+    np.testing.assert_allclose(matrix(tree.take_pose()[1]), matrix(joint(1, 1.0)) @ matrix(TOOL0), atol=1e-12)
+    tree.add("flange", "changer", None, BASE, is_static=True)
+    tree.add("changer", "tool0", None, TOOL0, is_static=True)
+    tree.add("base", "flange", 2.0, joint(1, 2.0), is_static=False)
+    moved = matrix(joint(1, 2.0)) @ matrix(BASE) @ matrix(TOOL0)
+    np.testing.assert_allclose(matrix(tree.take_pose()[1]), moved, atol=1e-12)
+
+
 def test_a_transform_that_is_no_longer_published_gives_no_pose():
     tree = TransformTree("b", "a")
     tree.add("a", "m", 10.0, joint(1, 10.0), is_static=False)
