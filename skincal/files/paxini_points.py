@@ -36,6 +36,8 @@ REGISTRY_FILE = "registry.json"
 PART_CODE_RE = re.compile(r"[\w-]+")
 POINTS_MAX = 1000
 """Of a module; the largest of GEN3 has 239."""
+POINT_MAX_M, POINT_DECIMALS = 0.2, 5
+"""m: a module is smaller. Points that are equal in so many decimals of a metre are one."""
 NEIGHBOUR_MAX_SPACINGS = 2.2
 """Distances up to this many spacings are kept."""
 NEIGHBOURS_OF_WAY = 8
@@ -105,9 +107,14 @@ def _read_module(
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{where}: {file} has another form than that of paxini-sdk 0.1.0; expected points in mm.") from None
     is_ordered = numbers == list(range(numbers[0], numbers[0] + len(numbers))) if numbers else False
-    if points.shape != (count, 3) or not is_ordered or count > POINTS_MAX or not np.isfinite(points).all():
+    if points.shape != (count, 3) or not is_ordered or count > POINTS_MAX:
         raise InputError(
             f"{where}: {file} has {len(points)} points; expected {count}, numbered in a row, as {REGISTRY_FILE} says."
+        )
+    if not (np.abs(points) < POINT_MAX_M).all() or len(np.unique(points.round(POINT_DECIMALS), axis=0)) < count:
+        raise InputError(
+            f"{where}: {file} has points that are equal, no number, or over {POINT_MAX_M * 1e3:g} mm away; expected those of a "
+            "module, in mm."
         )
     return PaxiniModule(code, model, points)
 

@@ -52,6 +52,13 @@ def test_channels_of_several_modules_follow_in_the_order_of_the_stream(package, 
     assert layout.places[4:, 0].min() > layout.places[:4, 0].max() + 5e-3
 
 
+def move_point(path, row, to):
+    document = json.loads(path.read_text())
+    points = document["points"]
+    points[row] |= to if isinstance(to, dict) else {**points[to], "index": points[row]["index"]}
+    path.write_text(json.dumps(document))
+
+
 def rename_module(registry, before, after):
     registry.write_text(registry.read_text().replace(before, after))
 
@@ -65,6 +72,9 @@ def rename_module(registry, before, after):
         (lambda data: (data / "dome.json").write_text('{"points": [{"x_mm": 1}]}'), "points in mm"),
         (lambda data: (data / "dome.json").write_text('{"points": []}'), "0 points; expected 25"),
         (lambda data: (data / "dome.json").unlink(), "dome.json"),
+        (lambda data: move_point(data / "dome.json", 7, 6), "points that are equal"),
+        (lambda data: move_point(data / "dome.json", 7, {"x_mm": 1e6}), "over 200 mm away"),
+        (lambda data: move_point(data / "dome.json", 7, {"x_mm": float("nan")}), "no number"),
         (lambda data: (data / "dome.json").write_text("no JSON"), "no JSON"),
     ],
 )
