@@ -102,6 +102,14 @@ def test_a_rigid_skin_has_no_lean_and_keeps_its_turns():
         assert np.degrees(np.linalg.norm(turn_between(turn.fit.rotation, without.taxels[channel].fit.rotation))) < 0.5
 
 
+def test_a_lean_within_its_own_error_is_none():
+    found = list[float]()
+    for seed in range(3, 7):
+        pokes, offsets, _ = pads(seed, taxels=2, lean=0.0)
+        found.append(OffsetCorrection().correct(find_turns(pokes, FORCE_NOISE_N), {}, (), offsets).lean.value)
+    assert 2 <= found.count(0.0) < 4, "two in three lie within it"
+
+
 def test_unknown_offsets_and_far_ones_change_no_turn():
     pokes, offsets, _ = pads(4)
     without = find_turns(pokes, FORCE_NOISE_N)
