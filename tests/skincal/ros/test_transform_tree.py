@@ -39,8 +39,8 @@ def arm(time_s):
 
 
 TOOL0 = (0.0, 0.0, 0.1, *Rotation.from_rotvec([0.0, 0.0, -np.pi / 2]).as_quat().tolist())
-BASE = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-"""Static: the tool at the flange, and `base`, turned by 180 degrees about z in `base_link`."""
+BASE = (0.1, -0.2, 0.3, *Rotation.from_rotvec([0.3, 0.0, 2.0]).as_quat().tolist())
+"""Static: the tool at the flange, and `base` in `base_link`."""
 
 
 def tree_with_static(frame="tool0", base="base"):
