@@ -37,7 +37,7 @@ PART_CODE_RE = re.compile(r"[\w-]+")
 POINTS_MAX = 1000
 """Of a module; the largest of GEN3 has 239."""
 POINT_MAX_M, POINT_DECIMALS = 0.2, 5
-"""m: a module is smaller. Points that are equal in so many decimals of a metre are one."""
+"""m: a module is smaller. Points that agree to this decimal of a metre are one."""
 NEIGHBOUR_MAX_SPACINGS = 2.2
 """Distances up to this many spacings are kept."""
 NEIGHBOURS_OF_WAY = 8

@@ -54,6 +54,12 @@ def test_pokes_without_a_z_in_the_order_of_the_scene_are_counted():
     assert not ValueOrderCounts(6, 3, 0).has_no_z(ValueOrder.BY_TAXEL)
 
 
+def test_another_order_is_open_only_if_most_pokes_are_on_its_z():
+    found = [OrderOfValues(ValueOrderCounts(20, 0, on_z), ValueOrder.BY_TAXEL) for on_z in (6, 9, 10)]
+    assert [each.log_odds_wrong > 0 for each in found] == [True] * 3
+    assert [each.is_open for each in found] == [False, False, True], "axes that are exchanged have no z in either"
+
+
 def test_counts_add_up():
     assert ValueOrderCounts(3, 2, 1).plus(ValueOrderCounts(4, 0, 4)) == ValueOrderCounts(7, 2, 5)
 

@@ -162,6 +162,10 @@ def test_a_mirrored_qtm_matrix_and_a_damaged_packet_are_no_poses():
     poses, _ = poses_of(decoder, qtm_start("probe", "probe") + qtm_frame(1, mirrored) + bytes(damaged))
     assert np.isnan(poses).all()
     assert decoder.counts == {Loss.NO_POSE: 1, Loss.UNREADABLE: 1}
+    whole = qtm_frame(3, HERE)
+    more = struct.pack("<I", len(whole) + 12) + whole[4:] + struct.pack("<II", 12, 9) + bytes(4)
+    assert len(poses_of(decoder, more)[0]) == 0, "a component that its count leaves out"
+    assert decoder.counts == {Loss.NO_POSE: 1, Loss.UNREADABLE: 2}
     decoder.feed(b"GET / HTTP/1.1\r\n")
     assert "is no QTM" in decoder.device_message
 
