@@ -19,6 +19,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from typing import ClassVar
 
+import numpy as np
+
 from skincal.devices.column_names import (
     CLOCK_COLUMN_RE,
     TIME_COLUMN_RE,
@@ -29,6 +31,7 @@ from skincal.devices.column_names import (
 from skincal.devices.decoding import CLOCK_MODULUS_US, DEFAULT_UNITS, NO_SEQ, FrameDecoder, FrameSplitter
 from skincal.devices.pose_names import PoseNames, clash_in_scene
 from skincal.devices.rising_columns import RISING_COLUMNS_MAX, RisingColumns, rising_words
+from skincal.geometry import FloatArray
 from skincal.model.errors import list_channels
 from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Loss, Stream
@@ -70,6 +73,10 @@ MAX_PARSED_NUMBER = 1e18
 """Largest number or clock that is taken for one: what a batch's integers hold."""
 MAX_TITLES = 8
 """Titles of labelled channels that are followed: damaged titles need no memory."""
+WHOLE_NUMBERS_MIN_BYTES = 1000
+"""Bytes of a line from which its numbers are read in arrays: of a shorter one Python reads them as fast."""
+WHOLE_NUMBER_MAX_DIGITS = 15
+"""Digits that a float holds exactly, whatever they are."""
 HEX_LINES_MIN = 3
 """Lines with hexadecimal letters among decimal ones that show that these were hexadecimal, too."""
 HEX_WINDOW_LINES = 30
@@ -95,6 +102,8 @@ class TextDecoder(FrameDecoder):
         self._columns = LeadingColumns()
         self._other_pose = ""
         """Sentence on a header that names other poses than the scene; empty if they agree."""
+        self._header: tuple[str, list[str]] = ("", [])
+        """Line that named the columns last, and its names: a board repeats it, and of a large skin it has thousands."""
         # Of a skin frame whose rows are lines of their own, until the blank line that ends it.
         self._rows: list[list[float]] = []
         self._has_too_many_rows = self._has_blank_ends = False
@@ -122,6 +131,11 @@ class TextDecoder(FrameDecoder):
         if self._hex_lines >= HEX_LINES_MIN:
             self._problem = HEX_AFTER_DECIMALS
             return Loss.UNREADABLE
+        if self._columns.count and not self._brackets.is_open and not self._first and len(line) >= WHOLE_NUMBERS_MIN_BYTES:
+            values = whole_numbers(line)
+            stream = None if values is None else self._stream_of(len(values) - self._columns.count)
+            if values is not None and stream is not None:
+                return self._add_named(stream, values)
         text = line.decode()
         fields, numbers = _parse(text)
         if self._brackets.is_open or (
@@ -144,10 +158,13 @@ class TextDecoder(FrameDecoder):
 
     def _words(self, line: str, fields: list[str]) -> Loss | None:
         """Read a header or a line of another form, or pass over a banner. A line that is mostly numbers is damaged."""
-        names = [field.strip("\"' ").lower() for field in fields]
+        header, names = self._header
+        if line != header:
+            names = [field.strip("\"' ").lower() for field in fields]
         if Stream.TOOL in self._widths:
             self._read_pose_names(names)
         if self._columns.named_by(names, self._stream_of):
+            self._header = line, names
             return None
         if not self._first and self._is_read(line, fields):
             return None
@@ -178,29 +195,43 @@ class TextDecoder(FrameDecoder):
         stream = self._stream_of(len(numbers) - lead)
         if stream is None:
             return self._other_width(line, numbers)
-        if self._rows:
-            self.counts[Loss.BAD_WIDTH] += len(self._rows)
-            self._rows = []
-        if not lead and self._agreed[stream].key == HEX_KEY:
+        if lead:
+            return self._add_named(stream, numbers)
+        self._end_rows()
+        if self._agreed[stream].key == HEX_KEY:
             return self._add_hex(stream, fields)
         # Digits alone that are below 10 are the same number in both bases.
-        is_sure = lead > 0 or not all(
-            field.strip().isdigit() and number < 10 for field, number in zip(fields, numbers, strict=True)
-        )
+        is_sure = not all(field.strip().isdigit() and number < 10 for field, number in zip(fields, numbers, strict=True))
         if not self._is_plain(stream, is_sure=is_sure):
             return Loss.UNREADABLE
-        if not lead:
-            self._watch_plain(stream, line, numbers, fields)
-        if stream is Stream.SKIN and not lead and len(numbers) > 6 and numbers[0] in (0, 1) and counts_lines([numbers]):
+        self._watch_plain(stream, line, numbers, fields)
+        if stream is Stream.SKIN and len(numbers) > 6 and numbers[0] in (0, 1) and counts_lines([numbers]):
             half = len(numbers) // 2
             self._problem = f"Every second value is the number of a channel (0, 1, 2, ...): set [skin] channels to {half}"
             return Loss.UNREADABLE
-        seq, device_s, missing = self._columns.read(numbers[:lead])
+        return self._add_plain(stream, NO_SEQ, math.nan, numbers)
+
+    def _add_named(self, stream: Stream, numbers: list[float] | FloatArray) -> Loss | None:
+        """Add the values of a line whose first columns, clocks and counters, a header has named."""
+        self._end_rows()
+        if not self._is_plain(stream):
+            return Loss.UNREADABLE
+        lead = self._columns.count
+        seq, device_s, missing = self._columns.read(map(float, numbers[:lead]))
         self._count_missing(missing)
+        return self._add_plain(stream, seq, device_s, numbers[lead:])
+
+    def _add_plain(self, stream: Stream, seq: int, device_s: float, values: list[float] | FloatArray) -> Loss | None:
         if stream is Stream.TOOL and self._other_pose:
             self._problem = self._other_pose
             return Loss.NO_POSE
-        return self._add(stream, seq, device_s, numbers[lead:])
+        return self._add(stream, seq, device_s, values)
+
+    def _end_rows(self) -> None:
+        """Count the rows of a frame that another line broke off."""
+        if self._rows:
+            self.counts[Loss.BAD_WIDTH] += len(self._rows)
+            self._rows = []
 
     @property
     def _is_all_plain(self) -> bool:
@@ -447,6 +478,8 @@ class LeadingColumns:
     def __init__(self) -> None:
         self.count = 0
         self._names: list[str] = []
+        self._checked: list[str] = []
+        """All names of the last header line."""
         self._seq: int | None = None
         self._last_us = math.nan
         self._wraps_us = 0
@@ -459,12 +492,12 @@ class LeadingColumns:
         if not lead or stream_of(len(names) - lead) is None:
             return False
         # Numbers are no names, unless they count the channels: `Frame 12` begins a frame.
-        if not _may_be_names(names[lead:]):
+        if names is not self._checked and not _may_be_names(names[lead:]):
             return False
         # The first line may have lost its begin: `us` may be the rest of `t_us`.
         if not SURE_COLUMNS.issuperset(names[:lead]) and stream_of(len(names)) is not None:
             return False
-        self._names = names[:lead]
+        self._names, self._checked = names[:lead], names
         self.count = lead
         return True
 
@@ -498,6 +531,25 @@ def _parse(text: str) -> tuple[list[str], list[float] | None]:
     """Split a line into fields, and read them as numbers. Python reads 1_0 as ten; no device writes that."""
     fields = split_fields(text)
     return fields, None if "_" in text else to_numbers(fields)
+
+
+def whole_numbers(line: bytes) -> FloatArray | None:
+    """Read whole numbers without sign that commas separate, (n,) float; `None` for another line. The same as Python reads."""
+    if not line:
+        return None
+    digits = np.frombuffer(line, np.uint8) - np.uint8(ord("0"))
+    others = np.flatnonzero(digits > 9)
+    if (digits[others] != np.uint8(ord(",") - ord("0") & 0xFF)).any():
+        return None
+    starts, last = np.append(0, others + 1), np.append(others, len(digits)) - 1
+    lengths = last - starts + 1
+    if not 0 < lengths.min() <= lengths.max() <= WHOLE_NUMBER_MAX_DIGITS:
+        return None
+    values = digits[last].astype(np.float64)
+    for place in range(1, int(lengths.max())):
+        rows = np.flatnonzero(lengths > place)
+        values[rows] += digits[last[rows] - place] * 10.0**place
+    return values
 
 
 def _may_be_names(names: list[str]) -> bool:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from skincal.model.readings import Loss, Stream
+from skincal.streams.decoders import delimited
 from skincal.streams.decoders.auto_detect import ASSUME_TEXT_AFTER_BYTES, LinkDecoder
-from skincal.streams.decoders.delimited import TextDecoder
+from skincal.streams.decoders.delimited import TextDecoder, whole_numbers
 from tests.skincal.streams.maker_records import SKB_TAXELS, SKT_TAXELS
 
 SKIN = (Stream.SKIN,)
@@ -186,3 +187,41 @@ def test_given_format_is_not_questioned():
     assert decoder.current.name == "SKT/1"
     assert decoder.feed(SKB_TAXELS, 0) == []
     assert len(decoder.feed(b"\n" + SKT_TAXELS, 1)) == 1
+
+
+def large_frames(count=3, width=4200):
+    frames = np.random.default_rng(3).integers(0, 70_000, (count, width))
+    return frames, "seq,t_us," + ",".join(f"c{number}" for number in range(width))
+
+
+def test_a_large_frame_of_whole_numbers_is_read_in_arrays_and_the_same_to_the_last_bit():
+    frames, header = large_frames()
+    lines = [f"{row + 7},{4_294_000_000 + 20_000 * row}," + ",".join(map(str, frame)) for row, frame in enumerate(frames)]
+    # A decimal point sends a line the other way.
+    other = [line.replace(",", ".0,", 1) for line in lines]
+    assert whole_numbers(lines[0].encode()) is not None
+    assert whole_numbers(other[0].encode()) is None
+    found = []
+    for each in (lines, other):
+        decoder = TextDecoder(frames.shape[1], (Stream.SKIN,))
+        (batch,) = decoder.feed("\n".join([header, *each, ""]).encode())
+        found.append((batch.seq.tobytes(), batch.device_s.tobytes(), batch.values.dtype, batch.values.tobytes()))
+    assert found[0] == found[1]
+    np.testing.assert_array_equal(batch.values, frames)
+
+
+@pytest.mark.parametrize("line", ["1,,2", "1,2,", ",1", "1,-2", "1;2", "1 2", "1,2e3", "1,1234567890123456", "1_0,2", ""])
+def test_other_lines_are_not_read_in_arrays(line):
+    assert whole_numbers(line.encode()) is None
+    np.testing.assert_array_equal(whole_numbers(b"0,007,65535,123456789012345"), [0.0, 7.0, 65535.0, 123456789012345.0])
+
+
+def test_the_repeated_header_of_a_large_skin_is_checked_once(monkeypatch):
+    frames, header = large_frames(1)
+    decoder, checked = TextDecoder(frames.shape[1], (Stream.SKIN,)), []
+    is_names = delimited._may_be_names
+    monkeypatch.setattr(delimited, "_may_be_names", lambda names: checked.append(len(names)) or is_names(names))
+    line = "1,20000," + ",".join(map(str, frames[0]))
+    (batch,) = decoder.feed("\n".join([header, line, header, line, header, line, ""]).encode())
+    assert (len(batch.values), checked) == (3, [4200])
+    assert not decoder.counts
