@@ -172,6 +172,7 @@ class Theme(QObject):
 class Window(QMainWindow):
     """Everything the operator sees."""
 
+    view_ready = Signal()  # The 3D view of the session has its picture
     _sound_found = Signal(bool)  # From the player's thread: whether there is a sound device
 
     def __init__(self, controller: Controller, theme: Theme, settings: QSettings, documents: Path, player: Player) -> None:
@@ -270,12 +271,18 @@ class Window(QMainWindow):
         self._drop_session()
         self.session_view = view = SessionView(part, self.controller, self.commands, self._documents, self._settings, self)
         view.said.connect(self.tell)
+        view.workspace.view.ready.connect(self.view_ready)
         view.sound_due.connect(lambda due: self.player.play(due.sound, due.word))
         view.unsaid.connect(self.messages.withdraw)
         view.picking.unsaid.connect(self.messages.withdraw)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
-        # Making the panels, laying them out and showing them would together block the window too long.
-        QTimer.singleShot(0, view, lambda: self._arrange_session(view))
+        # Making the panels, their plots, laying them out and showing them would together block the window too long.
+        QTimer.singleShot(0, view, lambda: self._make_plots(view))
+
+    def _make_plots(self, view: SessionView) -> None:
+        if view is self.session_view:
+            view.workspace.make_plots()
+            QTimer.singleShot(0, view, lambda: self._arrange_session(view))
 
     def _arrange_session(self, view: SessionView) -> None:
         if view is self.session_view:

@@ -135,15 +135,34 @@ class ReadingsPanel(Panel):
 
     def __init__(self, _guided: GuidedSession | None = None) -> None:
         super().__init__()
-        self.force, self.moment = Curves("Force", "N", 1.0, 2), Curves("Moment", "N m", 50.0, 0)
+        self._made: tuple[Curves, Curves] | None = None
         self._newest_s = self._numbers_s = -np.inf
         self.no_sensor = secondary_label(NO_SENSOR, wrap=True)
         self.no_sensor.hide()
-        self._both = self.fill(self.no_sensor, (self.force, 1), (self.moment, 1), margins=(0, WIDGET_GAP_PX // 2, 0, 0), gap=0)
+        self._both = self.fill(self.no_sensor, margins=(0, WIDGET_GAP_PX // 2, 0, 0), gap=0)
         self.setWhatsThis(
             "The last ten seconds of the force/torque sensor, in its own frame and as it sends them. Offset and drift are "
             "removed around each poke, not here."
         )
+
+    @property
+    def force(self) -> Curves:
+        return self.make_curves()[0]
+
+    @property
+    def moment(self) -> Curves:
+        return self.make_curves()[1]
+
+    def make_curves(self) -> tuple[Curves, Curves]:
+        """Make the curves of force and moment once, and return them.
+
+        Not done in `__init__`: pyqtgraph takes long for two plots, and the window makes all panels in one step.
+        """
+        if self._made is None:
+            self._made = Curves("Force", "N", 1.0, 2), Curves("Moment", "N m", 50.0, 0)
+            for curves in self._made:
+                self._both.addWidget(curves, 1)
+        return self._made
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Put the plots side by side if they would be too low; their numbers then get a line of their own."""
@@ -184,7 +203,7 @@ class ReadingsPanel(Panel):
             self.moment.show_numbers(mean[3:])
 
     def recolour(self) -> None:
-        self.force.recolour()
-        self.moment.recolour()
+        for curves in self.make_curves():
+            curves.recolour()
         self._newest_s = self._numbers_s = -np.inf
         super().recolour()

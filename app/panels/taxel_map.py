@@ -36,6 +36,7 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
     QGraphicsPolygonItem,
+    QGraphicsRectItem,
     QGraphicsSimpleTextItem,
     QGraphicsView,
     QGridLayout,
@@ -202,8 +203,9 @@ class TaxelMap(pg.GraphicsView):
         self._plan = lay_out_map(scene.skin.layout, channels, turns)
         self._row = {int(channel): row for row, channel in enumerate(channels)}
         self._width, self._names = scene.skin.channels, names
-        owners = [names.module_index(int(channel)) for channel in channels]
-        self._hues = ["" if owner < 0 else module_hue(owner) for owner in owners]
+        owners = [names.module_index(channel) for channel in channels.tolist()]
+        hues = {owner: "" if owner < 0 else module_hue(owner) for owner in {*owners}}
+        self._hues = [hues[owner] for owner in owners]
         """One a channel of the map; empty without a module."""
         self._zoom, self._scale, self._dragged = 1.0, 1.0, QPointF()
         """Zoom over showing all, and pixels a unit of the map."""
@@ -220,16 +222,23 @@ class TaxelMap(pg.GraphicsView):
         self._drawn: tuple[object, IntArray] = (None, np.empty(0, dtype=np.int64))
         """Theme and radius of the marks that are drawn, and the marks, (n,)."""
         self._module_colours: Colours | None = None
+        self._lettered = set[int]()
+        """Modules whose number has the look of the theme."""
         self._symbols = {mark.value: mark_path(mark) for mark in Mark}
         self._module_sizes = [float(np.ptp(line, axis=0).min()) for line in self._plan.outlines]
         """Shorter side of each module's box."""
-        self._modules = [QGraphicsPolygonItem(QPolygonF([QPointF(*p) for p in line])) for line in self._plan.outlines]
-        self._numbers = [QGraphicsSimpleTextItem(label) for label in self._plan.labels]
+        # In one item: pyqtgraph takes a tenth of a millisecond for each that is its own, and a body has hundreds of modules.
+        self._drawing = QGraphicsRectItem()
+        self._drawing.setFlag(QGraphicsRectItem.GraphicsItemFlag.ItemHasNoContents)
+        self._modules = [
+            QGraphicsPolygonItem(QPolygonF([QPointF(*p) for p in line.tolist()]), self._drawing) for line in self._plan.outlines
+        ]
+        self._numbers = [QGraphicsSimpleTextItem(label, self._drawing) for label in self._plan.labels]
         self._halos, self._states, self._wedges, self._rings = (pg.ScatterPlotItem(antialias=True) for _ in range(4))
         self._name = pg.TextItem()
         self._box = pg.ViewBox(enableMouse=False, enableMenu=False, defaultPadding=0.0)
         self._box.disableAutoRange()
-        for item in (*self._modules, *self._numbers, self._halos, self._states, self._wedges, self._rings, self._name):
+        for item in (self._drawing, self._halos, self._states, self._wedges, self._rings, self._name):
             self._box.addItem(item, ignoreBounds=True)
         self.setCentralItem(self._box)
         self.setAntialiasing(True)
@@ -422,28 +431,40 @@ class TaxelMap(pg.GraphicsView):
         if colours is not self._module_colours:
             self._module_colours = colours
             self._paint_modules(colours)
-        for size, text in zip(self._module_sizes, self._numbers, strict=True):
+        for index, (size, text) in enumerate(zip(self._module_sizes, self._numbers, strict=True)):
             # The number of an only module tells nothing, and would lie under all of its taxels.
             is_large = size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT * self._scale >= MIN_MODULE_NUMBER_HEIGHT_PX
-            text.setVisible(is_large and len(self._numbers) > 1)
+            is_shown = is_large and len(self._numbers) > 1
+            if is_shown and index not in self._lettered:
+                self._lettered.add(index)
+                self._letter_module(index, colours)
+            text.setVisible(is_shown)
 
     def _paint_modules(self, colours: Colours) -> None:
         """Give the modules the colours of a theme."""
         self.setBackgroundBrush(QColor(colours.panel))
-        font = QFont(self.font())
+        self._lettered.clear()
+        hues = [module_hue(index) for index in range(len(self._modules))]
+        looks = {
+            hue: (pg.mkPen(mix(hue, colours.panel, 0.45), width=1.2), QBrush(mix(colours.panel, hue, 0.07))) for hue in {*hues}
+        }
+        for polygon, hue in zip(self._modules, hues, strict=True):
+            pen, brush = looks[hue]
+            polygon.setPen(pen)
+            polygon.setBrush(brush)
+
+    def _letter_module(self, index: int, colours: Colours) -> None:
+        """Give the number of a module its font, colour, size and place. Hidden ones wait: a large skin has hundreds."""
+        text, font = self._numbers[index], QFont(self.font())
         font.setBold(True)
         font.setPixelSize(40)
-        ink = QBrush(mix(colours.panel, colours.text, MODULE_NUMBER_OPACITY))
-        for index, (polygon, text) in enumerate(zip(self._modules, self._numbers, strict=True)):
-            polygon.setPen(pg.mkPen(mix(module_hue(index), colours.panel, 0.45), width=1.2))
-            polygon.setBrush(QBrush(mix(colours.panel, module_hue(index), 0.07)))
-            corners, size = self._plan.outlines[index], self._module_sizes[index]
-            text.setFont(font)
-            text.setBrush(ink)
-            scale, middle = size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT / 40.0, text.boundingRect().center()
-            # Upright, although y of the map points up.
-            move = QTransform.fromTranslate(*corners.mean(axis=0).tolist())
-            text.setTransform(QTransform.fromTranslate(-middle.x(), -middle.y()) * QTransform.fromScale(scale, -scale) * move)
+        text.setFont(font)
+        text.setBrush(QBrush(mix(colours.panel, colours.text, MODULE_NUMBER_OPACITY)))
+        scale = self._module_sizes[index] * NUMBER_HEIGHT_OVER_MODULE_HEIGHT / 40.0
+        middle = text.boundingRect().center()
+        # Upright, although y of the map points up.
+        move = QTransform.fromTranslate(*self._plan.outlines[index].mean(axis=0).tolist())
+        text.setTransform(QTransform.fromTranslate(-middle.x(), -middle.y()) * QTransform.fromScale(scale, -scale) * move)
 
     def _draw_states(self) -> None:
         colours, radius = theme_colours(), self._radius()

@@ -9,6 +9,8 @@ All of it is drawn before the part, so that an estimate inside the part is seen.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress, count, repeat
+from operator import attrgetter, is_, is_not
 from typing import cast
 
 import numpy as np
@@ -25,6 +27,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import known_error
 
+_POSITION, _STATE, _COVARIANCE = attrgetter("position"), attrgetter("state"), attrgetter("covariance")
 BALL_PX = (5.0, 34.0)  # Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other
 MAX_CLICK_DISTANCE_PX = 14.0  # A click this near to a ball means it: half a finger's width on a common screen
 RING_RADIUS_M = 2.6e-3  # m
@@ -86,7 +89,7 @@ class EstimatesLayer(Layer):
             return False
         self._key = key
         estimates = state.estimates
-        rows = [row for row, e in enumerate(estimates) if e.position is not None]
+        rows = list(compress(count(), map(is_not, map(_POSITION, estimates), repeat(None))))
         self.shown, self._hues = self.static.channels[rows], self.static.hues[rows]
         self.places = _positions([estimates[row] for row in rows])
         self._sides = self._outward(rows, estimates)
@@ -134,13 +137,15 @@ class EstimatesLayer(Layer):
         row, hues, ink = self.static.row, self.static.hues, np.array(self.colours.ink, np.uint8)
         touched = [row[channel] for channel in state.snapshot.touched.tolist() if channel in row]
         selected = [row[state.selected]] if state.selected in row else []
-        blind, dead = ([at for at, e in enumerate(estimates) if e.state is kind] for kind in (State.BLIND, State.DEAD))
+        states = list(map(_STATE, estimates))
+        blind, dead = (list(compress(count(), map(is_, states, repeat(kind)))) for kind in (State.BLIND, State.DEAD))
         drawn = [
             (blind, rings(*self._places_of(blind), OPEN_MARK_RADIUS_M, sides=12), hues[blind][:, None]),
             (dead, crosses(*self._places_of(dead), OPEN_MARK_RADIUS_M), ink),
             *(
                 (rows, rings(*self._places_of(rows, estimates), radius), ink)
                 for rows, radius in ((touched, RING_RADIUS_M), (selected, RING_RADIUS_M), (selected, 1.5 * RING_RADIUS_M))
+                if rows
             ),
         ]
         ends = np.concatenate([lines.reshape(-1, 2, 3) for _, lines, _ in drawn])
@@ -224,9 +229,8 @@ class UncertaintyLayer(Layer):
         """Return the rows of taxels whose uncertainty regions are drawn: not all, since many would hide the taxels."""
         if self.comparison is not None:
             return []
-        errors = (
-            (row, known_error(e, state.snapshot.part_size)) for row, e in enumerate(state.estimates) if e.covariance is not None
-        )
+        estimated = map(is_not, map(_COVARIANCE, state.estimates), repeat(None))
+        errors = ((row, known_error(e, state.snapshot.part_size)) for row, e in compress(enumerate(state.estimates), estimated))
         known = {row: error for row, error in errors if error is not None}
         worst = sorted(known, key=lambda row: (-known[row], row))[:1]
         selected = self.static.row.get(-1 if state.selected is None else state.selected)
@@ -279,6 +283,7 @@ class Heads(MeshActor):
             cones.clear_data()
             cones["rgb"] = np.tile(colour, (cones.n_points, 1))
             self.mesh.shallow_copy(cones)
+            self._keep_arrays()
         self.update_visibility()
 
 

@@ -49,6 +49,12 @@ class MeshActor(ABC):
         self.mesh.set_active_scalars("rgb")
         self.actor.mapper.SetInputData(self.mesh)
         self.actor.visibility = False
+        self._keep_arrays()
+
+    def _keep_arrays(self) -> None:
+        """Keep the arrays of the mesh: each question to pyvista for one costs as much as a hundred points."""
+        self._points: Any = self.mesh.points
+        self._colours: Any = self.mesh.point_data["rgb"]
 
     @abstractmethod
     def connect(self, points: FloatArray) -> pv.PolyData:
@@ -59,14 +65,15 @@ class MeshActor(ABC):
         points = points.reshape(-1, 3)
         self.is_empty = len(points) == 0
         if not self.is_empty:
-            if len(points) == self.mesh.n_points:
-                self.mesh.points[:] = points  # pyright: ignore[reportArgumentType]
+            if len(points) == len(self._points):
+                self._points[:] = points
             else:
                 other = self.connect(points)
                 other["rgb"] = np.zeros((len(points), 3), np.uint8)
                 other.set_active_scalars("rgb")
                 self.mesh.shallow_copy(other)
-            self.mesh.point_data["rgb"][:] = colours  # pyright: ignore[reportArgumentType]
+                self._keep_arrays()
+            self._colours[:] = colours
         self.update_visibility()
 
     def update_visibility(self) -> None:

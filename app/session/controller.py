@@ -101,6 +101,7 @@ class Controller(QObject):
     confirmation_due = Signal(object)
     """Addresses that a recorded session names: `resume(confirmed=True)` connects them."""
     simulation_due = Signal()  # A session of a simulated hand is to go on: `simulate_again`
+    released = Signal()  # The session that was open is closed
     stored = Signal(str)  # Sentence on the folder of the recording
 
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
@@ -168,7 +169,7 @@ class Controller(QObject):
             self._serve_targets(request.targets)
         elif request.server:
             self._start_server(request.server)
-        self.compute(lambda: self._load_scene(request), lambda part: self._take_part(part, request.pose))
+        self.compute(lambda: self._load_scene(request), lambda guided: self._take_part(guided, request.pose))
 
     def leave(self) -> None:
         """Close the open session without opening another; slow work ends in the background."""
@@ -190,6 +191,7 @@ class Controller(QObject):
         self._close_targets()
         self._end_recording(following)
         self._reset()
+        self.released.emit()
 
     def _end_recording(self, following: Path | None = None) -> None:
         """End the recording in the background. A provisional one without changes is discarded, and so is an empty one."""
@@ -330,18 +332,17 @@ class Controller(QObject):
         for sentence in () if self.simulated else sentences:
             self.said.emit(Message(sentence, found=True))
 
-    def _show_part(self, part: Part) -> None:
-        from skincal.following.guided_session import GuidedSession
-
-        self._part, self.guided = part, GuidedSession(part, self.compute)
-        self.guided.guide.first_module_pokes = DEMO_FIRST_MODULE_POKES if self.demo else 0
+    def _show_part(self, guided: GuidedSession) -> None:
+        self.guided, self._part = guided, guided.part
+        part = guided.part
+        guided.guide.first_module_pokes = DEMO_FIRST_MODULE_POKES if self.demo else 0
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))
 
-    def _take_part(self, part: Part, pose: str) -> None:
+    def _take_part(self, guided: GuidedSession, pose: str) -> None:
         self._first_pose = pose
-        self._show_part(part)
+        self._show_part(guided)
         if not self._pending_links and self._server is None:
             self._set_running(Running.OFFLINE)
         else:
@@ -370,13 +371,13 @@ class Controller(QObject):
             recording.pipeline.act(SetPose(self._first_pose), time.monotonic_ns())
         self._take_recording(recording)
 
-    def _take_session(self, storage: SessionFolder, found: tuple[Part, Pipeline] | str) -> None:
+    def _take_session(self, storage: SessionFolder, found: tuple[GuidedSession, Pipeline] | str) -> None:
         if isinstance(found, str):
             self._set_running(Running.OFFLINE)
             self.recorded_elsewhere.emit(storage.folder, found)
             return
-        part, pipeline = found
-        self._show_part(part)
+        guided, pipeline = found
+        self._show_part(guided)
         self._take_recording(Recording(pipeline, storage), connect=self._links_confirmed)
         if storage.shipped is not None:
             self.said.emit(Message(copy_words(storage.shipped), found=True))
@@ -767,13 +768,19 @@ class Controller(QObject):
 
     # In the background
 
-    def _load_scene(self, request: OpenRequest) -> Part:
+    def _load_scene(self, request: OpenRequest) -> GuidedSession:
         self.prepare()
         from skincal.part.part import load_part
 
-        return load_part(find_scene(request.scene))
+        return self._guide(load_part(find_scene(request.scene)))
 
-    def _load_session(self, storage: SessionFolder, links: tuple[LinkSpec, ...] | None) -> tuple[Part, Pipeline] | str:
+    def _guide(self, part: Part) -> GuidedSession:
+        """Make what follows the session on a part. It takes long on a large one, and `compute` is only kept."""
+        from skincal.following.guided_session import GuidedSession
+
+        return GuidedSession(part, self.compute)
+
+    def _load_session(self, storage: SessionFolder, links: tuple[LinkSpec, ...] | None) -> tuple[GuidedSession, Pipeline] | str:
         """Load a session, read-only if `links` is `None`; return a sentence if another process records it."""
         self.prepare()
         # It may be the session that was open until now.
@@ -782,13 +789,16 @@ class Controller(QObject):
         from skincal.journal.lock import RecordedElsewhereError
 
         try:
-            return open_recorded(folder, links)
+            part, pipeline = open_recorded(folder, links)
         except RecordedElsewhereError as error:
             return str(error)
         except InputError:
             storage.discard()
             storage.finish()
             raise
+        guided = self._guide(part)
+        guided.guide.prepare(guided.method)
+        return guided, pipeline
 
     # Helpers
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from itertools import compress
+from operator import not_
 
 import numpy as np
 
@@ -175,7 +177,7 @@ def done_channels(guidance: Guidance | None) -> frozenset[int]:
     """Collect the channels of finished taxels."""
     if guidance is None:
         return frozenset()
-    return frozenset(c for c, missing in zip(guidance.channels.tolist(), guidance.needs, strict=True) if not missing)
+    return frozenset(compress(guidance.channels.tolist(), map(not_, guidance.needs)))
 
 
 def newly_done(before: Guidance | None, now: Guidance | None) -> frozenset[int]:
@@ -196,8 +198,8 @@ def done_words(channels: Sequence[int], names: ChannelNames) -> str:
 
 def _count_finished(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
     """Count finished taxels and all taxels in use."""
-    used = set(guidance.channels.tolist()).difference(dead)
-    return len(used & done_channels(guidance)), len(used)
+    unused = int(np.isin(guidance.channels, list(dead)).sum()) if dead else 0
+    return len(done_channels(guidance).difference(dead)), len(guidance.channels) - unused
 
 
 def diversity_words(axes: AxisDiversity, method: Method) -> str:

@@ -7,6 +7,8 @@ import signal
 import sys
 import threading
 import time
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,14 +17,18 @@ from PySide6.QtGui import QAccessible
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialog, QMessageBox, QScrollArea, QWidget
 
+from app import run
+from app.panels.readings_panel import Curves
 from app.run import Faults, collect_in_window
 from app.scene3d.canvas import best_canvas
+from app.session.controller import Controller
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
 from app.state.view_state import LinkStatus
 from app.text.message import Message
 from app.window import Window
 from app.workers.device_process import DeviceProcess
+from skincal.following.session_guide import SessionGuide
 from skincal.journal.lock import SessionLock
 from skincal.journal.writer import create_session
 from skincal.model.readings import Stream
@@ -379,6 +385,45 @@ def test_garbage_is_ended_in_the_window_s_thread_wherever_it_is_made(qtbot):
     worker.join()
     qtbot.waitUntil(lambda: bool(ended))
     assert ended == [threading.main_thread()]
+
+
+def test_collections_leave_out_the_objects_of_an_open_session(bench, tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(run, "gc", SimpleNamespace(**{name: partial(calls.append, name) for name in ("freeze", "unfreeze")}))
+    controller = Controller(tmp_path)
+    run.skip_open_session(controller, bench.window)
+    controller.session_opened.emit(None)
+    bench.window.view_ready.emit()
+    assert calls == ["freeze", "freeze"]
+    controller.leave()
+    assert calls == ["freeze", "freeze", "unfreeze"]
+    controller.close()
+
+
+def test_what_takes_long_at_opening_is_made_in_the_background_or_in_a_step_of_its_own(bench, recorded, monkeypatch):
+    made, ready = [], []
+    monkeypatch.setattr(
+        SessionGuide, "__init__", noting(SessionGuide.__init__, lambda: made.append(threading.current_thread()))
+    )
+    monkeypatch.setattr(Curves, "__init__", noting(Curves.__init__, lambda: made.append(bench.window.session_view is None)))
+    bench.window.view_ready.connect(lambda: ready.append(True))
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    guide, *curves = made
+    assert guide is not threading.main_thread()
+    # The view exists before its curves.
+    assert curves == [False, False]
+    assert ready == [True]
+
+
+def noting(call, note):
+    """Call `note` first."""
+
+    def noted(*arguments, **named):
+        note()
+        call(*arguments, **named)
+
+    return noted
 
 
 def longest_step(bench, qtbot):
