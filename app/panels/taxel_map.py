@@ -35,12 +35,12 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
-    QGraphicsPolygonItem,
-    QGraphicsRectItem,
+    QGraphicsItem,
     QGraphicsSimpleTextItem,
     QGraphicsView,
     QGridLayout,
     QSizePolicy,
+    QStyleOptionGraphicsItem,
     QWidget,
 )
 
@@ -82,6 +82,8 @@ RING_SHARE, TARGET_SHARE, MIN_TARGET_PX = 1.75, 2.5, 9.0
 MIN_AMBIGUOUS_TAXEL_WEDGE_PX = 9.0  # Size of the wedge of an ambiguous taxel at least
 NAME_PX, PLATE_OPACITY = 13, 0.85  # Height of the target's name, and the opacity of its background
 MAX_CLICK_DISTANCE_PX = 14.0  # A click this near to a taxel means it
+KEPT_AS_PIXELS = QGraphicsItem.CacheMode.DeviceCoordinateCache
+"""Of modules and marks, which change after a poke. Halos, which change at each tick, are drawn between copies of them."""
 ARROW_KEYS: dict[int, tuple[float, float]] = {
     Qt.Key.Key_Left: (-1, 0),
     Qt.Key.Key_Right: (1, 0),
@@ -191,6 +193,36 @@ def _wedge_path() -> QPainterPath:
     return path
 
 
+class ModulesItem(QGraphicsItem):
+    """Outlines of all modules in the hues of a theme. One item, since each costs: a body has hundreds."""
+
+    def __init__(self, plan: MapLayout) -> None:
+        super().__init__()
+        self._bounds = plan.bounds
+        self._hues = [module_hue(index) for index in range(len(plan.outlines))]
+        self._polygons = [QPolygonF([QPointF(*corner) for corner in line.tolist()]) for line in plan.outlines]
+        self._looks: dict[str, tuple[QPen, QBrush]] = {}
+        """By hue."""
+
+    def set_colours(self, colours: Colours) -> None:
+        self._looks = {
+            hue: (pg.mkPen(mix(hue, colours.panel, 0.45), width=1.2), QBrush(mix(colours.panel, hue, 0.07)))
+            for hue in {*self._hues}
+        }
+        self.update()
+
+    def boundingRect(self) -> QRectF:  # noqa: N802
+        return self._bounds
+
+    def paint(self, painter: QPainter, option: QStyleOptionGraphicsItem, widget: QWidget | None = None) -> None:  # noqa: ARG002
+        for hue, polygon in zip(self._hues, self._polygons, strict=True):
+            if hue in self._looks:
+                pen, brush = self._looks[hue]
+                painter.setPen(pen)
+                painter.setBrush(brush)
+                painter.drawPolygon(polygon)
+
+
 class TaxelMap(pg.GraphicsView):
     """The flat map of a skin."""
 
@@ -227,18 +259,13 @@ class TaxelMap(pg.GraphicsView):
         self._symbols = {mark.value: mark_path(mark) for mark in Mark}
         self._module_sizes = [float(np.ptp(line, axis=0).min()) for line in self._plan.outlines]
         """Shorter side of each module's box."""
-        # In one item: pyqtgraph takes a tenth of a millisecond for each that is its own, and a body has hundreds of modules.
-        self._drawing = QGraphicsRectItem()
-        self._drawing.setFlag(QGraphicsRectItem.GraphicsItemFlag.ItemHasNoContents)
-        self._modules = [
-            QGraphicsPolygonItem(QPolygonF([QPointF(*p) for p in line.tolist()]), self._drawing) for line in self._plan.outlines
-        ]
-        self._numbers = [QGraphicsSimpleTextItem(label, self._drawing) for label in self._plan.labels]
+        self._modules = ModulesItem(self._plan)
+        self._numbers = [QGraphicsSimpleTextItem(label, self._modules) for label in self._plan.labels]
         self._halos, self._states, self._wedges, self._rings = (pg.ScatterPlotItem(antialias=True) for _ in range(4))
         self._name = pg.TextItem()
         self._box = pg.ViewBox(enableMouse=False, enableMenu=False, defaultPadding=0.0)
         self._box.disableAutoRange()
-        for item in (self._drawing, self._halos, self._states, self._wedges, self._rings, self._name):
+        for item in (self._modules, self._halos, self._states, self._wedges, self._rings, self._name):
             self._box.addItem(item, ignoreBounds=True)
         self.setCentralItem(self._box)
         self.setAntialiasing(True)
@@ -392,6 +419,10 @@ class TaxelMap(pg.GraphicsView):
 
     def _set_range(self) -> None:
         self._show_range()
+        for item in (self._modules, self._states):
+            # Qt would shift kept pixels, by whole ones, and draw only what came into view, even if all has changed.
+            item.setCacheMode(QGraphicsItem.CacheMode.NoCache)
+            item.setCacheMode(KEPT_AS_PIXELS)
         self._draw_all()
 
     def _show_range(self) -> None:
@@ -444,14 +475,7 @@ class TaxelMap(pg.GraphicsView):
         """Give the modules the colours of a theme."""
         self.setBackgroundBrush(QColor(colours.panel))
         self._lettered.clear()
-        hues = [module_hue(index) for index in range(len(self._modules))]
-        looks = {
-            hue: (pg.mkPen(mix(hue, colours.panel, 0.45), width=1.2), QBrush(mix(colours.panel, hue, 0.07))) for hue in {*hues}
-        }
-        for polygon, hue in zip(self._modules, hues, strict=True):
-            pen, brush = looks[hue]
-            polygon.setPen(pen)
-            polygon.setBrush(brush)
+        self._modules.set_colours(colours)
 
     def _letter_module(self, index: int, colours: Colours) -> None:
         """Give the number of a module its font, colour, size and place. Hidden ones wait: a large skin has hundreds."""

@@ -27,7 +27,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import known_error
 
-_POSITION, _STATE, _COVARIANCE = attrgetter("position"), attrgetter("state"), attrgetter("covariance")
+_POSITION_OF, _STATE_OF, _COVARIANCE_OF = attrgetter("position"), attrgetter("state"), attrgetter("covariance")
 BALL_PX = (5.0, 34.0)  # Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other
 MAX_CLICK_DISTANCE_PX = 14.0  # A click this near to a ball means it: half a finger's width on a common screen
 RING_RADIUS_M = 2.6e-3  # m
@@ -89,7 +89,7 @@ class EstimatesLayer(Layer):
             return False
         self._key = key
         estimates = state.estimates
-        rows = list(compress(count(), map(is_not, map(_POSITION, estimates), repeat(None))))
+        rows = list(compress(count(), map(is_not, map(_POSITION_OF, estimates), repeat(None))))
         self.shown, self._hues = self.static.channels[rows], self.static.hues[rows]
         self.places = _positions([estimates[row] for row in rows])
         self._sides = self._outward(rows, estimates)
@@ -137,7 +137,7 @@ class EstimatesLayer(Layer):
         row, hues, ink = self.static.row, self.static.hues, np.array(self.colours.ink, np.uint8)
         touched = [row[channel] for channel in state.snapshot.touched.tolist() if channel in row]
         selected = [row[state.selected]] if state.selected in row else []
-        states = list(map(_STATE, estimates))
+        states = list(map(_STATE_OF, estimates))
         blind, dead = (list(compress(count(), map(is_, states, repeat(kind)))) for kind in (State.BLIND, State.DEAD))
         drawn = [
             (blind, rings(*self._places_of(blind), OPEN_MARK_RADIUS_M, sides=12), hues[blind][:, None]),
@@ -229,7 +229,7 @@ class UncertaintyLayer(Layer):
         """Return the rows of taxels whose uncertainty regions are drawn: not all, since many would hide the taxels."""
         if self.comparison is not None:
             return []
-        estimated = map(is_not, map(_COVARIANCE, state.estimates), repeat(None))
+        estimated = map(is_not, map(_COVARIANCE_OF, state.estimates), repeat(None))
         errors = ((row, known_error(e, state.snapshot.part_size)) for row, e in compress(enumerate(state.estimates), estimated))
         known = {row: error for row, error in errors if error is not None}
         worst = sorted(known, key=lambda row: (-known[row], row))[:1]

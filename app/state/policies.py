@@ -28,7 +28,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, State
 from skincal.words.mistake_words import frame_sentence
 
-_POSITION = attrgetter("position")
+_POSITION_OF = attrgetter("position")
 GOOD_RMS = GuideSettings().wanted  # m. Expected errors up to this are drawn as good: the goal of the guide.
 MAX_LISTED_WORST_TAXELS = 12  # Taxels in the list of the worst: as many as fit without scrolling
 
@@ -157,7 +157,7 @@ def allowed(
         exclude_text="" if not exclude else "Restore selected pokes" if is_restored else "Exclude selected pokes",
         taxel=None if taxel is None else Revive(taxel) if is_dead else MarkDead(taxel),
         taxel_text="" if taxel is None else "Use selected taxel again" if is_dead else "Do not use selected taxel",
-        export=any(any(map(is_not, map(_POSITION, es), repeat(None))) for es in snapshot.estimates.values()),
+        export=any(any(map(is_not, map(_POSITION_OF, es), repeat(None))) for es in snapshot.estimates.values()),
         switch_method=len(snapshot.estimates) > 1,
         space="Verdict" if ends else pause,
         pause=pause,

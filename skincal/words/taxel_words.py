@@ -23,7 +23,7 @@ from skincal.taxels.result import (
 from skincal.taxels.shared_errors import PredictedError, known_error, predicted_error
 from skincal.words.units import ChannelNames, count, grouped, millimetres, number
 
-_STATE = attrgetter("state")
+_STATE_OF = attrgetter("state")
 STATE_SENTENCES = {
     Cause.UNPOKED: "No accepted poke touched this taxel.",
     Cause.ONE_AXIS: "All pokes came from one direction, so the depth is unknown. Press again, leaning another way.",
@@ -108,7 +108,7 @@ STATE_WORDS = {
 def state_count_words(estimates: Iterable[Estimate]) -> str:
     """Count taxels by state: `"28 touched, 20 inferred, 3 untouched"`; states of no taxel are left out."""
     # By identity: Python hashes an enum slowly, and this is asked after each poke on a whole body.
-    counts = Counter(map(id, map(_STATE, estimates)))
+    counts = Counter(map(id, map(_STATE_OF, estimates)))
     return counted_states_words({state: counts[id(state)] for state in State})
 
 

@@ -76,7 +76,7 @@ MAX_TITLES = 8
 WHOLE_NUMBERS_MIN_BYTES = 1000
 """Bytes of a line from which its numbers are read in arrays: of a shorter one Python reads them as fast."""
 WHOLE_NUMBER_MAX_DIGITS = 15
-"""Digits that a float holds exactly, whatever they are."""
+"""Digits of the longest number that a float surely holds exactly."""
 HEX_LINES_MIN = 3
 """Lines with hexadecimal letters among decimal ones that show that these were hexadecimal, too."""
 HEX_WINDOW_LINES = 30
