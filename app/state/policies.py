@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from itertools import repeat
+from itertools import compress, repeat
 from operator import attrgetter, is_not
 
 import numpy as np
@@ -28,7 +28,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, State
 from skincal.words.mistake_words import frame_sentence
 
-_POSITION_OF = attrgetter("position")
+_POSITION_OF, _STATE_OF = attrgetter("position"), attrgetter("state")
 GOOD_RMS = GuideSettings().wanted  # m. Expected errors up to this are drawn as good: the goal of the guide.
 MAX_LISTED_WORST_TAXELS = 12  # Taxels in the list of the worst: as many as fit without scrolling
 
@@ -200,11 +200,10 @@ def mark_of(estimate: Estimate) -> Mark:
 def marks(estimates: Sequence[Estimate], width: int, done: Collection[int] = ()) -> IntArray:
     """Return the mark of each channel of a frame, (width,) int; channels `done` are finished for the guide."""
     result = np.full(width, Mark.UNSEEN.value, dtype=np.int64)
-    for estimate in estimates:
-        if estimate.state is not State.UNSEEN:
-            is_done = estimate.channel in done and estimate.state is not State.DEAD
-            finished = Mark.FINISHED_INFERRED if estimate.state is State.INFERRED else Mark.FINISHED
-            result[estimate.channel] = (finished if is_done else mark_of(estimate)).value
+    for estimate in compress(estimates, map(is_not, map(_STATE_OF, estimates), repeat(State.UNSEEN))):
+        is_done = estimate.channel in done and estimate.state is not State.DEAD
+        finished = Mark.FINISHED_INFERRED if estimate.state is State.INFERRED else Mark.FINISHED
+        result[estimate.channel] = (finished if is_done else mark_of(estimate)).value
     return result
 
 

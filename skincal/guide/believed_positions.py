@@ -171,6 +171,8 @@ def _add_to_groups(begin: FloatArray, groups: IntArray, values: FloatArray) -> F
 
 def _add_own_offset(places: FloatArray, measured: FloatArray, precision: FloatArray, rig: FloatArray) -> FloatArray:
     """Shift positions towards each taxel's own estimate, less the rig's share, by how precise that is."""
-    off = np.nan_to_num(measured - places - rig)
-    own = solve_each(precision + np.eye(3) / TAXEL_OFFSET_FROM_MODULE_SD_M**2, (precision @ off[:, :, None])[:, :, 0])
+    # On a large skin most have none yet, and stay.
+    rows = np.flatnonzero(precision.any(axis=(1, 2)))
+    off, known, own = np.nan_to_num(measured - places - rig)[rows], precision[rows], np.zeros(places.shape)
+    own[rows] = solve_each(known + np.eye(3) / TAXEL_OFFSET_FROM_MODULE_SD_M**2, (known @ off[:, :, None])[:, :, 0])
     return np.where(np.isfinite(places), places + own, measured)

@@ -24,6 +24,8 @@ from skincal.model.errors import InputError
 
 SLIVER_MIN_LENGTH_OVER_HEIGHT = 100.0
 """Longest side over height of a triangle that is reported as a sliver: its smallest angle is below 0.6 degrees."""
+MAX_KEPT_SKIN_POINTS = 8
+"""Answers of `point_on_skin` that are kept for a surface."""
 _SWEEP_DIRECTION = np.array([0.4472135954999579, 0.5773502691896258, 0.6831300510639733])
 """Unit direction with which no CAD grid is aligned, so that few points coincide when projected on it."""
 Made = TypeVar("Made")
@@ -221,6 +223,24 @@ def contact_point(surface: Surface | None, point: FloatArray, direction: FloatAr
     return point + direction * float(direction @ (near - point))
 
 
+@cached_per_surface
+def _newest_points(_surface: Surface) -> dict[tuple[bytes, bytes], FloatArray]:
+    """Make the memory of `point_on_skin`."""
+    return {}
+
+
 def point_on_skin(surface: Surface | None, place: FloatArray, normal: FloatArray) -> FloatArray:
-    """Find the skin's point over or under a believed position, (3,) metres; the position itself without a surface."""
-    return contact_point(surface, place, -normal, place)
+    """Find the skin's point over or under a believed position, (3,) metres; the position itself without a surface.
+
+    The newest answers are kept: several views ask for the place of one target.
+    """
+    if surface is None:
+        return contact_point(None, place, -normal, place)
+    kept, key = _newest_points(surface), (place.tobytes(), normal.tobytes())
+    found = kept.get(key)
+    if found is None:
+        found = contact_point(surface, place, -normal, place)
+        if len(kept) >= MAX_KEPT_SKIN_POINTS:
+            kept.clear()
+        kept[key] = found
+    return found.copy()

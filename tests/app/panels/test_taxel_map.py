@@ -11,7 +11,7 @@ from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QTransform, QWh
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.panels.taxel_map import MapCard, TaxelMap, lay_out_map, mark_path, quarter_turns
+from app.panels.taxel_map import MapCard, ModulesItem, TaxelMap, lay_out_map, mark_path, quarter_turns
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark
@@ -39,6 +39,8 @@ from tests.app.window_support import (
     shown,
 )
 from tests.approved import approved
+
+NO_KEYS = Qt.KeyboardModifier.NoModifier
 
 
 @pytest.fixture
@@ -133,6 +135,45 @@ def test_a_poke_gives_the_marks_that_it_changes_their_pixels_and_no_others(qtbot
     at_once = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
     at_once.show_state(states[-1])
     assert changed(pixels(changing), pixels(at_once)) == 0
+
+
+def test_answers_are_drawn_between_kept_pixels_of_the_modules(qtbot, monkeypatch):
+    drawn, paint = [], ModulesItem.paint
+    monkeypatch.setattr(ModulesItem, "paint", lambda its, *rest: drawn.append(1) or paint(its, *rest))
+    view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
+    view.show_state(frame())
+    qtbot.wait(30)
+    before, first = pixels(view), len(drawn)
+    assert first
+    for answer in (40.0, 80.0):
+        responses = np.zeros(24)
+        responses[3] = answer
+        view.show_state(frame(view=reading(skin=responses)))
+        qtbot.wait(30)
+    assert changed(before, pixels(view)) > 20
+    assert len(drawn) == first
+
+
+def test_a_map_that_moves_and_changes_at_once_shows_all_of_it(qtbot):
+    first, last = (frame(session(n, {c: estimate(c, (0, 0, 0)) for c in range(4 * n)})) for n in (1, 5))
+
+    def changed_and_dragged(view):
+        for kind, x, y in ((QEvent.Type.MouseButtonPress, 160.0, 60.0), (QEvent.Type.MouseMove, 67.7, 35.9)):
+            at, left = QPointF(x, y), Qt.MouseButton.LeftButton
+            QApplication.sendEvent(view.viewport(), QMouseEvent(kind, at, view.mapToGlobal(at), left, left, NO_KEYS))
+        view.show_state(last)
+        qtbot.wait(30)
+        return pixels(view)
+
+    view, other = (shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES), (300, 90)) for _ in range(2))
+    for each, state in ((view, first), (other, last)):
+        each.show_state(state)
+        each.zoom(3.0, QPointF(40.0, 40.0))
+    qtbot.wait(30)
+    before = pixels(view)
+    after = changed_and_dragged(view)
+    assert changed(before, after) > 1000
+    assert changed(after, changed_and_dragged(other)) == 0
 
 
 def test_a_map_that_is_resized_keeps_the_look_of_its_modules(qtbot, monkeypatch):
