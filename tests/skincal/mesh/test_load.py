@@ -57,6 +57,18 @@ def load(folder, data, name="part.off", scale=1e-3, pose=None, replaces_unit=Fal
     return surface, {finding.kind: finding for finding in findings}
 
 
+def test_a_mesh_stays_ready_until_its_file_or_its_place_changes(tmp_path, monkeypatch):
+    data, moved = off_bytes(*box_mesh()), np.eye(4)
+    moved[2, 3] = 0.1
+    first, _ = load(tmp_path, data)
+    assert load(tmp_path, data)[0] is first
+    assert load(tmp_path, data, pose=moved)[0].vertices[:, 2].min() == pytest.approx(0.08)
+    assert load(tmp_path, data, scale=2e-3)[0].size == pytest.approx(2 * first.size)
+    assert load(tmp_path, off_bytes(*box_mesh(side=50.0)))[0].size == pytest.approx(1.25 * first.size)
+    monkeypatch.setattr("skincal.mesh.load.KEPT_MESH_MAX_BYTES", 10)
+    assert load(tmp_path, data)[0] is not load(tmp_path, data)[0], "a large mesh would fill the memory"
+
+
 def test_a_clean_shell_is_kept_as_it_is(tmp_path):
     vertices, triangles = tube_mesh()
     data = off_bytes(vertices, triangles)

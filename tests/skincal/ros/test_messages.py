@@ -194,6 +194,13 @@ def test_own_types_without_an_array_give_all_numbers():
     assert reader.values_of({"left": 1.5, "q": {"right": -3}}).tolist() == [1.5, -3]
 
 
+def test_a_type_of_one_recording_is_none_of_another():
+    MessageTypes().add_definition("a/P", "float32 left\n")
+    assert not MessageTypes().is_standard("a/P")
+    with pytest.raises(MessageError, match="a/msg/P"):
+        MessageTypes().fields_of("a/P")
+
+
 @pytest.mark.parametrize("part", ["Taxel", "lab_msgs/Taxel", "lab_msgs/msg/Taxel", "other_pkg/Taxel", "other_pkg/msg/Taxel"])
 def test_definitions_of_parts_are_found_by_their_package(tmp_path, part):
     for package in ("lab_msgs", "other_pkg"):
