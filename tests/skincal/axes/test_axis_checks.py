@@ -5,12 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.axes.axis_checks import MAX_SHARE_OF_FORCE, find_dead_axes, find_mesh_lean, find_shear_misses, find_unit_excess
+from skincal.axes.axis_checks import (
+    MAX_SHARE_OF_FORCE,
+    find_dead_axes,
+    find_dead_z,
+    find_mesh_lean,
+    find_shear_misses,
+    find_unit_excess,
+)
 from skincal.axes.module_axes import AxisFindings
 from skincal.axes.session_turns import SessionTurns
 from skincal.axes.skin_turns import find_turns
 from skincal.axes.taxel_frames import FrameState, frames_of_taxels
 from skincal.axes.turn_fit import AxisPokes
+from skincal.contacts.value_order import ValueOrderCounts
 from skincal.geometry import rotation_by
 from skincal.words.axis_words import dead_axis_sentence, mesh_lean_sentence, shear_miss_sentence, unit_excess_sentence
 from tests.skincal.axes.axis_support import FORCE_NOISE_N, make_pokes, random_rotation
@@ -50,6 +58,13 @@ def test_a_dead_axis_is_named_and_its_taxel_has_no_frame(change, axis, is_stuck)
     assert [frame.state for frame in frames.values()].count(FrameState.DEAD_AXIS) == 1
     assert frames[1].rotation is None
     assert f"{axis} of taxel 1 " in dead_axis_sentence([found])
+
+
+def test_a_z_that_never_answers_in_six_pokes_is_dead():
+    counts = ValueOrderCounts(20, 15, 0, pushed=(9, 0, 0, 1), sheared=(0, 6, 5, 8))
+    (found,) = find_dead_z(counts)
+    assert (found.channel, found.axis, found.pokes) == (1, "z", 6)
+    assert find_dead_z(ValueOrderCounts()) == ()
 
 
 @pytest.mark.parametrize("lean", [0.0, 15.0])
