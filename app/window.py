@@ -533,17 +533,22 @@ class Window(QMainWindow):
         # A simulated device ends with its session.
         read = paused and not self.controller.simulated
         given = addresses_of(self.controller.links) if read else Addresses()
+        written, failure = list[Path](), ""
         try:
             for path in files:
                 save_tool(path, changed)
+                written.append(path)
         except InputError as error:
-            self.tell_failure(str(error))
-            if paused:
-                self.controller.resume()
-            return
-        if folder is not None:
+            failure = f"{error} "
+        if folder is not None and written:
             self._open(OpenRequest(session=folder, addresses=given))
-        self.tell(Message(tip_written_words(files, is_session=folder is not None)))
+        elif paused and failure:
+            self.controller.resume()
+        words = tip_written_words(written, is_session=folder is not None) if written else ""
+        if failure:
+            self.tell_failure(f"{failure}{words}".strip())
+        else:
+            self.tell(Message(words))
 
     def ask_import(self, paths: Sequence[Path] = ()) -> None:
         """Ask for a recording of another program, make a session of it and open that."""
