@@ -77,6 +77,19 @@ def test_good_taxels_and_straight_pokes_have_no_dead_axis_and_no_miss(lean):
         assert find_dead_axes(skin(1, stick_x, lean=lean)[0]) == ()
 
 
+def test_an_axis_that_no_poke_leans_along_or_that_answers_less_is_not_dead():
+    turns, axes = skin(1)
+    forces = turns.pokes[1].forces @ axes[1]
+    forces[:, 0] = 0.0
+    one_way = AxisPokes(forces @ axes[1].T, 0.4 * forces * [0.6, 0.6, 1.0], turns.pokes[1].pokes)
+    assert find_dead_axes(replace(turns, pokes={**turns.pokes, 1: one_way})) == (), "x cannot answer"
+
+    def weaken_less(_, readings):
+        readings[:, 1] *= 0.16
+
+    assert find_dead_axes(skin(1, weaken_less)[0]) == (), "0.1 of z, and 0.16 of a usual y"
+
+
 def test_a_poke_with_another_shear_than_the_wrench_is_named():
     """All of its taxels must say so: a poke that one of two taxels reads well did not slip."""
     turned = rotation_by(np.array([0.0, np.radians(30.0), 0.0]))
@@ -104,6 +117,10 @@ def test_z_is_compared_with_the_normal_of_the_mesh():
     assert (found.channels, found.judged) == ((2,), TAXELS)
     assert np.degrees(found.angle) == pytest.approx(25.0, abs=2.0)
     assert "z of 1 of 4 taxels leans 25" in mesh_lean_sentence(found)
+    turn = turns.taxels[2]
+    unsure = [replace(fit, covariance=fit.covariance + np.radians(8.0) ** 2 * np.eye(4)) for fit in turn.fits]
+    hardly_known = replace(turns, taxels={**turns.taxels, 2: replace(turn, fits=tuple(unsure))})
+    assert find_mesh_lean(hardly_known, aside, ()) is None, "three times its error"
     # Taxels in the axes of their module need not be across the skin.
     assert find_mesh_lean(turns, aside, (2,)) is None
 
