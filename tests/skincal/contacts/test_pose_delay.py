@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skincal.contacts.pose_delay_watch import PoseDelayWatch
+from skincal.contacts.pose_delay_watch import PoseDelayWatch, Way, find_delay
 from skincal.contacts.pose_delays import PoseDelay, PoseDelays, combine_delays
 from skincal.words.tool_words import pose_delay_sentence, pose_stream_faults
 
@@ -66,6 +66,36 @@ def test_foam_that_yields_and_noise_stay_within_the_predicted_error(speed):
 
 def test_a_press_without_a_fast_edge_shows_nothing():
     assert watched(0.05, speed=0.0035).leading is None
+
+
+def one_press(speed, hold_s, *, delay_s=0.05, waver=0.0, noise=0.0):
+    """Delay of one press by 2 mm from above the foam, whose poses waver by `waver` before it, and have noise while it holds."""
+    times = np.arange(0.0, 6.0, PERIOD_S)
+
+    def depth_of(t):
+        ramp = 0.002 / speed
+        ways = [np.clip((t - begin) / ramp, 0.0, 1.0) for begin in (2.0, 2.0 + ramp + hold_s)]
+        return 0.002 * (ways[0] - ways[1]) - 0.001
+
+    depth, tremble = depth_of(times), np.random.default_rng(1).standard_normal(len(times))
+    held = (times > 2.0 + 0.002 / speed) & (times < 2.0 + 0.002 / speed + hold_s)
+    seen = depth + waver * np.sin(2.0 * np.pi * times / 0.2) * (times < 1.95) + noise * tremble * held
+    answer = 100.0 * np.maximum(depth, 0.0) / 0.001
+    return find_delay(Way(times + delay_s, seen), times, answer, answer > 5.0, 1.0)
+
+
+def test_edges_that_are_too_slow_show_no_delay():
+    assert one_press(0.0045, 1.0).delay_s == pytest.approx(0.05, abs=0.01)
+    assert one_press(0.0035, 1.0) is None
+
+
+def test_a_tool_that_wavers_before_a_short_press_has_the_delay_of_its_edges():
+    assert one_press(0.05, 0.1, waver=0.0004).delay_s == pytest.approx(0.05, abs=0.005)
+
+
+def test_noise_of_the_poses_is_in_the_error_of_the_delay():
+    quiet, noisy = one_press(0.02, 1.0), one_press(0.02, 1.0, noise=0.0005)
+    assert noisy.sd_s > 2.0 * quiet.sd_s
 
 
 def test_one_press_that_slid_does_not_move_the_delay():
