@@ -9,11 +9,13 @@ wasm32, not those of Python's machine: each number is aligned to its own size. T
 
 from __future__ import annotations
 
+import math
 import re
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,8 @@ import numpy as np
 from skincal.chi_square import CHI2_1DOF_MEDIAN, CHI2_2DOF_MEDIAN
 
 _FORMAT_OF_TYPE = {"double": "<f8", "float": "<f4", "int": "<i4", "Word": "<u4", "unsigned char": "u1"}
+_LETTER_OF_TYPE = {"double": "d", "float": "f", "int": "i", "Word": "I", "unsigned char": "B"}
+"""In the notation of `struct`."""
 _ADDRESS_TYPE = np.dtype("<u4")
 _FIELD_TYPE = re.compile(r"(?P<const>const )?(?P<base>\w[\w ]*?)(?P<pointer> \*)?(?P<sizes>(\[\d+\])*)")
 
@@ -53,6 +57,12 @@ class Field:
     def stored(self) -> np.dtype[Any]:
         """What the table holds of it: for pointers, addresses."""
         return np.dtype((_ADDRESS_TYPE if self.is_pointer else self.kind, self.shape))
+
+    @property
+    def packed(self) -> str:
+        """Its numbers in the notation of `struct`."""
+        one = "I" if self.is_pointer else _LETTER_OF_TYPE[self.base] if self.target is None else self.target.packed
+        return one * math.prod(self.shape)
 
     @property
     def alignment(self) -> int:
@@ -104,6 +114,20 @@ class Table:
             offsets[name] = end + -end % field.alignment
             end = offsets[name] + field.stored.itemsize
         return offsets
+
+    @cached_property
+    def packed(self) -> str:
+        """Its numbers, and the bytes between them, in the notation of `struct`."""
+        text, end = "", 0
+        for name, field in self.fields.items():
+            text += "x" * (self.offsets[name] - end) + field.packed
+            end = self.offsets[name] + field.stored.itemsize
+        return text + "x" * (self.dtype.itemsize - end)
+
+    @cached_property
+    def packing(self) -> Struct:
+        """Puts the numbers of the table, and of those in it, into bytes."""
+        return Struct("<" + self.packed)
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
