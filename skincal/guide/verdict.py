@@ -231,7 +231,7 @@ def predict_by_modules(
         return answers, PokePredictions.none(), None
     touches, fitted = fit
     at = np.flatnonzero(fitted.misses[touches.of] <= FORCE_AXIS_MAX_MISS_M)
-    return answers, predict_pokes(touches, fitted, noise, at), (touches, fitted, at)
+    return answers, predict_pokes(touches, fitted, at), (touches, fitted, at)
 
 
 def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:

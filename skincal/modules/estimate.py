@@ -23,13 +23,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, dots
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import SkinKind
 from skincal.modules.contradictions import find_contradicted
-from skincal.modules.off_surface import off_surface_variances
+from skincal.modules.off_surface import spread_over_modules
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
-from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO, Fitted, Touches, fit_modules_from_pokes, whitened_rows
+from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO, Fitted, Touches, fit_modules_from_pokes
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.exchanged import contradicted
 from skincal.taxels.predictions import MIN_OTHER_POKES_TO_PREDICT, PokePredictions
@@ -43,7 +43,7 @@ from skincal.taxels.result import (
     StateReason,
     placed_state,
 )
-from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances, variance_factors
+from skincal.taxels.shared_errors import SharedRows, add_covariances
 
 POSE_SEARCH_CONVERGENCE_STEP_M = 2e-4
 """A pose whose last step is longer is not known. Over an edge of a mesh a search goes to and fro by micrometres; without a
@@ -208,63 +208,45 @@ def _add_shared_errors(
     fitted_modules: MutableMapping[int, FittedModule] | None,
 ) -> list[Estimate]:
     """Add shared errors to the covariances as `shared_errors` does, with the unknowns of modules for those of taxels."""
-    order = np.lexsort((touches.evidence.pokes[touches.rows], touches.of))
-    at, rows, trust = touches.rows[order], whitened_rows(touches, fitted.pads, noise).select(order), fitted.trust[order]
-    pairs, places = touches.evidence.pairs[at], touches.contact_centres(fitted.pads)[0][order]
-    weighted = trust[:, None, None] * rows.slopes.transpose(0, 2, 1)
-    starts = np.searchsorted(touches.of, np.arange(len(touches.modules)))
-    equations = NormalEquations(
-        starts=starts,
-        pokes=touches.evidence.pokes[at],
-        poses=touches.evidence.poses[at],
-        pairs=pairs,
-        misses=trust[:, None] * dots(pairs, (touches.evidence.nearest[at] - places)[:, None]),
-        row_weights=weighted @ rows.whiten,
-        information=np.add.reduceat(weighted @ rows.slopes, starts),
-        normals=rows.normals,
-        corrected=shared is not None,
-    )
-    gradients = fitted.pads.gradients
-    factors = variance_factors(np.sum(rows.misses**2, axis=1), trust, starts, gradients.shape[2])
-    added, moves = equations.covariances(noise.skin), None
-    errors = None if shared is None else shared(equations.pokes, places, pairs)
-    if errors is not None:
-        moves, of_poses = equations.shift_by_errors(*errors)
-        added = added + of_poses
+    at, evidence, errors = touches.rows, touches.evidence, None
+    if shared is not None:
+        errors = shared(evidence.pokes[at], touches.contact_centres(fitted.pads)[0], evidence.pairs[at])
+    starts = np.searchsorted(touches.of, np.arange(len(touches.modules) + 1))
+    is_on_surface = isinstance(model.ground, ModulesOnSurface)
+    spread = spread_over_modules(evidence, at, starts, fitted.rows, fitted.trust, noise, errors, is_on_surface=is_on_surface)
     pad_of = {channel: pad for pad, channel in enumerate(touches.channels.tolist())}
     known = [estimate for estimate in estimates if estimate.position is not None]
     pads = np.array([pad_of[estimate.channel] for estimate in known], dtype=np.int64)
-    of, gradient = fitted.of[pads], gradients[pads]
-    more = gradient @ added[of] @ gradient.transpose(0, 2, 1)
-    heights = np.zeros(len(factors))
-    if isinstance(model.ground, ModulesOnSurface):
-        heights = off_surface_variances(equations, rows, trust, factors, noise.skin, errors)
+    of, gradient = fitted.of[pads], fitted.pads.gradients[pads]
+    more = gradient @ spread.added[of] @ gradient.transpose(0, 2, 1)
+    if is_on_surface:
         outward = fitted.pads.normals[pads]
-        more = more + heights[of, None, None] * outward[:, :, None] * outward[:, None]
+        more = more + spread.heights[of, None, None] * outward[:, :, None] * outward[:, None]
     if fitted_modules is not None:
-        own = factors[:, None, None] * fitted.covariances + added
-        of_shared = np.zeros((len(order), 2, 0)) if errors is None else rows.whiten @ errors[0]
+        own = spread.factors[:, None, None] * fitted.covariances + spread.added
+        of_shared = np.zeros((len(at), 2, 0)) if errors is None else fitted.rows.whiten @ errors[0]
         for b, module in enumerate(touches.modules.tolist()):
             if _trouble(touches, fitted, b) is not None or fitted.blind[b].any():
                 continue
-            here = touches.of[order] == b
+            here = touches.of == b
             fitted_modules[module] = FittedModule(
                 pose=fitted.poses.select(np.array([b])),
                 # `added` is N^-1 X N^-1: its two triangles differ by rounding.
                 covariance=(own[b] + own[b].T) / 2.0,
-                moves=np.zeros((len(own[b]), 0)) if moves is None else moves[b],
-                height=float(heights[b]),
-                factor=float(factors[b]),
-                slopes=rows.slopes[here],
-                misses=rows.misses[here],
-                trust=trust[here],
+                moves=spread.moves[b],
+                height=float(spread.heights[b]),
+                factor=float(spread.factors[b]),
+                slopes=fitted.rows.slopes[here],
+                misses=fitted.rows.misses[here],
+                trust=fitted.trust[here],
                 shared=of_shared[here],
             )
-    found = add_covariances(known, factors[of], more, None if moves is None else gradient @ moves[of]) if known else []
+    moves = None if shared is None else gradient @ spread.moves[of]
+    found = add_covariances(known, spread.factors[of], more, moves) if known else []
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 
 
-def predict_pokes(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> PokePredictions:
+def predict_pokes(touches: Touches, fitted: Fitted, at: IntArray) -> PokePredictions:
     """Predict pokes from the other pokes of their module.
 
     Parameters
@@ -275,7 +257,7 @@ def predict_pokes(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: In
     if not len(at):
         return PokePredictions.none()
     centres, gradients = (each[at] for each in touches.contact_centres(fitted.pads)[:2])
-    rows, answers = whitened_rows(touches, fitted.pads, noise), touches.rows[at]
+    rows, answers = fitted.rows, touches.rows[at]
     slopes, misses, trust = rows.slopes[at], rows.misses[at], fitted.trust[at, None, None]
     every = fitted.trust[:, None, None] * (rows.slopes.transpose(0, 2, 1) @ rows.slopes)
     whole = np.add.reduceat(every, np.searchsorted(touches.of, np.arange(len(touches.modules))), axis=0)

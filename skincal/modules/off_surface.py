@@ -4,20 +4,28 @@ An estimate on a surface is wrong along its normal by the error of the mesh, and
 Pushes that lean to several sides meet at a height z over the mesh. With the whitened rows r = A x + h z of a module's pokes, A
 their slopes with its unknowns x, h those with the height, T their trust and Q = T - T A (A'T A)^-1 A'T,
 
-    z = h'Q r / h'Q h,   with the variance V = 1/(h'Q h) and the part of slow and shared errors (`NormalEquations`).
+    z = h'Q r / h'Q h,   with the variance V = 1/(h'Q h) and the part of slow and shared errors (`shared_errors.py`).
 
 A z beyond two of its standard deviations is an error of the mesh, with the variance z^2 - V. A thick skin is touched above its
 taxels and looks like a mesh that is too low, so its thickness is subtracted from a positive z. If pushes hardly lean, V is
 large.
+
+The compiled solver finds it with the other errors that pokes share (`spread.h`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 
-from skincal.geometry import FloatArray, dots
+from skincal.geometry import FloatArray, IntArray
+from skincal.model.scene import NoiseSettings
 from skincal.modules.pose_fit import ModuleRows
-from skincal.taxels.shared_errors import NormalEquations
+from skincal.solver.machine import shared
+from skincal.taxels.contact_table import Evidence
+from skincal.taxels.shared_errors import shared_rows_in_solver, spread_rules
 
 SUBTRACTED_SKIN_THICKNESS_SDS = 1.0
 """Thickness of the skin that is subtracted, in its standard deviations."""
@@ -29,39 +37,76 @@ MIN_HEIGHT_INFORMATION_SHARE = 1e-6
 """Share of h'T h below which the information on the height is rounding."""
 
 
-def off_surface_variances(
-    equations: NormalEquations,
+def height_rules() -> Mapping[str, float]:
+    """Return the values of `HeightRules` of `skincal/solver/tables.py`."""
+    return {
+        "min_information_share": MIN_HEIGHT_INFORMATION_SHARE,
+        "subtracted_skin_sds": SUBTRACTED_SKIN_THICKNESS_SDS,
+        "max_sd": HEIGHT_MAX_SD_M,
+        "significant_sds": SIGNIFICANT_HEIGHT_MIN_SDS,
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModuleErrors:
+    """Errors that many pokes share, of b modules with d unknowns, and n errors of all pokes."""
+
+    factors: FloatArray
+    """(b,) `variance_factors`."""
+    added: FloatArray
+    """(b, d, d) float, m^2: covariance of the unknowns by slow errors, the skin's thickness and errors of arm poses."""
+    moves: FloatArray
+    """(b, d, n) float, metres: shifts of the unknowns; n is 0 without a correction."""
+    heights: FloatArray
+    """(b,) float, m^2: variance of the height over the surface; 0 if the pokes show none, and without a surface."""
+
+
+def spread_over_modules(
+    evidence: Evidence,
+    at: IntArray,
+    starts: IntArray,
     rows: ModuleRows,
     trust: FloatArray,
-    factors: FloatArray,
-    skin: float,
+    noise: NoiseSettings,
     errors: tuple[FloatArray, FloatArray] | None,
-) -> FloatArray:
-    """Estimate (b,) the variances of the heights of b modules, m^2; 0 if their pokes show none.
+    *,
+    is_on_surface: bool,
+    inverse: FloatArray | None = None,
+) -> ModuleErrors:
+    """Find how errors that many pokes share move modules.
 
     Parameters
     ----------
-    rows, trust : of the pokes of `equations`
-    factors : (b,) `variance_factors`
-    skin : sd of the skin's thickness, m
-    errors : result of `SharedRows` for these pokes
+    at : (m,) an answer of each poke in `evidence`; by module, then by the poke's number
+    starts : (b + 1,) first poke of each module, and m
+    rows, trust : of the pokes
+    errors : result of `SharedRows` for these pokes; `None` without a correction of the rig
+    inverse : (b, d, d) of the information of the pokes and a prior; then factors are 1. `None` without a prior
     """
-    outward = dots(equations.pairs, equations.normals[:, None])[:, None]
-    rise = dots(rows.whiten, outward)
-    of = equations.group_of_poke
-    pull = np.add.reduceat(dots(equations.row_weights, outward), equations.starts)
-    along = (equations.inverse @ pull[:, :, None])[:, :, 0]
-    alone = trust[:, None] * (rise - dots(rows.slopes, along[of][:, None]))
-    known, most = (np.add.reduceat(dots(each, rise), equations.starts) for each in (alone, trust[:, None] * rise))
-    tells = known > MIN_HEIGHT_INFORMATION_SHARE * most
-    known = np.where(tells, known, 1.0)
-    heights = np.add.reduceat(dots(alone, rows.misses), equations.starts) / known
-    lifted = equations.of_other_unknowns(alone[:, None] @ rows.whiten, known[:, None, None])
-    heights = np.minimum(heights, np.maximum(heights - SUBTRACTED_SKIN_THICKNESS_SDS * skin, 0.0))
-    white = factors / known
-    variances = white + lifted.covariances(0.0)[:, 0, 0]
-    if errors is not None:
-        moves, of_poses = lifted.shift_by_errors(*errors)
-        variances += np.sum(moves[:, 0] ** 2, axis=1) + of_poses[:, 0, 0]
-    seen = tells & (white < HEIGHT_MAX_SD_M**2) & (heights**2 > SIGNIFICANT_HEIGHT_MIN_SDS**2 * variances)
-    return np.where(seen, heights**2 - variances, 0.0)
+    modules, unknowns = len(starts) - 1, rows.slopes.shape[2]
+    shared_rows = shared_rows_in_solver(errors, len(at))
+    found = shared().run(
+        "spread_modules",
+        modules=modules,
+        rows=len(at),
+        unknowns=unknowns,
+        starts=starts,
+        columns=evidence.columns.take(at, axis=1),
+        poses=evidence.poses[at],
+        pokes=evidence.pokes[at],
+        slopes=rows.slopes,
+        misses=rows.misses,
+        whiten=rows.whiten,
+        normals=rows.normals,
+        trust=trust,
+        rules=spread_rules(noise),
+        heights_by=height_rules() if is_on_surface else None,
+        given=inverse is not None,
+        inverses=(modules, unknowns, unknowns) if inverse is None else inverse,
+        factors=np.ones(modules),
+        added=(modules, unknowns, unknowns),
+        moves=(modules, unknowns, shared_rows["errors"]),
+        heights=(modules,),
+        **shared_rows,
+    )
+    return ModuleErrors(found["factors"], found["added"], found["moves"], found["heights"])

@@ -39,7 +39,7 @@ Pokes, starts and thresholds are found here; rows, trust and search are in `skin
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -58,6 +58,7 @@ from skincal.modules.pose import (
     join_poses,
 )
 from skincal.solver.machine import Machine, Value, fill_in, shared
+from skincal.solver.tables import SHARED_TABLES
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import noise_in_solver
 from skincal.taxels.result import Estimate
@@ -185,14 +186,21 @@ class ModuleRows:
 def whitened_rows(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleRows:
     """Compute the rows of pokes whose modules have their pads at `pads`."""
     count, unknowns = len(touches.of), pads.gradients.shape[2]
-    shapes = ((count, 2, unknowns), (count, 2), (count, 2, 2), (count, 3), (count, unknowns, unknowns))
-    names = [field.name for field in fields(ModuleRows)]
     found = shared().run(
         "module_rows",
         touches=_touches_in_solver(touches, noise, unknowns, pads.points, pads.gradients, pads.normals),
-        **dict(zip(names, shapes, strict=True)),
+        rows=_room_for_rows(count, unknowns),
     )
-    return ModuleRows(**{name: found[name] for name in names})
+    return _rows_found(found)
+
+
+def _room_for_rows(count: int, unknowns: int) -> dict[str, Value]:
+    shapes = ((count, 2, unknowns), (count, 2), (count, 2, 2), (count, 3), (count, unknowns, unknowns))
+    return dict(zip(SHARED_TABLES["RowTable"].fields, shapes, strict=True))
+
+
+def _rows_found(found: Mapping[str, NDArray[Any]]) -> ModuleRows:
+    return ModuleRows(*(found[name] for name in SHARED_TABLES["RowTable"].fields))
 
 
 def _touches_in_solver(
@@ -357,6 +365,8 @@ class Fitted:
     """(m,) float, 0 to 1, of each poke."""
     moving: FloatArray
     """(b,) float, metres: last step of a search that did not converge, else 0."""
+    rows: ModuleRows
+    """Of the m pokes, with the pads where they are."""
 
 
 def fit_modules_from_pokes(
@@ -418,6 +428,7 @@ def fit_modules(
         blind=of_unknowns,
         misses=(count,),
         moving=(count,),
+        rows=_room_for_rows(len(touches.of), unknowns),
     )
     return Fitted(
         poses=ModulePoses(found["points"], found["x"], found["normals"], found["triangles"].astype(np.int64)),
@@ -428,6 +439,7 @@ def fit_modules(
         misses=found["misses"],
         trust=found["trust"],
         moving=found["moving"],
+        rows=_rows_found(found),
     )
 
 

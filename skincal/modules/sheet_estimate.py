@@ -7,14 +7,13 @@ pokes and the prior of the sheet.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
 
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
 from skincal.modules.contradictions import find_contradicted
-from skincal.modules.off_surface import off_surface_variances
+from skincal.modules.off_surface import spread_over_modules
 from skincal.modules.pose import ModuleModel
 from skincal.modules.sheet_fit import SheetFit, fit_sheets
 from skincal.taxels.contact_table import ContactTable
@@ -30,7 +29,7 @@ from skincal.taxels.result import (
     StateReason,
     placed_state,
 )
-from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances, variance_factors
+from skincal.taxels.shared_errors import SharedRows, add_covariances, variance_factors
 
 SHEET_SEARCH_MAX_LAST_STEP_M = 2e-4
 """A sheet whose search still moves by more is not known."""
@@ -40,14 +39,6 @@ COMMON_AIM_SD_FACTOR = 0.4
 """sd of the mean offset of all pokes of a sheet from its taxels, in units of `NoiseSettings.contact`, each direction. Taxels
 are poked at their believed positions, and those of a sheet are often too far apart for a neighbour to answer. So no number of
 pokes shows this shift. In the study it is 0.6 mm for targets on the taxels, and 0.4 mm for targets all over their cells."""
-
-
-class _PositiveEquations(NormalEquations):
-    """Equations whose information has no undetermined direction, because of a prior."""
-
-    @cached_property
-    def inverse(self) -> FloatArray:
-        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
 
 
 def estimate_sheets(
@@ -146,31 +137,21 @@ def _with_shared_errors(
     if not known:
         return list(estimates)
     evidence, at, trust, rows = fit.touches.evidence, fit.touches.rows, fit.trust, fit.rows
-    pairs, places = evidence.pairs[at], fit.touches.contact_centres(fit.pads)[0]
-    equations = _PositiveEquations(
-        starts=np.zeros(1, dtype=np.int64),
-        pokes=evidence.pokes[at],
-        poses=evidence.poses[at],
-        pairs=pairs,
-        misses=trust[:, None] * dots(pairs, (evidence.nearest[at] - places)[:, None]),
-        row_weights=trust[:, None, None] * rows.slopes.transpose(0, 2, 1) @ rows.whiten,
-        information=fit.information[None],
-        normals=rows.normals,
-        corrected=shared is not None,
-    )
-    added = equations.covariances(noise.skin)
+    errors = None
+    if shared is not None:
+        errors = shared(evidence.pokes[at], fit.touches.contact_centres(fit.pads)[0], evidence.pairs[at])
+    # The prior leaves no direction of the information undetermined.
+    inverse = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)[None]
+    starts = np.array([0, len(at)])
+    spread = spread_over_modules(evidence, at, starts, rows, trust, noise, errors, is_on_surface=True, inverse=inverse)
     # A shift of the whole sheet is the same in its first two unknowns, and an error of this sheet alone.
     moves = np.zeros((fit.information.shape[0], 2 * sheets))
     moves[:2, 2 * fit.module : 2 * fit.module + 2] = COMMON_AIM_SD_FACTOR * noise.contact * np.eye(2)
-    errors = None if shared is None else shared(equations.pokes, places, pairs)
-    if errors is not None:
-        more_moves, of_poses = equations.shift_by_errors(*errors)
-        moves, added = np.concatenate([moves, more_moves[0]], axis=1), added + of_poses
+    moves = np.concatenate([moves, spread.moves[0]], axis=1)
     pad_of = {channel: pad for pad, channel in enumerate(fit.touches.channels.tolist())}
     pads = np.array([pad_of[estimate.channel] for estimate in known], dtype=np.int64)
-    height = float(off_surface_variances(equations, rows, trust, np.ones(1), noise.skin, errors)[0])
     outward = fit.pads.normals[pads]
-    more = _of_pads(fit, added[0])[pads] + height * outward[:, :, None] * outward[:, None]
+    more = _of_pads(fit, spread.added[0])[pads] + spread.heights[0] * outward[:, :, None] * outward[:, None]
     found = add_covariances(known, np.full(len(known), _misfit(fit)), more, fit.pads.gradients[pads] @ moves)
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 

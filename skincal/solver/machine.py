@@ -13,7 +13,7 @@ import contextlib
 import ctypes
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -21,6 +21,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import wasmtime
 from numpy.typing import NDArray
+from wasmtime import _ffi as bindings
 
 from skincal.solver.tables import SHARED_TABLES, TABLE_OF_FUNCTION, Field, Table, layout_number
 
@@ -65,7 +66,7 @@ class Machine:
         self._store = wasmtime.Store(engine)
         self._exports: Any = wasmtime.Instance(self._store, module, []).exports(self._store)
         self._memory: wasmtime.Memory = self._exports["memory"]
-        self._functions: dict[str, Any] = {}
+        self._functions: dict[str, Callable[[], None]] = {}
         self._arguments_at, heap = self.value("asked_at"), self.value("heap")
         self._permanent_from = self._permanent_until = heap + -heap % _MEMORY_ALIGNMENT_BYTES
         self._clone: Machine | None = None
@@ -107,9 +108,9 @@ class Machine:
             # A look-up by name takes longer than a short solve.
             function = self._functions.get(name)
             if function is None:
-                function = self._functions[name] = self._exports[name]
+                function = self._functions[name] = _direct_call(self._store, self._exports[name])
             try:
-                function(self._store)
+                function()
             finally:
                 self._refresh_view()
             memory = self._memory_view
@@ -147,6 +148,23 @@ class Machine:
             self._memory_view = memoryview((ctypes.c_uint8 * size).from_address(address)).cast("B")
 
 
+def _direct_call(store: wasmtime.Store, function: Any) -> Callable[[], None]:
+    """Make a call of a function without arguments: `Func` asks for its type each time, 40 us where a short solve takes 5."""
+    # Its own calls do the same.
+    context, place = store._context(), ctypes.byref(function._func)  # noqa: SLF001
+    call_function, trap_type = bindings.wasmtime_func_call, ctypes.POINTER(bindings.wasm_trap_t)
+
+    def call() -> None:
+        trap = trap_type()
+        error = call_function(context, place, None, 0, None, 0, ctypes.byref(trap))
+        if error:
+            raise wasmtime.WasmtimeError._from_ptr(error)  # noqa: SLF001
+        if trap:
+            raise wasmtime.Trap._from_ptr(trap)  # noqa: SLF001
+
+    return call
+
+
 class _Writer:
     """Tables and arrays that are written one after another into the memory of a machine, from address `free` on."""
 
@@ -158,13 +176,9 @@ class _Writer:
 
     def copy_in(self, content: bytes) -> int:
         """Copy bytes in. Return their address."""
-        address = self._reserve(len(content))
-        self._machine.write(address, content)
-        return address
-
-    def _reserve(self, size: int) -> int:
         address = self.free
-        self.free = _next_address(address, size)
+        self.free = _next_address(address, len(content))
+        self._machine.write(address, content)
         return address
 
     def record(self, table: Table, values: Mapping[str, Value]) -> bytes:
@@ -179,12 +193,13 @@ class _Writer:
         numbers: list[Any] = []
         for name, field in table.fields.items():
             value = values[name]
-            if field.is_pointer:
-                numbers += self._addresses(field, value) if field.shape else [self._address(field, value)]
-            elif isinstance(value, Mapping):
+            if field.shape:
+                numbers += self._addresses(field, value) if field.is_pointer else np.ravel(np.asarray(value)).tolist()
+            elif field.is_pointer:
+                numbers.append(self._address(field, value))
+            elif field.is_table:
+                assert isinstance(value, Mapping)
                 numbers += self._numbers(SHARED_TABLES[field.base], value)
-            elif field.shape:
-                numbers += np.ravel(np.asarray(value)).tolist()
             else:
                 numbers.append(value)
         return numbers
@@ -199,7 +214,8 @@ class _Writer:
             array = value if value.dtype == field.kind else value.astype(field.kind)
             shape, address = value.shape, self.copy_in(array.tobytes())
         elif isinstance(value, tuple):
-            shape, address = value, self._reserve(math.prod(value) * field.kind.itemsize)
+            shape, address = value, self.free
+            self.free = _next_address(address, math.prod(value) * field.kind.itemsize)
         elif isinstance(value, Mapping):
             shape, address = (), self.copy_in(self.record(SHARED_TABLES[field.base], value))
         else:
@@ -212,7 +228,7 @@ class _Writer:
 
 def _next_address(address: int, size: int) -> int:
     """Return the first aligned address after `size` bytes. An empty array has an address of its own."""
-    return address + (max(size, 1) + _MEMORY_ALIGNMENT_BYTES - 1) // _MEMORY_ALIGNMENT_BYTES * _MEMORY_ALIGNMENT_BYTES
+    return address + (size or 1) + -(size or 1) % _MEMORY_ALIGNMENT_BYTES
 
 
 @cache

@@ -49,6 +49,11 @@ class Field:
         return SHARED_TABLES.get(self.base)
 
     @cached_property
+    def is_table(self) -> bool:
+        """Whether it is or points to a table, and not to numbers."""
+        return self.target is not None
+
+    @cached_property
     def kind(self) -> np.dtype[Any]:
         """The kind of numbers that it is or points to."""
         return np.dtype(_FORMAT_OF_TYPE[self.base]) if self.target is None else self.target.dtype
@@ -378,6 +383,17 @@ _TABLES_IN_ORDER = (
         },
     ),
     Table(
+        "RowTable",
+        "The whitened rows of m pokes on modules.",
+        {
+            "row_slopes": "double *: (m, 2, d)",
+            "row_misses": "double *: (m, 2)",
+            "row_whiten": "double *: (m, 2, 2)",
+            "row_normals": "double *: (m, 3) of the skin at the middles",
+            "row_bends": "double *: (m, d, d), see `add_bends`",
+        },
+    ),
+    Table(
         "Boards",
         "Question of `place_modules`: b modules to be placed.",
         {
@@ -398,6 +414,7 @@ _TABLES_IN_ORDER = (
             "blind": "double *: (b, d, d): the directions that are not determined as rows, the others zero",
             "misses": "double *: (b) metres",
             "moving": "double *: (b) metres",
+            "rows": "RowTable: at the answer",
         },
     ),
     Table(
@@ -405,11 +422,90 @@ _TABLES_IN_ORDER = (
         "Question of `module_rows`: the whitened rows of pokes on modules whose pads lie as given.",
         {
             "touches": "Touches",
-            "slopes": "double *: (m, 2, d)",
-            "misses": "double *: (m, 2)",
-            "whiten": "double *: (m, 2, 2)",
-            "normals": "double *: (m, 3) of the skin at the middles",
-            "bends": "double *: (m, d, d), see `add_bends`",
+            "rows": "RowTable",
+        },
+    ),
+    Table(
+        "SpreadRules",
+        "How errors that pokes share spread: `skincal/taxels/shared_errors.py` has the values and reasons.",
+        {
+            "pokes_per_drift_block": "double",
+            "max_drift_pair_gap": "double: difference of the numbers of two pokes",
+            "drift_factor_if_corrected": "double: of the variance",
+            "unranked_shift": "double: over the distance of the pokes",
+            "min_information_ratio": "double",
+            "skin": "double: metres, sd of its thickness",
+        },
+    ),
+    Table(
+        "HeightRules",
+        "When a module is off its mesh: `skincal/modules/off_surface.py` has the values and reasons.",
+        {
+            "min_information_share": "double",
+            "subtracted_skin_sds": "double",
+            "max_sd": "double: metres",
+            "significant_sds": "double",
+        },
+    ),
+    Table(
+        "TaxelSpread",
+        "Question of `spread_taxels`: t taxels with positions and n answers, and k and l errors that pokes share.",
+        {
+            "taxels": "Word",
+            "answers": "Word",
+            "starts": "const int *: (t + 1) as in `Task`",
+            "columns": "const double *: (17, n) as `Evidence.columns`",
+            "weights": "const double *: (n)",
+            "poses": "const int *: (n)",
+            "pokes": "const int *: (n) their numbers",
+            "unranked": "const unsigned char *: (n)",
+            "trust": "const double *: (n)",
+            "noise": "const Noise *",
+            "rules": "const SpreadRules *",
+            "on_surface": "Word: whether the taxels lie in the plane of their triangle",
+            "corrected": "Word: whether a correction moved the arm poses",
+            "positions": "const double *: (t, 3) metres",
+            "normals": "const double *: (t, 3) unit, or zero",
+            "errors": "Word: k, of all pokes",
+            "pose_errors": "Word: l, of the pokes in one arm pose",
+            "alike": "const double *: (n, 2, k) metres; a taxel's answers by the numbers of their pokes, as the next",
+            "of_pose": "const double *: (n, 2, l) metres",
+            "covariances": "double *: (t, 3, 3) metres^2, without and then with the shared errors",
+            "worst": "double *: (t, 3) unit",
+            "sds": "double *: (t) metres, along it",
+            "rms": "double *: (t) metres",
+            "moved": "double *: (t, 3, k) metres",
+        },
+    ),
+    Table(
+        "ModuleSpread",
+        "Question of `spread_modules`: b modules with d unknowns and m pokes by number, and k and l errors that pokes share.",
+        {
+            "modules": "Word",
+            "rows": "Word: m",
+            "unknowns": "Word",
+            "starts": "const int *: (b + 1): module i has the pokes starts[i] to starts[i + 1]",
+            "columns": "const double *: (17, m) as `Evidence.columns`",
+            "poses": "const int *: (m)",
+            "pokes": "const int *: (m) their numbers",
+            "slopes": "const double *: (m, 2, d) as in `RowTable`, as the next three",
+            "misses": "const double *: (m, 2)",
+            "whiten": "const double *: (m, 2, 2)",
+            "normals": "const double *: (m, 3)",
+            "trust": "const double *: (m)",
+            "rules": "const SpreadRules *",
+            "heights_by": "const HeightRules *: null: without a surface",
+            "corrected": "Word: whether a correction moved the arm poses",
+            "errors": "Word: k, of all pokes",
+            "pose_errors": "Word: l, of the pokes in one arm pose",
+            "alike": "const double *: (m, 2, k) metres",
+            "of_pose": "const double *: (m, 2, l) metres",
+            "given": "Word: whether the next two are given",
+            "inverses": "double *: (b, d, d) of the information",
+            "factors": "double *: (b) of the variance by the scene's noise",
+            "added": "double *: (b, d, d) covariance of the unknowns by slow errors, the skin and errors of poses",
+            "moves": "double *: (b, d, k) shifts of the unknowns",
+            "heights": "double *: (b) metres^2",
         },
     ),
     Table(
@@ -433,6 +529,8 @@ TABLE_OF_FUNCTION: dict[str, str] = {
     "walk": "Walks",
     "place_modules": "Boards",
     "module_rows": "ModuleRows",
+    "spread_taxels": "TaxelSpread",
+    "spread_modules": "ModuleSpread",
     "trusts": "Trusts",
 }
 """The functions of the solver with the tables of their questions."""

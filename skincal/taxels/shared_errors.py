@@ -17,16 +17,19 @@ the size of the noise comes from the scene and not from the pokes, and the point
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TypeAlias
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray, crossed, dots, orthonormal_pair
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
+from skincal.solver.machine import Value, fill_in
+from skincal.solver.machine import shared as machine
 from skincal.taxels.contact_table import ContactTable, Evidence
-from skincal.taxels.noise import offset_square, row_precision
+from skincal.taxels.noise import noise_in_solver
 from skincal.taxels.result import POSITION_MAX_SD_M, Cause, Estimate, Method, State, StateReason
 
 SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -71,101 +74,30 @@ def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, u
     return np.where(seen > 1.0, seen * free / np.maximum(free - 2.0, 1.0), 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Normal equations of g groups (taxels or modules) with d unknowns each, from m pokes; ordered by group, then by poke."""
+@lru_cache(maxsize=16)
+def spread_rules(noise: NoiseSettings) -> NDArray[Any]:
+    """Fill in `SpreadRules` of `skincal/solver/tables.py`."""
+    rules = {
+        "pokes_per_drift_block": POKES_PER_DRIFT_BLOCK,
+        "max_drift_pair_gap": MAX_DRIFT_PAIR_GAP,
+        "drift_factor_if_corrected": DRIFT_VARIANCE_FACTOR_IF_CORRECTED,
+        "unranked_shift": UNRANKED_SHIFT_PER_DISTANCE,
+        "min_information_ratio": RANK_MIN_INFORMATION_RATIO,
+        "skin": noise.skin,
+    }
+    return fill_in("SpreadRules", rules)
 
-    starts: IntArray
-    """(g,) begin of each group."""
-    pokes: IntArray
-    """(m,)"""
-    poses: IntArray
-    """(m,) equal for the same arm pose."""
-    pairs: FloatArray
-    """(m, 2, 3) float, unit, E: across the push."""
-    misses: FloatArray
-    """(m, 2) float, metres: distance of the axis from the touched position, times the poke's trust."""
-    row_weights: FloatArray
-    """(m, d, 2) float: weights of the two rows in the equations of the unknowns."""
-    information: FloatArray
-    """(g, d, d) float: matrix of the equations."""
-    normals: FloatArray
-    """(m, 3) float, unit, outward, of the skin there; zeros if unknown."""
-    corrected: bool
-    """Whether a correction of the rig has moved the arm poses."""
 
-    def covariances(self, skin: float) -> FloatArray:
-        """Compute (g, d, d) the covariances that slow errors and the skin's thickness, sd `skin`, m, add to the unknowns."""
-        of, moved = self.group_of_poke, self.row_weights @ self.pairs
-        block = (self.pokes - self.pokes[self.starts][of]) // POKES_PER_DRIFT_BLOCK
-        new = np.ones(len(of), dtype=bool)
-        new[1:] = (of[1:] != of[:-1]) | (self.poses[1:] != self.poses[:-1]) | (block[1:] != block[:-1])
-        first = np.flatnonzero(new)
-        together = np.add.reduceat(moved, first)
-        slow = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(first, self.starts))
-        along = np.add.reduceat((moved @ self.normals[:, :, None])[:, :, 0], self.starts)
-        added = self.slow_variances[:, None, None] * slow + skin**2 * along[:, :, None] * along[:, None]
-        return self.inverse @ added @ self.inverse
-
-    def shift_by_errors(self, alike: FloatArray, of_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compute (g, d, n) shifts of the unknowns by errors that all pokes share, and (g, d, d) covariances by those of poses.
-
-        `alike` (m, 2, n) and `of_pose` (m, 2, k) are the result of `SharedRows`.
-        """
-        of, inverse = self.group_of_poke, self.inverse
-        _, first, pose = np.unique(of * (self.poses.max() + 1) + self.poses, return_index=True, return_inverse=True)
-        # By group, then by the first poke in the pose: the numbers of poses depend on other pokes in the table.
-        ordered = np.argsort(first[pose], kind="stable")
-        begins = np.sort(first)
-        runs = np.searchsorted(first[pose][ordered], begins)
-        together = np.add.reduceat((self.row_weights @ of_pose)[ordered], runs)
-        own = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(begins, self.starts))
-        return -inverse @ np.add.reduceat(self.row_weights @ alike, self.starts), inverse @ own @ inverse
-
-    def of_other_unknowns(self, row_weights: FloatArray, information: FloatArray) -> NormalEquations:
-        """Give the equations of the same pokes for other unknowns."""
-        others = replace(self, row_weights=row_weights, information=information)
-        vars(others).update(group_of_poke=self.group_of_poke, slow_variances=self.slow_variances)
-        return others
-
-    @cached_property
-    def inverse(self) -> FloatArray:
-        """Inverse of the information, (g, d, d); zero along directions that the pokes do not determine."""
-        values, axes = np.linalg.eigh(self.information)
-        told = values > RANK_MIN_INFORMATION_RATIO * np.abs(values).max(axis=1, keepdims=True)
-        # As numpy's pinv, which takes twice as long for the few taxels of a poke.
-        return (axes * (told / np.where(told, values, 1.0))[:, None]) @ axes.transpose(0, 2, 1)
-
-    @cached_property
-    def group_of_poke(self) -> IntArray:
-        """Index (m,) of each poke's group of shared noise."""
-        begins = np.zeros(len(self.pokes), dtype=np.int64)
-        begins[self.starts[1:]] = 1
-        return begins.cumsum()
-
-    @cached_property
-    def slow_variances(self) -> FloatArray:
-        """Variance (g,) of slow errors, each direction, m^2.
-
-        It is the mean product of the misses of successive pokes, (E'r)_i . (E'r)_j over trace P_i P_j with P = E'E, less its
-        standard error. The part that a correction absorbs is not in the misses, but in the estimates: landmarks were poked at
-        another time.
-        """
-        of, first, second = self.group_of_poke, self.pairs[:, 0], self.pairs[:, 1]
-        way, push = first * self.misses[:, :1] + second * self.misses[:, 1:], crossed(first, second)
-        sums = np.zeros((3, len(self.starts)))
-        for step in (1, 2):
-            near = (of[step:] == of[:-step]) & (self.poses[step:] == self.poses[:-step])
-            near &= self.pokes[step:] - self.pokes[:-step] <= MAX_DRIFT_PAIR_GAP
-            i, j = np.flatnonzero(near), np.flatnonzero(near) + step
-            product = dots(way[i], way[j])
-            # trace P_i P_j, with P = E'E = 1 - u u'.
-            shared = 1.0 + dots(push[i], push[j]) ** 2
-            for row, values in enumerate((product, product**2, shared)):
-                sums[row] += np.bincount(of[i], values, minlength=len(self.starts))
-        product, squares, shared = sums
-        seen = np.maximum(product - np.sqrt(squares), 0.0) / np.where(shared > 0, shared, np.inf)
-        return DRIFT_VARIANCE_FACTOR_IF_CORRECTED * seen if self.corrected else seen
+def shared_rows_in_solver(errors: tuple[FloatArray, FloatArray] | None, pokes: int) -> dict[str, Value]:
+    """Describe the result of `SharedRows` for some pokes, or `None`, as `skincal/solver/tables.py` does."""
+    alike, of_pose = (np.empty((pokes, 2, 0)),) * 2 if errors is None else errors
+    return {
+        "corrected": errors is not None,
+        "errors": alike.shape[2],
+        "pose_errors": of_pose.shape[2],
+        "alike": alike,
+        "of_pose": of_pose,
+    }
 
 
 def add_shared_errors(
@@ -181,95 +113,46 @@ def add_shared_errors(
     known = sorted((estimate for estimate in estimates if estimate.position is not None), key=lambda estimate: estimate.channel)
     if not known:
         return list(estimates)
-    evidence = table.evidence([estimate.channel for estimate in known])
-    trust = _trust_of_answers(evidence, known)
-    # One key, by taxel and then by poke, is quicker than two.
-    order = (evidence.taxels * (evidence.pokes.max() + 1) + evidence.pokes).argsort(kind="stable")
-    of, starts, pairs = evidence.taxels, evidence.starts[:-1], evidence.pairs[order]
-    places = np.array([estimate.position for estimate in known])[of]
-    normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])
-    # The directions in which a taxel is free: all, or those of its triangle's plane.
-    free = orthonormal_pair(normals) if known[0].method is Method.SURFACE else np.tile(np.eye(3), (len(known), 1, 1))
-    pulls = (trust * evidence.weights**2)[order][:, None, None] * (free[of] @ pairs.transpose(0, 2, 1))
-    held = np.add.reduceat(pulls @ pairs, starts) @ free.transpose(0, 2, 1)
-    misses = trust[order, None] * dots(pairs, (evidence.nearest[order] - places)[:, None])
-    ordered = NormalEquations(
-        starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of], shared is not None
+    evidence, count = table.evidence([estimate.channel for estimate in known]), len(known)
+    positions = np.array([estimate.position for estimate in known])
+    normals = np.array([(0.0, 0.0, 0.0) if estimate.normal is None else estimate.normal for estimate in known])
+    rows = None if shared is None else _shared_rows(shared, evidence, positions)
+    errors = shared_rows_in_solver(rows, len(evidence.pokes))
+    found = machine().run(
+        "spread_taxels",
+        taxels=count,
+        answers=len(evidence.pokes),
+        starts=evidence.starts,
+        columns=evidence.columns,
+        weights=evidence.weights,
+        poses=evidence.poses,
+        pokes=evidence.pokes,
+        unranked=evidence.unranked,
+        trust=_trust_of_answers(evidence, known),
+        noise=noise_in_solver(noise),
+        rules=spread_rules(noise),
+        on_surface=known[0].method is Method.SURFACE,
+        positions=positions,
+        normals=normals,
+        covariances=np.array([estimate.covariance for estimate in known]),
+        worst=(count, 3),
+        sds=(count,),
+        rms=(count,),
+        moved=(count, 3, errors["errors"]),
+        **errors,
     )
-    outward = free.transpose(0, 2, 1)
-    inside = ordered.covariances(noise.skin)
-    factors = _factors(evidence, trust, places, noise, free.shape[1])
-    inside = inside + free @ _unranked_covariances(evidence, trust, places, noise) @ outward
-    if known[0].method is Method.FREE:
-        bends = np.sqrt(factors * (factors - 1.0))[:, None] * _curvature_biases(evidence, trust, normals, held, noise)
-        for off in (bends, _force_biases(evidence, trust, places, held, noise)):
-            inside = inside + off[:, :, None] * off[:, None]
-    moves: FloatArray | None = None
-    if shared is not None:
-        alike, of_poses = ordered.shift_by_errors(*shared(ordered.pokes, places, ordered.pairs))
-        moves, inside = outward @ alike, inside + of_poses
-    found = {estimate.channel: estimate for estimate in add_covariances(known, factors, outward @ inside @ free, moves)}
-    return [found.get(estimate.channel, estimate) for estimate in estimates]
+    moved = None if shared is None else found["moved"]
+    spread = _with_covariances(known, found["covariances"], found["worst"], found["sds"], found["rms"], moved)
+    if len(spread) == len(estimates):
+        return spread
+    by_channel = {estimate.channel: estimate for estimate in spread}
+    return [by_channel.get(estimate.channel, estimate) for estimate in estimates]
 
 
-def _factors(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: NoiseSettings, unknowns: int) -> FloatArray:
-    """Compute (t,) the `variance_factors` of taxels; `places` (n, 3), metres, is the position of each answer's taxel."""
-    pairs, lever, offsets = evidence.pairs, places - evidence.sensors, offset_square(evidence.weights, noise)
-    precision = row_precision(pairs, lever, evidence.forces, offsets, noise)
-    off = dots(pairs, (evidence.nearest - places)[:, None])
-    squares = dots(off, dots(precision, off[:, None]))
-    return variance_factors(squares, trust, evidence.starts[:-1], unknowns)
-
-
-def _unranked_covariances(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: NoiseSettings) -> FloatArray:
-    """Compute (t, 3, 3) the covariances of taxels by answers that are unranked, m^2; arguments as for `_factors`.
-
-    The pressed taxel is any of those at the end of the range. At a rim these lie to one side, so more pokes do not
-    move the estimate nearer to its taxel: a share of the mean square distance of the pokes' axes stays.
-    """
-    if not evidence.unranked.any():
-        return np.zeros((len(evidence.channels), 3, 3))
-    starts, pairs, weights = evidence.starts[:-1], evidence.pairs, trust * evidence.weights**2
-    own = np.where(evidence.unranked, weights, 0.0)[:, None, None]
-    away = dots(pairs, (evidence.nearest - places)[:, None])[:, None] @ pairs
-    shift = UNRANKED_SHIFT_PER_DISTANCE**2 * np.add.reduceat(own * away.transpose(0, 2, 1) @ away, starts)
-    # One poke has no distance from itself: its answer has the height that the scene's reach lets expect.
-    count = np.maximum(np.add.reduceat(evidence.unranked.astype(np.int64), starts), 1)
-    single = noise.reach**2 * np.add.reduceat(own * pairs.transpose(0, 2, 1) @ pairs, starts) / count[:, None, None]
-    return (shift + single) / np.add.reduceat(weights, starts)[:, None, None]
-
-
-def _force_biases(
-    evidence: Evidence, trust: FloatArray, places: FloatArray, held: FloatArray, noise: NoiseSettings
-) -> FloatArray:
-    """Compute (t, 3) the pull of force noise on taxels, metres; arguments as for `_factors` and `_curvature_biases`."""
-    pushes = evidence.directions
-    levers = pushes * dots(pushes, places - evidence.sensors)[:, None]
-    share = 2.0 * noise.force**2 * trust * evidence.weights**2 / evidence.forces**2
-    pulled = np.add.reduceat(share[:, None] * levers, evidence.starts[:-1])
-    return np.asarray(np.linalg.solve(held, pulled[:, :, None])[:, :, 0], dtype=np.float64)
-
-
-def _curvature_biases(
-    evidence: Evidence, trust: FloatArray, normals: FloatArray, held: FloatArray, noise: NoiseSettings
-) -> FloatArray:
-    """Compute (t, 3) beta of `uncertainty.h`, metres: the bias by the skin's curvature for offsets of the scene's noise.
-
-    It is proportional to the variance of the offsets, so beta beta' grows with the square of the variance factor.
-
-    Parameters
-    ----------
-    normals : (t, 3) float, unit, of the taxels
-    held : (t, 3, 3) float: sum of the pokes' rows
-    """
-    of, starts, shares = evidence.taxels, evidence.starts[:-1], trust * evidence.weights**2
-    out = dots(evidence.pairs, normals[of][:, None])
-    steep = dots(out, out) / 2.0 + (noise.force / evidence.forces) ** 2
-    lean, whole = np.add.reduceat(shares * steep, starts), np.add.reduceat(shares, starts)
-    far = shares * offset_square(evidence.weights, noise) * dots(evidence.directions, normals[of])
-    pulled = np.add.reduceat((far[:, None, None] * evidence.pairs * out[:, :, None]).sum(axis=1), starts)
-    size = whole / np.where(lean > 0, lean, np.inf) / (2.0 * noise.radius)
-    return size[:, None] * np.linalg.solve(held, pulled[:, :, None])[:, :, 0]
+def _shared_rows(shared: SharedRows, evidence: Evidence, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ask for the errors that the answers share, by taxel and then by poke, each at the position of its taxel."""
+    order = np.lexsort((evidence.pokes, evidence.taxels))
+    return shared(evidence.pokes[order], positions[evidence.taxels], evidence.pairs[order])
 
 
 def _trust_of_answers(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
@@ -303,24 +186,32 @@ def add_covariances(
     worst = axes[:, :, -1]
     largest = np.take_along_axis(worst, np.abs(worst).argmax(axis=1)[:, None], axis=1)
     weakest = worst * np.copysign(1.0, largest)
-    sds, rms = np.sqrt(values[:, -1]).tolist(), np.sqrt(np.trace(covariances, axis1=1, axis2=2)).tolist()
-    return [
-        replace(
-            estimate,
-            covariance=covariances[row],
-            worst_direction=weakest[row],
-            sd=sds[row],
-            rms=rms[row],
-            moved=None if moves is None else moves[row],
-        )
-        if moves is None or sds[row] <= POSITION_MAX_SD_M
-        else Estimate(
-            estimate.channel, estimate.method, State.BLIND, estimate.contacts, normal=estimate.normal,
-            worst_direction=weakest[row], sd=sds[row], reason=StateReason(Cause.SHARED_ERRORS, size=sds[row]),
-            doubted=estimate.doubted,
-        )
-        for row, estimate in enumerate(estimates)
-    ]  # fmt: skip
+    rms = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    return _with_covariances(estimates, covariances, weakest, np.sqrt(values[:, -1]), rms, moves)
+
+
+def _with_covariances(
+    estimates: Sequence[Estimate],
+    covariances: FloatArray,
+    weakest: FloatArray,
+    sds: FloatArray,
+    rms: FloatArray,
+    moves: FloatArray | None,
+) -> list[Estimate]:
+    """Give estimates other covariances (n, 3, 3), with their worst directions, sds and predicted errors, and shifts."""
+    found: list[Estimate] = []
+    for row, (estimate, sd, error) in enumerate(zip(estimates, sds.tolist(), rms.tolist(), strict=True)):
+        if moves is None or sd <= POSITION_MAX_SD_M:
+            moved = None if moves is None else moves[row]
+            found.append(estimate.with_covariance(covariances[row], weakest[row], sd, error, moved))
+        else:
+            reason = StateReason(Cause.SHARED_ERRORS, size=sd)
+            blind = Estimate(
+                estimate.channel, estimate.method, State.BLIND, estimate.contacts, normal=estimate.normal,
+                worst_direction=weakest[row], sd=sd, reason=reason, doubted=estimate.doubted,
+            )  # fmt: skip
+            found.append(blind)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -596,6 +596,24 @@ static void rows_of_module(const Boards *q, int module, Row *rows)
     for (int i = q->spans[module]; i < q->spans[module + 1]; i++) row_of(&q->touches, i, rows + (i - q->spans[module]));
 }
 
+static void put_row(const RowTable *to, const Touches *q, int i, const Row *r)
+{
+    int d = (int)q->unknowns;
+    double bends[UNKNOWNS][UNKNOWNS] = {{0}};
+    add_bends(q, r, r->misses, 1.0, bends);
+    for (int k = 0; k < 2; k++) {
+        for (int j = 0; j < d; j++) to->row_slopes[(2 * i + k) * d + j] = r->slopes[k][j];
+        to->row_misses[2 * i + k] = r->misses[k];
+    }
+    to->row_whiten[4 * i] = r->whiten[0];
+    to->row_whiten[4 * i + 1] = 0.0;
+    to->row_whiten[4 * i + 2] = r->whiten[1];
+    to->row_whiten[4 * i + 3] = r->whiten[2];
+    put(to->row_normals + 3 * i, r->middle.normal);
+    for (int j = 0; j < d; j++)
+        for (int k = 0; k < d; k++) to->row_bends[(i * d + j) * d + k] = bends[j][k];
+}
+
 /* Moves a module to where its rows hold it best. */
 static void place(const Boards *q, int module)
 {
@@ -636,6 +654,9 @@ static void place(const Boards *q, int module)
     q->triangles[module] = at.triangle;
     q->moving[module] = settled ? 0.0 : last;
     say_held(q, module, rows, trust, &held);
+    /* At the pads as the last step left them. */
+    rows_of_module(q, module, rows);
+    for (int i = 0; i < count; i++) put_row(&q->rows, &q->touches, q->spans[module] + i, rows + i);
 }
 
 #endif

@@ -5,6 +5,7 @@
  */
 #include "modules.h"
 #include "rival.h"
+#include "spread.h"
 #include "uncertainty.h"
 
 #define EXPORT __attribute__((visibility("default")))
@@ -315,24 +316,33 @@ EXPORT void place_modules(void)
 EXPORT void module_rows(void)
 {
     const ModuleRows *q = &asked.on.module_rows;
-    Word d = q->touches.unknowns;
     begin();
     for (Word i = 0; i < q->touches.pokes; i++) {
         Row r;
         row_of(&q->touches, (int)i, &r);
-        for (Word k = 0; k < 2; k++) {
-            for (Word j = 0; j < d; j++) q->slopes[(2 * i + k) * d + j] = r.slopes[k][j];
-            q->misses[2 * i + k] = r.misses[k];
-        }
-        q->whiten[4 * i] = r.whiten[0];
-        q->whiten[4 * i + 1] = 0.0;
-        q->whiten[4 * i + 2] = r.whiten[1];
-        q->whiten[4 * i + 3] = r.whiten[2];
-        put(q->normals + 3 * i, r.middle.normal);
-        double bends[UNKNOWNS][UNKNOWNS] = {{0}};
-        add_bends(&q->touches, &r, r.misses, 1.0, bends);
-        for (Word j = 0; j < d; j++)
-            for (Word k = 0; k < d; k++) q->bends[(i * d + j) * d + k] = bends[j][k];
+        put_row(&q->rows, &q->touches, (int)i, &r);
+    }
+}
+
+EXPORT void spread_taxels(void)
+{
+    const TaxelSpread *q = &asked.on.spread_taxels;
+    begin();
+    for (Word i = 0; i < q->taxels; i++) {
+        unsigned char *mark = top;
+        spread_taxel(q, (int)i);
+        top = mark;
+    }
+}
+
+EXPORT void spread_modules(void)
+{
+    const ModuleSpread *q = &asked.on.spread_modules;
+    begin();
+    for (Word i = 0; i < q->modules; i++) {
+        unsigned char *mark = top;
+        spread_module(q, (int)i);
+        top = mark;
     }
 }
 

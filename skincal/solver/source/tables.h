@@ -4,7 +4,7 @@
 
 #include "base.h"
 
-#define LAYOUT_NUMBER 150076400
+#define LAYOUT_NUMBER 1610342212
 
 static const double FULL_TRUST_SDS = 2.8;
 static const double ZERO_TRUST_SDS = 3.8;
@@ -234,6 +234,17 @@ OFFSET(Touches, shares, 16); OFFSET(Touches, columns, 20); OFFSET(Touches, poses
 OFFSET(Touches, noise, 32); OFFSET(Touches, rules, 36); OFFSET(Touches, pads, 40); OFFSET(Touches, changes, 44); OFFSET(Touches,
 outward, 48); SIZE(Touches, 52);
 
+/* The whitened rows of m pokes on modules. */
+typedef struct {
+    double *row_slopes; /* (m, 2, d) */
+    double *row_misses; /* (m, 2) */
+    double *row_whiten; /* (m, 2, 2) */
+    double *row_normals; /* (m, 3) of the skin at the middles */
+    double *row_bends; /* (m, d, d), see `add_bends` */
+} RowTable;
+OFFSET(RowTable, row_slopes, 0); OFFSET(RowTable, row_misses, 4); OFFSET(RowTable, row_whiten, 8); OFFSET(RowTable, row_normals,
+12); OFFSET(RowTable, row_bends, 16); SIZE(RowTable, 20);
+
 /* Question of `place_modules`: b modules to be placed. */
 typedef struct {
     Touches touches;
@@ -253,23 +264,115 @@ typedef struct {
     double *blind; /* (b, d, d): the directions that are not determined as rows, the others zero */
     double *misses; /* (b) metres */
     double *moving; /* (b) metres */
+    RowTable rows; /* at the answer */
 } Boards;
 OFFSET(Boards, touches, 0); OFFSET(Boards, modules, 52); OFFSET(Boards, doubting, 56); OFFSET(Boards, spans, 60); OFFSET(Boards,
 boards, 64); OFFSET(Boards, flat, 68); OFFSET(Boards, ground, 72); OFFSET(Boards, trust, 76); OFFSET(Boards, points, 80);
 OFFSET(Boards, x, 84); OFFSET(Boards, normals, 88); OFFSET(Boards, triangles, 92); OFFSET(Boards, under, 96); OFFSET(Boards,
-covariances, 100); OFFSET(Boards, blind, 104); OFFSET(Boards, misses, 108); OFFSET(Boards, moving, 112); SIZE(Boards, 116);
+covariances, 100); OFFSET(Boards, blind, 104); OFFSET(Boards, misses, 108); OFFSET(Boards, moving, 112); OFFSET(Boards, rows,
+116); SIZE(Boards, 136);
 
 /* Question of `module_rows`: the whitened rows of pokes on modules whose pads lie as given. */
 typedef struct {
     Touches touches;
-    double *slopes; /* (m, 2, d) */
-    double *misses; /* (m, 2) */
-    double *whiten; /* (m, 2, 2) */
-    double *normals; /* (m, 3) of the skin at the middles */
-    double *bends; /* (m, d, d), see `add_bends` */
+    RowTable rows;
 } ModuleRows;
-OFFSET(ModuleRows, touches, 0); OFFSET(ModuleRows, slopes, 52); OFFSET(ModuleRows, misses, 56); OFFSET(ModuleRows, whiten, 60);
-OFFSET(ModuleRows, normals, 64); OFFSET(ModuleRows, bends, 68); SIZE(ModuleRows, 72);
+OFFSET(ModuleRows, touches, 0); OFFSET(ModuleRows, rows, 52); SIZE(ModuleRows, 72);
+
+/* How errors that pokes share spread: `skincal/taxels/shared_errors.py` has the values and reasons. */
+typedef struct {
+    double pokes_per_drift_block;
+    double max_drift_pair_gap; /* difference of the numbers of two pokes */
+    double drift_factor_if_corrected; /* of the variance */
+    double unranked_shift; /* over the distance of the pokes */
+    double min_information_ratio;
+    double skin; /* metres, sd of its thickness */
+} SpreadRules;
+OFFSET(SpreadRules, pokes_per_drift_block, 0); OFFSET(SpreadRules, max_drift_pair_gap, 8); OFFSET(SpreadRules,
+drift_factor_if_corrected, 16); OFFSET(SpreadRules, unranked_shift, 24); OFFSET(SpreadRules, min_information_ratio, 32);
+OFFSET(SpreadRules, skin, 40); SIZE(SpreadRules, 48);
+
+/* When a module is off its mesh: `skincal/modules/off_surface.py` has the values and reasons. */
+typedef struct {
+    double min_information_share;
+    double subtracted_skin_sds;
+    double max_sd; /* metres */
+    double significant_sds;
+} HeightRules;
+OFFSET(HeightRules, min_information_share, 0); OFFSET(HeightRules, subtracted_skin_sds, 8); OFFSET(HeightRules, max_sd, 16);
+OFFSET(HeightRules, significant_sds, 24); SIZE(HeightRules, 32);
+
+/* Question of `spread_taxels`: t taxels with positions and n answers, and k and l errors that pokes share. */
+typedef struct {
+    Word taxels;
+    Word answers;
+    const int *starts; /* (t + 1) as in `Task` */
+    const double *columns; /* (17, n) as `Evidence.columns` */
+    const double *weights; /* (n) */
+    const int *poses; /* (n) */
+    const int *pokes; /* (n) their numbers */
+    const unsigned char *unranked; /* (n) */
+    const double *trust; /* (n) */
+    const Noise *noise;
+    const SpreadRules *rules;
+    Word on_surface; /* whether the taxels lie in the plane of their triangle */
+    Word corrected; /* whether a correction moved the arm poses */
+    const double *positions; /* (t, 3) metres */
+    const double *normals; /* (t, 3) unit, or zero */
+    Word errors; /* k, of all pokes */
+    Word pose_errors; /* l, of the pokes in one arm pose */
+    const double *alike; /* (n, 2, k) metres; a taxel's answers by the numbers of their pokes, as the next */
+    const double *of_pose; /* (n, 2, l) metres */
+    double *covariances; /* (t, 3, 3) metres^2, without and then with the shared errors */
+    double *worst; /* (t, 3) unit */
+    double *sds; /* (t) metres, along it */
+    double *rms; /* (t) metres */
+    double *moved; /* (t, 3, k) metres */
+} TaxelSpread;
+OFFSET(TaxelSpread, taxels, 0); OFFSET(TaxelSpread, answers, 4); OFFSET(TaxelSpread, starts, 8); OFFSET(TaxelSpread, columns,
+12); OFFSET(TaxelSpread, weights, 16); OFFSET(TaxelSpread, poses, 20); OFFSET(TaxelSpread, pokes, 24); OFFSET(TaxelSpread,
+unranked, 28); OFFSET(TaxelSpread, trust, 32); OFFSET(TaxelSpread, noise, 36); OFFSET(TaxelSpread, rules, 40);
+OFFSET(TaxelSpread, on_surface, 44); OFFSET(TaxelSpread, corrected, 48); OFFSET(TaxelSpread, positions, 52); OFFSET(TaxelSpread,
+normals, 56); OFFSET(TaxelSpread, errors, 60); OFFSET(TaxelSpread, pose_errors, 64); OFFSET(TaxelSpread, alike, 68);
+OFFSET(TaxelSpread, of_pose, 72); OFFSET(TaxelSpread, covariances, 76); OFFSET(TaxelSpread, worst, 80); OFFSET(TaxelSpread, sds,
+84); OFFSET(TaxelSpread, rms, 88); OFFSET(TaxelSpread, moved, 92); SIZE(TaxelSpread, 96);
+
+/* Question of `spread_modules`: b modules with d unknowns and m pokes by number, and k and l errors that pokes share. */
+typedef struct {
+    Word modules;
+    Word rows; /* m */
+    Word unknowns;
+    const int *starts; /* (b + 1): module i has the pokes starts[i] to starts[i + 1] */
+    const double *columns; /* (17, m) as `Evidence.columns` */
+    const int *poses; /* (m) */
+    const int *pokes; /* (m) their numbers */
+    const double *slopes; /* (m, 2, d) as in `RowTable`, as the next three */
+    const double *misses; /* (m, 2) */
+    const double *whiten; /* (m, 2, 2) */
+    const double *normals; /* (m, 3) */
+    const double *trust; /* (m) */
+    const SpreadRules *rules;
+    const HeightRules *heights_by; /* null: without a surface */
+    Word corrected; /* whether a correction moved the arm poses */
+    Word errors; /* k, of all pokes */
+    Word pose_errors; /* l, of the pokes in one arm pose */
+    const double *alike; /* (m, 2, k) metres */
+    const double *of_pose; /* (m, 2, l) metres */
+    Word given; /* whether the next two are given */
+    double *inverses; /* (b, d, d) of the information */
+    double *factors; /* (b) of the variance by the scene's noise */
+    double *added; /* (b, d, d) covariance of the unknowns by slow errors, the skin and errors of poses */
+    double *moves; /* (b, d, k) shifts of the unknowns */
+    double *heights; /* (b) metres^2 */
+} ModuleSpread;
+OFFSET(ModuleSpread, modules, 0); OFFSET(ModuleSpread, rows, 4); OFFSET(ModuleSpread, unknowns, 8); OFFSET(ModuleSpread, starts,
+12); OFFSET(ModuleSpread, columns, 16); OFFSET(ModuleSpread, poses, 20); OFFSET(ModuleSpread, pokes, 24); OFFSET(ModuleSpread,
+slopes, 28); OFFSET(ModuleSpread, misses, 32); OFFSET(ModuleSpread, whiten, 36); OFFSET(ModuleSpread, normals, 40);
+OFFSET(ModuleSpread, trust, 44); OFFSET(ModuleSpread, rules, 48); OFFSET(ModuleSpread, heights_by, 52); OFFSET(ModuleSpread,
+corrected, 56); OFFSET(ModuleSpread, errors, 60); OFFSET(ModuleSpread, pose_errors, 64); OFFSET(ModuleSpread, alike, 68);
+OFFSET(ModuleSpread, of_pose, 72); OFFSET(ModuleSpread, given, 76); OFFSET(ModuleSpread, inverses, 80); OFFSET(ModuleSpread,
+factors, 84); OFFSET(ModuleSpread, added, 88); OFFSET(ModuleSpread, moves, 92); OFFSET(ModuleSpread, heights, 96);
+SIZE(ModuleSpread, 100);
 
 /* Question of `trusts`: n pokes. */
 typedef struct {
@@ -289,6 +392,8 @@ typedef union {
     Walks walk;
     Boards place_modules;
     ModuleRows module_rows;
+    TaxelSpread spread_taxels;
+    ModuleSpread spread_modules;
     Trusts trusts;
 } Questions;
 

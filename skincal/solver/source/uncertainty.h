@@ -179,16 +179,16 @@ static void add_bend(const Carried *k, double middle[3][3])
 
 /* Fills `order` with the contacts pose by pose, the poses in the order in which the evidence has them: their numbers tell
  * which came first, and may not count. */
-static void order_by_pose(const Contacts *c, int *order)
+static void order_by_pose(const int *pose, int count, int *order)
 {
-    double *keys = ROOM(double, c->count);
-    for (int i = 0; i < c->count; i++) keys[i] = c->pose[i];
-    sort_by(keys, c->count, order);
-    for (int at = 0, head = 0; at < c->count; at++) {
-        if (at == 0 || c->pose[order[at]] != c->pose[order[at - 1]]) head = order[at];
+    double *keys = ROOM(double, count);
+    for (int i = 0; i < count; i++) keys[i] = pose[i];
+    sort_by(keys, count, order);
+    for (int at = 0, head = 0; at < count; at++) {
+        if (at == 0 || pose[order[at]] != pose[order[at - 1]]) head = order[at];
         keys[order[at]] = head;
     }
-    sort_by(keys, c->count, order);
+    sort_by(keys, count, order);
 }
 
 /* Adds what the arm's poses do: each moves all contacts in it by dtheta x q + dt. */
@@ -196,7 +196,7 @@ static void add_poses(const Carried *k, double middle[3][3])
 {
     const Contacts *c = k->c;
     int d = k->free->d, *order = ROOM(int, c->count);
-    order_by_pose(c, order);
+    order_by_pose(c->pose, c->count, order);
     for (int begin = 0, end; begin < c->count; begin = end) {
         Vec moved[3] = {{{0, 0, 0}}, {{0, 0, 0}}, {{0, 0, 0}}};
         for (end = begin; end < c->count && c->pose[order[end]] == c->pose[order[begin]]; end++) {

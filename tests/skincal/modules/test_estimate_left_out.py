@@ -62,7 +62,7 @@ def test_a_poke_left_out_is_as_far_off_as_where_its_module_is_solved_without_it(
     touches, found = fitted(rig, contacts, surface, doubting=False)
     some = np.arange(0, len(touches.of), 31)
     pokes = touches.evidence.pokes[touches.rows[some]].tolist()
-    predicted = predicted_squares(touches, found, rig.scene.noise, some)
+    predicted = predicted_squares(touches, found, some)
     anew = [solved_without(rig, contacts, *each, surface) for each in zip(pokes, [touches] * len(pokes), some, strict=True)]
     assert len(anew) >= 8
     np.testing.assert_allclose(np.sqrt(predicted), np.sqrt(anew), rtol=0.03, atol=0.03)
@@ -74,7 +74,7 @@ def test_what_is_left_out_is_chi_squared():
     for seed in range(1, 5):
         rig, contacts = poked(seed)
         touches, found = fitted(rig, contacts)
-        squares = predicted_squares(touches, found, rig.scene.noise, np.arange(len(touches.of)))
+        squares = predicted_squares(touches, found, np.arange(len(touches.of)))
         assert np.isfinite(squares).all()
         inside.append(np.mean(squares <= stats.chi2.ppf(0.95, 2)))
         median.append(np.median(squares) / stats.chi2.ppf(0.5, 2))
@@ -89,9 +89,9 @@ def test_too_few_others_tell_nothing():
     own = [poke for poke in contacts if (layout.module_of[poke.channels] == first).all()]
     for count, known in ((1, 0), (2, 0), (3, 1), (12, 12)):
         touches, found = fitted(rig, own[:count])
-        squares = predicted_squares(touches, found, rig.scene.noise, np.arange(count))
+        squares = predicted_squares(touches, found, np.arange(count))
         assert known <= np.isfinite(squares).sum() <= known * count
-    assert len(predicted_squares(touches, found, rig.scene.noise, np.empty(0, dtype=np.int64))) == 0
+    assert len(predicted_squares(touches, found, np.empty(0, dtype=np.int64))) == 0
 
 
 def test_a_poke_that_is_not_trusted_is_judged_by_those_that_are():
@@ -102,4 +102,4 @@ def test_a_poke_that_is_not_trusted_is_judged_by_those_that_are():
     touches, found = fitted(rig, [wrong if poke.poke == wrong.poke else poke for poke in contacts])
     at = np.flatnonzero(touches.evidence.pokes[touches.rows] == wrong.poke)
     assert found.trust[at] == 0.0
-    assert predicted_squares(touches, found, rig.scene.noise, at)[0] > 50.0
+    assert predicted_squares(touches, found, at)[0] > 50.0

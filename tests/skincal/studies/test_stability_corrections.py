@@ -1,18 +1,18 @@
 """The stability study of corrections, covariances, heights and distances: it holds, and it can fail."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from skincal.modules import distances, off_surface
+from skincal.modules import distances, estimate, off_surface
+from skincal.modules.off_surface import ModuleErrors
 from skincal.rig import correction, correction_fit
 from skincal.studies.stability import added_cases, evaluate_added, find_added_truth
 from skincal.studies.stability_cases import CaseSizes
 from skincal.studies.stability_corrections import CorrectionInputs, correct_by_landmarks
 from skincal.studies.stability_distances import shipped_distances
-from skincal.taxels.shared_errors import NormalEquations
 
 TINY = CaseSizes(contacts=8, grid=6, many=300)
 
@@ -87,9 +87,13 @@ def test_a_step_too_few_is_caught(monkeypatch):
 
 @pytest.mark.parametrize(("name", "parts"), [(MODULE, ["shared", "covariances"]), (HEIGHT, ["covariances"])])
 def test_a_covariance_of_half_the_digits_is_caught(monkeypatch, name, parts):
-    exactly = NormalEquations.inverse.func
-    rounded = property(lambda self: exactly(self).astype(np.float32).astype(float))
-    monkeypatch.setattr(NormalEquations, "inverse", rounded)
+    exactly = estimate.spread_over_modules
+
+    def rounded(*asked, **options):
+        found = exactly(*asked, **options)
+        return ModuleErrors(*(getattr(found, each.name).astype(np.float32).astype(float) for each in fields(found)))
+
+    monkeypatch.setattr(estimate, "spread_over_modules", rounded)
     found = judged(name)
     assert [found[part]["holds"] for part in parts] == [False] * len(parts)
 
