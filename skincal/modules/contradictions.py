@@ -45,13 +45,15 @@ def find_contradicted(
     placed = np.flatnonzero(pads >= 0)
     pads, own = pads[placed], evidence.weights[placed] >= 1.0
     modules = module_of_pad[pads]
+    good = _trust_by_module(touches, trust, modules, evidence.pokes[placed]) >= MIN_TRUST_OF_A_TOUCH
+    if not (own & ~good).any():
+        return {}
     misses = _misses(evidence, placed, points[pads])
     tolerances = np.full(len(touches.modules), DENIAL_MISS_OVER_SPACING * spacing)
     for module in np.unique(modules[own]).tolist():
         median = float(np.median(misses[own & (modules == module)]))
         tolerances[module] = max(tolerances[module], DENIAL_MISS_OVER_MEDIAN * median)
     near = misses <= tolerances[modules]
-    good = _trust_by_module(touches, trust, modules, evidence.pokes[placed]) >= MIN_TRUST_OF_A_TOUCH
     denies = own & ~near & ~good
     if not denies.any():
         return {}

@@ -153,6 +153,8 @@ class ModuleModel:
         self.ground: ModuleGround = ModulesInSpace() if surface is None else ModulesOnSurface(surface)
         self.pads: list[FloatArray] = [module_pads(module) for module in layout.modules]
         """Of each module, `module_pads`; of a sheet about the middle of its taxels, where its pose is."""
+        self.channels: list[list[int]] = [module.channels.tolist() for module in layout.modules]
+        """Of each module, in the order of its pads."""
         self._middles = [np.zeros(2) for _ in layout.modules]
         if layout.kind is SkinKind.SHEET:
             self._middles = [pads.mean(axis=0) for pads in self.pads]
@@ -204,7 +206,7 @@ class ModuleModel:
 
     def channels_of(self, modules: Iterable[int]) -> list[int]:
         """List the channels of modules, module by module."""
-        return [channel for module in modules for channel in self.layout.modules[module].channels.tolist()]
+        return [channel for module in modules for channel in self.channels[module]]
 
 
 def _same_plan(module: Module, other: Module) -> bool:

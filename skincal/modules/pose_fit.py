@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray, crossed, orthonormal_pair, select_rows
+from skincal.geometry import FloatArray, IntArray, select_rows
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import (
     MODULE_TURN_TO_LENGTH_RADIUS_M,
@@ -144,15 +144,19 @@ def assign_pokes(
     sums = np.add.reduceat(evidence.weights[order], firsts) if len(firsts) else np.empty(0)
     share = sums / totals[order[firsts]]
     sizes = np.diff(np.append(firsts, len(order)))
-    kept = (share > MODULE_MIN_SHARE_OF_ANSWERS) & np.isin(ordered[firsts], list(wanted))
+    # `np.isin` and `np.unique` take ten times as long for the few modules of a poke.
+    is_wanted = np.zeros(len(model.pads), dtype=bool)
+    is_wanted[list(wanted)] = True
+    kept = (share > MODULE_MIN_SHARE_OF_ANSWERS) & is_wanted[ordered[firsts]]
     answers = order[np.repeat(kept, sizes)]
     rows, sizes, sums, share = order[firsts[kept]], sizes[kept], sums[kept], share[kept]
-    modules = np.unique(owners[rows])
+    touched = owners[rows]
+    modules = touched[np.diff(touched, prepend=-1) != 0]
     indices: list[int] = modules.tolist()
     begins = np.cumsum([0, *(len(model.pads[module]) for module in indices)])
     return Touches(
         modules=modules,
-        of=np.searchsorted(modules, owners[rows]),
+        of=np.searchsorted(modules, touched),
         rows=rows,
         evidence=evidence,
         offsets=offset_variances(sizes, 1.0 - share, noise),
@@ -238,6 +242,10 @@ def _rules_in_solver() -> NDArray[Any]:
         "min_reversal_share": HALVED_STEP_MIN_REVERSAL_SHARE,
         "max_steps": POSE_SEARCH_MAX_STEPS,
         "min_singular_value_ratio": MIN_SINGULAR_VALUE_RATIO,
+        "turn_max_sd": MODULE_TURN_MAX_SD_RAD,
+        "residual_scale": ROBUST_RESIDUAL_SCALE_M,
+        "reweighting_steps": REWEIGHTING_STEPS,
+        "min_direction": MIN_LENGTH_OF_A_DIRECTION,
     }
     return fill_in("Rules", rules)
 
@@ -249,75 +257,70 @@ MODULE_TURN_MAX_SD_RAD = 0.35
 ROBUST_RESIDUAL_SCALE_M = 0.004
 """Estimates with a larger residual count less."""
 REWEIGHTING_STEPS = 3
+MIN_LENGTH_OF_A_DIRECTION = 0.1
+"""Length of a unit vector's part in a plane below which it gives no direction there."""
 
 
-def find_start(model: ModuleModel, module: int, others: Sequence[Mapping[int, Estimate]]) -> ModulePoses | None:
-    """Find the pose where a module's search begins; `None` without estimates and plan.
+def find_starts(
+    model: ModuleModel, modules: Collection[int], others: Sequence[Mapping[int, Estimate]]
+) -> dict[int, ModulePoses]:
+    """Find the poses where the searches for some modules begin, by module; none for one without estimates and plan.
 
     `others` are estimates by channel, the best method first.
     """
-    plan = model.plan(module)
+    found: dict[int, ModulePoses] = {}
     for estimates in others:
-        if (start := _fit_estimates(model, module, estimates, plan)) is not None:
-            return start
-    return plan
+        rest = [module for module in modules if module not in found]
+        found |= _fit_estimates(model, rest, estimates) if rest else {}
+    for module in modules:
+        plan = None if module in found else model.plan(module)
+        if plan is not None:
+            found[module] = plan
+    return found
 
 
-def _fit_estimates(
-    model: ModuleModel, module: int, estimates: Mapping[int, Estimate], plan: ModulePoses | None
-) -> ModulePoses | None:
-    channels = model.layout.modules[module].channels.tolist()
-    found = [(pad, estimates[channel]) for pad, channel in enumerate(channels) if channel in estimates]
-    known = [(pad, est) for pad, est in found if est.position is not None and est.normal is not None and est.rms is not None]
+def _fit_estimates(model: ModuleModel, modules: Sequence[int], estimates: Mapping[int, Estimate]) -> dict[int, ModulePoses]:
+    """Fit poses of modules to the estimates of their taxels by one method, by module; none if these do not determine one."""
+    known: list[Estimate] = []
+    pads: list[FloatArray] = []
+    weights: list[float] = []
+    spans = [0]
+    for module in modules:
+        for channel, pad in zip(model.channels[module], model.pads[module], strict=True):
+            estimate = estimates.get(channel)
+            if estimate is None or estimate.position is None or estimate.normal is None or estimate.rms is None:
+                continue
+            known.append(estimate)
+            pads.append(pad)
+            weights.append(1.0 / (estimate.rms**2 + MIN_TAXEL_ESTIMATE_ERROR_M**2))
+        spans.append(len(known))
     if not known:
-        return None
-    pads = model.pads[module][[pad for pad, _ in known]]
-    places = np.array([estimate.position for _, estimate in known])
-    weights = np.array([1.0 / ((estimate.rms or 0.0) ** 2 + MIN_TAXEL_ESTIMATE_ERROR_M**2) for _, estimate in known])
-    normal = np.sum(weights[:, None] * np.array([estimate.normal for _, estimate in known]), axis=0)
-    if plan is not None and (not np.any(normal) or not isinstance(model.ground, ModulesOnSurface)):
-        # Without a surface the mean push gives the normal worse than the plan does.
-        normal = plan.normals[0]
-    length = float(np.sqrt(normal @ normal))
-    if length == 0:
-        return None
-    normal = normal / length
-    x = orthonormal_pair(normal[None])[0, 0] if plan is None else plan.x[0] - (plan.x[0] @ normal) * normal
-    length = float(np.sqrt(x @ x))
-    x = x / length if length > 0.1 else orthonormal_pair(normal[None])[0, 0]
-    y = crossed(normal, x)
-    # Points of a plane as complex numbers: to turn is to multiply.
-    flat, own = places @ (x + 1j * y), pads @ np.array([1.0, 1j])
-    counts, turn, shift = weights, 1.0 + 0.0j, 0.0j
-    for _ in range(REWEIGHTING_STEPS):
-        middle, centre = counts @ own / counts.sum(), counts @ flat / counts.sum()
-        product = np.sum(counts * np.conj(own - middle) * (flat - centre))
-        known = np.sum(counts * np.abs(own - middle) ** 2) * MODULE_TURN_MAX_SD_RAD**2 > 1.0 and abs(product) > 0
-        if not known and plan is None:
-            return None
-        turn = product / abs(product) if known else 1.0 + 0.0j
-        shift = centre - turn * middle
-        counts = weights / (1.0 + np.abs(flat - turn * own - shift) ** 2 / ROBUST_RESIDUAL_SCALE_M**2)
-    height = float(counts @ (places @ normal) / counts.sum())
-    origin = shift.real * x + shift.imag * y + height * normal
-    return _move_to_ground(model.ground, origin, turn.real * x + turn.imag * y, normal)
-
-
-def _move_to_ground(ground: ModuleGround, origin: FloatArray, x: FloatArray, normal: FloatArray) -> ModulePoses | None:
-    """Move a pose onto the surface, if there is one; `None` if the surface there faces away or along x."""
-    if not isinstance(ground, ModulesOnSurface):
-        return ModulePoses(origin[None], x[None], normal[None], np.full(1, -1, dtype=np.int64))
-    # Imported only now: a scene without a mesh does not need it.
-    from skincal.mesh.search import nearest_pushed_points
-
-    # The inner face of a thin wall may be nearer.
-    point, triangle = nearest_pushed_points(ground.surface, origin[None], -normal[None])
-    facing = ground.surface.normals[triangle]
-    x = x - (x @ facing[0]) * facing[0]
-    length = float(np.sqrt(x @ x))
-    if facing[0] @ normal <= 0 or length < 0.1:
-        return None
-    return ModulePoses(point, (x / length)[None], facing, triangle)
+        return {}
+    plans, nothing, count = [model.plan(module) for module in modules], np.zeros(3), len(modules)
+    machine, ground = _machine(model.ground)
+    found = machine.run(
+        "start_modules",
+        modules=count,
+        rules=_rules_in_solver(),
+        ground=ground,
+        spans=np.array(spans),
+        flat=np.array(pads),
+        places=np.array([estimate.position for estimate in known]),
+        outward=np.array([estimate.normal for estimate in known]),
+        weights=np.array(weights),
+        planned=np.array([plan is not None for plan in plans]),
+        planned_x=np.array([nothing if plan is None else plan.x[0] for plan in plans]),
+        planned_normals=np.array([nothing if plan is None else plan.normals[0] for plan in plans]),
+        points=(count, 3),
+        x=(count, 3),
+        normals=(count, 3),
+        triangles=(count,),
+        known=(count,),
+    )
+    triangles = found["triangles"].astype(np.int64)
+    poses = (found["points"], found["x"], found["normals"], triangles)
+    there = enumerate(zip(modules, found["known"].tolist(), strict=True))
+    return {module: ModulePoses(*(each[row : row + 1] for each in poses)) for row, (module, is_there) in there if is_there}
 
 
 MIN_POKES_PER_ARM_POSE = 8
@@ -385,8 +388,7 @@ def fit_modules_from_pokes(
     others : estimates by channel, the best method first
     doubting : whether outliers count less
     """
-    starts = {module: find_start(model, module, others) for module in model.modules_of(evidence.channels.tolist())}
-    starts = {module: pose for module, pose in starts.items() if pose is not None}
+    starts = find_starts(model, model.modules_of(evidence.channels.tolist()), others)
     touches = assign_pokes(evidence, totals, model, noise, starts)
     if not len(touches.modules):
         return None

@@ -28,7 +28,7 @@ from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.methods import average_over_poses, estimate_from, estimate_taxels
 from skincal.modules.pose import ModuleModel
-from skincal.modules.pose_fit import find_start, whitened_rows
+from skincal.modules.pose_fit import find_starts, whitened_rows
 from skincal.palette import BLACK, METHODS, ORANGE, PINK, SKY
 from skincal.part.part import lay_part
 from skincal.plotting import Axes, Figure, add_common_legend, label_twos_and_fives, set_log_scales
@@ -441,8 +441,8 @@ def _module_rows(size: ProblemSize) -> Iterator[Row]:
 def _module_problems(size: ProblemSize, contacts: Sequence[Contact], model: ModuleModel) -> dict[int, ModuleProblem]:
     table, noise = ContactTable(contacts), size.bench.scene.noise
     others = [estimate_from(table, size.channels, [Method.SURFACE], noise, size.surface)[Method.SURFACE]]
-    starts = {module: find_start(model, module, others) for module in model.modules_of(size.channels)}
-    problems = [ModuleProblem(model, module, table, start, noise) for module, start in starts.items() if start is not None]
+    starts = find_starts(model, model.modules_of(size.channels), others)
+    problems = [ModuleProblem(model, module, table, start, noise) for module, start in starts.items()]
     return {problem.module: problem for problem in problems if len(problem.touches.of) > 1}
 
 

@@ -6,6 +6,7 @@
 #include "modules.h"
 #include "rival.h"
 #include "spread.h"
+#include "start.h"
 #include "uncertainty.h"
 
 #define EXPORT __attribute__((visibility("default")))
@@ -299,6 +300,17 @@ EXPORT void walk(void)
         put(q->points + 3 * i, end.point);
         put(q->x + 3 * i, end.x);
         q->triangles[i] = end.triangle;
+    }
+}
+
+EXPORT void start_modules(void)
+{
+    const Starts *q = &asked.on.start_modules;
+    begin();
+    for (Word i = 0; i < q->modules; i++) {
+        unsigned char *mark = top;
+        q->known[i] = start_module(q, (int)i);
+        top = mark;
     }
 }
 

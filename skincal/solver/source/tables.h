@@ -4,7 +4,7 @@
 
 #include "base.h"
 
-#define LAYOUT_NUMBER 1610342212
+#define LAYOUT_NUMBER 506537172
 
 static const double FULL_TRUST_SDS = 2.8;
 static const double ZERO_TRUST_SDS = 3.8;
@@ -207,11 +207,40 @@ typedef struct {
     double min_reversal_share; /* of a step that is halved */
     double max_steps;
     double min_singular_value_ratio;
+    double turn_max_sd; /* rad, of a start */
+    double residual_scale; /* metres, of a start */
+    double reweighting_steps; /* of a start */
+    double min_direction; /* length of a direction in a plane below which it is across it */
 } Rules;
 OFFSET(Rules, turn_to_length_radius, 0); OFFSET(Rules, min_pokes_per_arm_pose, 8); OFFSET(Rules, robust_search_steps, 16);
 OFFSET(Rules, max_step, 24); OFFSET(Rules, rounding_max_step, 32); OFFSET(Rules, converged_step, 40); OFFSET(Rules,
 min_curvature, 48); OFFSET(Rules, min_reversal_share, 56); OFFSET(Rules, max_steps, 64); OFFSET(Rules, min_singular_value_ratio,
-72); SIZE(Rules, 80);
+72); OFFSET(Rules, turn_max_sd, 80); OFFSET(Rules, residual_scale, 88); OFFSET(Rules, reweighting_steps, 96); OFFSET(Rules,
+min_direction, 104); SIZE(Rules, 112);
+
+/* Question of `start_modules`: b modules, and e estimates of their taxels with a position. */
+typedef struct {
+    Word modules;
+    const Rules *rules;
+    const Ground *ground; /* null: modules lie anywhere */
+    const int *spans; /* (b + 1): module i has the estimates spans[i] to spans[i + 1] */
+    const double *flat; /* (e, 2) metres, of their pads */
+    const double *places; /* (e, 3) metres */
+    const double *outward; /* (e, 3) unit */
+    const double *weights; /* (e) 1/metres^2 */
+    const int *planned; /* (b) whether the next two are known */
+    const double *planned_x; /* (b, 3) unit */
+    const double *planned_normals; /* (b, 3) unit */
+    double *points; /* (b, 3) metres, of the poses */
+    double *x; /* (b, 3) unit */
+    double *normals; /* (b, 3) unit */
+    int *triangles; /* (b) */
+    int *known; /* (b) whether there is a pose */
+} Starts;
+OFFSET(Starts, modules, 0); OFFSET(Starts, rules, 4); OFFSET(Starts, ground, 8); OFFSET(Starts, spans, 12); OFFSET(Starts, flat,
+16); OFFSET(Starts, places, 20); OFFSET(Starts, outward, 24); OFFSET(Starts, weights, 28); OFFSET(Starts, planned, 32);
+OFFSET(Starts, planned_x, 36); OFFSET(Starts, planned_normals, 40); OFFSET(Starts, points, 44); OFFSET(Starts, x, 48);
+OFFSET(Starts, normals, 52); OFFSET(Starts, triangles, 56); OFFSET(Starts, known, 60); SIZE(Starts, 64);
 
 /* m pokes with a answers on modules with n pads and d unknowns each. */
 typedef struct {
@@ -390,6 +419,7 @@ typedef union {
     Search nearest;
     Search second;
     Walks walk;
+    Starts start_modules;
     Boards place_modules;
     ModuleRows module_rows;
     TaxelSpread spread_taxels;

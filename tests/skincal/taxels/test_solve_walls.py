@@ -16,7 +16,7 @@ from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Anchor
 from skincal.modules.pose import ModuleModel
-from skincal.modules.pose_fit import find_start
+from skincal.modules.pose_fit import find_starts
 from skincal.session.session import Session
 from skincal.simulation.contacts import simulate_contacts
 from skincal.simulation.operator import Habits, aimed_presses
@@ -175,7 +175,6 @@ def test_a_module_s_search_begins_on_the_outer_face():
         channel: Estimate(channel, Method.SURFACE, State.TOUCHED, 1, laid.places[channel], laid.normals[channel], rms=0.001)
         for channel in layout.channels.tolist()
     }
-    start = find_start(model, 0, [every])
-    assert start is not None
+    start = find_starts(model, [0], [every])[0]
     np.testing.assert_allclose(start.points[0], TOP.point, atol=1e-3)
     assert start.normals[0, 2] > 0.99
