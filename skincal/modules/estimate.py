@@ -110,7 +110,7 @@ def estimate_modules(
         return found | {estimate.channel: estimate for estimate in laid}
     evidence = table.evidence([channel for channel in channels if channel not in dead])
     counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
-    found = {channel: _without_pose(channel, counts.get(channel, 0), dead) for channel in channels}
+    placed: dict[int, Estimate] = {}
     fit = fit_modules_from_pokes(evidence, table.totals(evidence.pokes), model, noise, others, doubting)
     if fitted_modules is not None:
         for module in modules:
@@ -118,8 +118,8 @@ def estimate_modules(
     if fit is not None:
         estimates = list(_estimates(*fit, counts, dead, model.layout.spacing))
         every = _add_shared_errors(*fit, model, noise, estimates, shared, fitted_modules)
-        found.update((estimate.channel, estimate) for estimate in every)
-    return found
+        placed = {estimate.channel: estimate for estimate in every}
+    return {channel: placed.get(channel) or _without_pose(channel, counts.get(channel, 0), dead) for channel in channels}
 
 
 def _without_pose(channel: int, contacts: int, dead: Mapping[int, str]) -> Estimate:

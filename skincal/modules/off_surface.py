@@ -25,7 +25,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.pose_fit import ModuleRows
 from skincal.solver.machine import shared
 from skincal.taxels.contact_table import Evidence
-from skincal.taxels.shared_errors import shared_rows_in_solver, spread_rules
+from skincal.taxels.shared_errors import nothing_shared, shared_rows_in_solver, spread_rules
 
 SUBTRACTED_SKIN_THICKNESS_SDS = 1.0
 """Thickness of the skin that is subtracted, in its standard deviations."""
@@ -84,7 +84,7 @@ def spread_over_modules(
     inverse : (b, d, d) of the information of the pokes and a prior; then factors are 1. `None` without a prior
     """
     modules, unknowns = len(starts) - 1, rows.slopes.shape[2]
-    shared_rows = shared_rows_in_solver(errors, len(at))
+    shared_rows = nothing_shared(len(at)) if errors is None else errors
     found = shared().run(
         "spread_modules",
         modules=modules,
@@ -105,8 +105,8 @@ def spread_over_modules(
         inverses=(modules, unknowns, unknowns) if inverse is None else inverse,
         factors=np.ones(modules),
         added=(modules, unknowns, unknowns),
-        moves=(modules, unknowns, shared_rows["errors"]),
+        moves=(modules, unknowns, shared_rows[0].shape[2]),
         heights=(modules,),
-        **shared_rows,
+        **shared_rows_in_solver(shared_rows, is_corrected=errors is not None),
     )
     return ModuleErrors(found["factors"], found["added"], found["moves"], found["heights"])

@@ -165,6 +165,8 @@ class ModuleModel:
         """(width,) index of a channel among its module's pads; -1 for no taxel."""
         for module in layout.modules:
             self.place_of[module.channels] = np.arange(len(module.channels))
+        # A list, since numbers of arrays one by one take ten times as long.
+        self._module_of: list[int] = layout.module_of.tolist()
         self._anchor = anchor
         self._surface = surface
         self._plans: dict[int, ModulePoses | None] = {}
@@ -201,7 +203,7 @@ class ModuleModel:
 
     def modules_of(self, channels: Iterable[int]) -> list[int]:
         """List the indices of the modules of some channels, ascending."""
-        owners = {int(self.layout.module_of[channel]) for channel in channels if 0 <= channel < self.layout.width}
+        owners = {self._module_of[channel] for channel in channels if 0 <= channel < len(self._module_of)}
         return sorted(owners - {-1})
 
     def channels_of(self, modules: Iterable[int]) -> list[int]:

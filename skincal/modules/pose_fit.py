@@ -151,7 +151,9 @@ def assign_pokes(
     answers = order[np.repeat(kept, sizes)]
     rows, sizes, sums, share = order[firsts[kept]], sizes[kept], sums[kept], share[kept]
     touched = owners[rows]
-    modules = touched[np.diff(touched, prepend=-1) != 0]
+    is_first = np.ones(len(touched), dtype=bool)
+    is_first[1:] = touched[1:] != touched[:-1]
+    modules = touched[is_first]
     indices: list[int] = modules.tolist()
     begins = np.cumsum([0, *(len(model.pads[module]) for module in indices)])
     return Touches(
@@ -317,10 +319,9 @@ def _fit_estimates(model: ModuleModel, modules: Sequence[int], estimates: Mappin
         triangles=(count,),
         known=(count,),
     )
-    triangles = found["triangles"].astype(np.int64)
-    poses = (found["points"], found["x"], found["normals"], triangles)
+    poses = ModulePoses(found["points"], found["x"], found["normals"], found["triangles"].astype(np.int64))
     there = enumerate(zip(modules, found["known"].tolist(), strict=True))
-    return {module: ModulePoses(*(each[row : row + 1] for each in poses)) for row, (module, is_there) in there if is_there}
+    return {module: poses.select(slice(row, row + 1)) for row, (module, is_there) in there if is_there}
 
 
 MIN_POKES_PER_ARM_POSE = 8

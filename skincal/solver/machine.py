@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import wasmtime
@@ -148,19 +148,24 @@ class Machine:
             self._memory_view = memoryview((ctypes.c_uint8 * size).from_address(address)).cast("B")
 
 
-def _direct_call(store: wasmtime.Store, function: Any) -> Callable[[], None]:
+def _direct_call(store: Any, function: Any) -> Callable[[], None]:
     """Make a call of a function without arguments: `Func` asks for its type each time, 40 us where a short solve takes 5."""
     # Its own calls do the same.
     context, place = store._context(), ctypes.byref(function._func)  # noqa: SLF001
-    call_function, trap_type = bindings.wasmtime_func_call, ctypes.POINTER(bindings.wasm_trap_t)
+    call_function: Any = bindings.wasmtime_func_call
+    trap_type, errors, traps = (
+        ctypes.POINTER(bindings.wasm_trap_t),
+        cast("Any", wasmtime.WasmtimeError),
+        cast("Any", wasmtime.Trap),
+    )
 
     def call() -> None:
         trap = trap_type()
         error = call_function(context, place, None, 0, None, 0, ctypes.byref(trap))
         if error:
-            raise wasmtime.WasmtimeError._from_ptr(error)  # noqa: SLF001
+            raise errors._from_ptr(error)  # noqa: SLF001
         if trap:
-            raise wasmtime.Trap._from_ptr(trap)  # noqa: SLF001
+            raise traps._from_ptr(trap)  # noqa: SLF001
 
     return call
 

@@ -115,7 +115,7 @@ class Evidence:
         """Select answers as those of taxels `channels` (t,), `counts` (t,) of each in turn."""
         return Evidence(
             channels,
-            np.concatenate([[0], counts.cumsum()]),
+            _starts_of(counts),
             np.arange(len(counts)).repeat(counts),
             self.pokes[answers],
             self.poses[answers],
@@ -214,7 +214,7 @@ class ContactTable:
         rows = answers["contact"].take(order)
         return Evidence(
             channels=np.array(known, dtype=np.int64),
-            starts=np.concatenate([[0], counts.cumsum()]),
+            starts=_starts_of(counts),
             taxels=taxels,
             # `take` would copy the whole column first, since it is one field of a row.
             pokes=self._contacts["poke"][rows],
@@ -279,6 +279,12 @@ class TableState:
         """The table; `None` after a change of its contacts, or once it is gone."""
         table = self._table()
         return table if table is not None and table.changes == self._changes else None
+
+
+def _starts_of(counts: IntArray) -> IntArray:
+    starts = np.zeros(len(counts) + 1, dtype=np.int64)
+    np.cumsum(counts, out=starts[1:])
+    return starts
 
 
 def _find_repeated(*ordered: NDArray[Any]) -> NDArray[np.bool_]:

@@ -54,7 +54,7 @@ MIN_TRUST_OF_A_TOUCH = 0.5
 
 def has_touch(contacts: int, doubted: Mapping[int, float]) -> bool:
     """Whether one of a taxel's own accepted contacts is no outlier; `doubted` has the trust of those below 1 by their poke."""
-    return contacts > sum(trust < MIN_TRUST_OF_A_TOUCH for trust in doubted.values())
+    return contacts > 0 if not doubted else contacts > sum(trust < MIN_TRUST_OF_A_TOUCH for trust in doubted.values())
 
 
 def placed_state(contacts: int, doubted: Mapping[int, float]) -> State:

@@ -88,11 +88,16 @@ def spread_rules(noise: NoiseSettings) -> NDArray[Any]:
     return fill_in("SpreadRules", rules)
 
 
-def shared_rows_in_solver(errors: tuple[FloatArray, FloatArray] | None, pokes: int) -> dict[str, Value]:
-    """Describe the result of `SharedRows` for some pokes, or `None`, as `skincal/solver/tables.py` does."""
-    alike, of_pose = (np.empty((pokes, 2, 0)),) * 2 if errors is None else errors
+def nothing_shared(pokes: int) -> tuple[FloatArray, FloatArray]:
+    """Make the result of `SharedRows` without a correction of the rig."""
+    return np.empty((pokes, 2, 0)), np.empty((pokes, 2, 0))
+
+
+def shared_rows_in_solver(errors: tuple[FloatArray, FloatArray], *, is_corrected: bool) -> dict[str, Value]:
+    """Describe the result of `SharedRows` for some pokes as `skincal/solver/tables.py` does."""
+    alike, of_pose = errors
     return {
-        "corrected": errors is not None,
+        "corrected": is_corrected,
         "errors": alike.shape[2],
         "pose_errors": of_pose.shape[2],
         "alike": alike,
@@ -116,8 +121,7 @@ def add_shared_errors(
     evidence, count = table.evidence([estimate.channel for estimate in known]), len(known)
     positions = np.array([estimate.position for estimate in known])
     normals = np.array([(0.0, 0.0, 0.0) if estimate.normal is None else estimate.normal for estimate in known])
-    rows = None if shared is None else _shared_rows(shared, evidence, positions)
-    errors = shared_rows_in_solver(rows, len(evidence.pokes))
+    rows = nothing_shared(len(evidence.pokes)) if shared is None else _shared_rows(shared, evidence, positions)
     found = machine().run(
         "spread_taxels",
         taxels=count,
@@ -138,8 +142,8 @@ def add_shared_errors(
         worst=(count, 3),
         sds=(count,),
         rms=(count,),
-        moved=(count, 3, errors["errors"]),
-        **errors,
+        moved=(count, 3, rows[0].shape[2]),
+        **shared_rows_in_solver(rows, is_corrected=shared is not None),
     )
     moved = None if shared is None else found["moved"]
     spread = _with_covariances(known, found["covariances"], found["worst"], found["sds"], found["rms"], moved)
