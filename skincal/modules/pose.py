@@ -46,7 +46,7 @@ class ModulePoses:
     triangles: IntArray
     """(n,) of the surface; -1 without one."""
 
-    def select(self, rows: IntArray) -> ModulePoses:
+    def select(self, rows: IntArray | slice) -> ModulePoses:
         return select_rows(self, rows)
 
 

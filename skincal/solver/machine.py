@@ -152,12 +152,8 @@ def _direct_call(store: Any, function: Any) -> Callable[[], None]:
     """Make a call of a function without arguments: `Func` asks for its type each time, 40 us where a short solve takes 5."""
     # Its own calls do the same.
     context, place = store._context(), ctypes.byref(function._func)  # noqa: SLF001
-    call_function: Any = bindings.wasmtime_func_call
-    trap_type, errors, traps = (
-        ctypes.POINTER(bindings.wasm_trap_t),
-        cast("Any", wasmtime.WasmtimeError),
-        cast("Any", wasmtime.Trap),
-    )
+    call_function, trap_type = cast("Any", bindings).wasmtime_func_call, ctypes.POINTER(bindings.wasm_trap_t)
+    errors, traps = cast("Any", wasmtime.WasmtimeError), cast("Any", wasmtime.Trap)
 
     def call() -> None:
         trap = trap_type()
