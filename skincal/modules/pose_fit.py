@@ -195,7 +195,7 @@ def whitened_rows(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleR
     found = shared().run(
         "module_rows",
         touches=_touches_in_solver(touches, noise, unknowns, pads.points, pads.gradients, pads.normals),
-        rows=_room_for_rows(count, unknowns),
+        **_room_for_rows(count, unknowns),
     )
     return _rows_found(found)
 

@@ -448,7 +448,11 @@ _TABLES_IN_ORDER = (
         "Question of `module_rows`: the whitened rows of pokes on modules whose pads lie as given.",
         {
             "touches": "Touches",
-            "rows": "RowTable",
+            "row_slopes": "double *: as in `RowTable`, as the next four",
+            "row_misses": "double *",
+            "row_whiten": "double *",
+            "row_normals": "double *",
+            "row_bends": "double *",
         },
     ),
     Table(

@@ -328,11 +328,12 @@ EXPORT void place_modules(void)
 EXPORT void module_rows(void)
 {
     const ModuleRows *q = &asked.on.module_rows;
+    const RowTable to = {q->row_slopes, q->row_misses, q->row_whiten, q->row_normals, q->row_bends};
     begin();
     for (Word i = 0; i < q->touches.pokes; i++) {
         Row r;
         row_of(&q->touches, (int)i, &r);
-        put_row(&q->rows, &q->touches, (int)i, &r);
+        put_row(&to, &q->touches, (int)i, &r);
     }
 }
 

@@ -4,7 +4,7 @@
 
 #include "base.h"
 
-#define LAYOUT_NUMBER 506537172
+#define LAYOUT_NUMBER 1070475621
 
 static const double FULL_TRUST_SDS = 2.8;
 static const double ZERO_TRUST_SDS = 3.8;
@@ -304,9 +304,14 @@ covariances, 100); OFFSET(Boards, blind, 104); OFFSET(Boards, misses, 108); OFFS
 /* Question of `module_rows`: the whitened rows of pokes on modules whose pads lie as given. */
 typedef struct {
     Touches touches;
-    RowTable rows;
+    double *row_slopes; /* as in `RowTable`, as the next four */
+    double *row_misses;
+    double *row_whiten;
+    double *row_normals;
+    double *row_bends;
 } ModuleRows;
-OFFSET(ModuleRows, touches, 0); OFFSET(ModuleRows, rows, 52); SIZE(ModuleRows, 72);
+OFFSET(ModuleRows, touches, 0); OFFSET(ModuleRows, row_slopes, 52); OFFSET(ModuleRows, row_misses, 56); OFFSET(ModuleRows,
+row_whiten, 60); OFFSET(ModuleRows, row_normals, 64); OFFSET(ModuleRows, row_bends, 68); SIZE(ModuleRows, 72);
 
 /* How errors that pokes share spread: `skincal/taxels/shared_errors.py` has the values and reasons. */
 typedef struct {

@@ -8,11 +8,18 @@ import pytest
 
 from skincal.model.scene import NoiseSettings
 from skincal.modules import pose_fit
+from skincal.modules.off_surface import spread_over_modules
+from skincal.modules.pose_fit import ModuleRows
 from skincal.solver import tables
 from skincal.solver.machine import Machine, shared
+from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.noise import noise_values, offset_square, row_precision
+from skincal.taxels.shared_errors import variance_factors
 from tests.skincal.estimate_support import trust_by_definition
+from tests.skincal.taxels.test_solve_rival import press
 from tools import solver
+
+MADE_FROM_THE_FIELDS = ("offsets", "dtype", "packed", "packing")
 
 
 def permuted(monkeypatch, name):
@@ -22,7 +29,7 @@ def permuted(monkeypatch, name):
     i = next(i for i in range(len(names) - 1) if table.fields[names[i]].stored == table.fields[names[i + 1]].stored)
     names[i], names[i + 1] = names[i + 1], names[i]
     monkeypatch.setattr(table, "fields", {field: table.fields[field] for field in names})
-    for cached in ("offsets", "dtype"):
+    for cached in MADE_FROM_THE_FIELDS:
         monkeypatch.delitem(table.__dict__, cached, raising=False)
     tables.layout_number.cache_clear()
 
@@ -31,8 +38,8 @@ def permuted(monkeypatch, name):
 def _fresh_layout():
     yield
     for table in tables.SHARED_TABLES.values():
-        table.__dict__.pop("offsets", None)
-        table.__dict__.pop("dtype", None)
+        for cached in MADE_FROM_THE_FIELDS:
+            table.__dict__.pop(cached, None)
     tables.layout_number.cache_clear()
 
 
@@ -153,3 +160,18 @@ def test_the_noise_of_a_poke_is_the_solvers(tmp_path):
         assert offsets[0] == pytest.approx(offset, rel=1e-14)
         precision = row_precision(pair.T[None], (place - sensor)[None], np.array([force]), offsets, noise)[0]
         np.testing.assert_allclose(precision @ [[d11, d12], [d12, d22]], np.eye(2), atol=1e-11)
+
+
+def test_the_variance_factors_of_modules_are_those_of_shared_errors():
+    """`skincal/taxels/shared_errors.py` has the formula of `spread.h` for sheets and corrections."""
+    rng, sizes = np.random.default_rng(4), np.array([2, 3, 9, 30])
+    count, starts = int(sizes.sum()), np.concatenate([[0], np.cumsum(sizes)])
+    contacts = [press(poke, np.zeros(3), [0.1 * np.sin(poke), 0.1 * np.cos(poke), -1.0]) for poke in range(1, count + 1)]
+    whiten = np.tril(rng.uniform(500.0, 2000.0, (count, 2, 2)))
+    slopes, misses, normals = rng.normal(size=(count, 2, 3)), 2.0 * rng.normal(size=(count, 2)), rng.normal(size=(count, 3))
+    rows, trust = ModuleRows(slopes, misses, whiten, normals, np.zeros((count, 3, 3))), rng.uniform(0.0, 1.0, count)
+    evidence = ContactTable(contacts).evidence([0])
+    found = spread_over_modules(evidence, np.arange(count), starts, rows, trust, NoiseSettings(), None, is_on_surface=True)
+    expected = variance_factors(np.sum(misses**2, axis=1), trust, starts[:-1], 3)
+    assert expected.max() > 1.5
+    np.testing.assert_allclose(found.factors, expected, rtol=1e-13)
