@@ -125,7 +125,6 @@ def record(
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} for the next pokes,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and the other actions of a session's journal.
     """
-    from skincal.following.guided_session import RobotGuide
     from skincal.model.actions import SetPose
     from skincal.session.importing import new_session, unnamed_landmarks
     from skincal.session.tool_streams import check_tool_streams
@@ -145,7 +144,7 @@ def record(
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
         readers = {link.name: Reader(link, items) for link in links}
         try:
-            robot = None if server is None else RobotGuide(pipeline, server, method)
+            robot = None if server is None else _guide_of(pipeline, server, method)
             if pose is not None:
                 pipeline.act(SetPose(pose), time.monotonic_ns())
             for reader in readers.values():
@@ -156,6 +155,12 @@ def record(
             pipeline.close()
         with _ending_solve(out, pipeline) if stop.is_set() else contextlib.nullcontext():
             finish(pipeline, out, as_json, unnamed_landmarks(pipeline, out))
+
+
+def _guide_of(pipeline: Pipeline, server: OpenTargets, method: Method | None) -> RobotGuide:
+    from skincal.following.guided_session import RobotGuide  # a recording without a robot does without
+
+    return RobotGuide(pipeline, server, method)
 
 
 @contextlib.contextmanager

@@ -282,6 +282,15 @@ def pack(kind: int, payload: bytes) -> bytes:
     return PACKET_HEAD.pack(kind, len(payload)) + payload
 
 
+def pack_all(kind: int, payloads: Sequence[bytes]) -> bytes:
+    """Return messages one after another, each as `pack` makes it."""
+    if len({len(payload) for payload in payloads}) != 1:
+        return b"".join(pack(kind, payload) for payload in payloads)
+    # Those of a sensor have one length, so one head.
+    head = PACKET_HEAD.pack(kind, len(payloads[0]))
+    return head + head.join(payloads)
+
+
 def packet_splitter(limit: int) -> LengthSplitter:
     """Return a splitter for messages made by `pack`, at most `limit` bytes; a frame is the kind and the payload."""
 

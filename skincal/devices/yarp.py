@@ -20,6 +20,7 @@ import struct
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import ClassVar
@@ -43,6 +44,8 @@ from skincal.model.given import read_regular
 from skincal.model.readings import Batch, Loss, Stream
 
 YARP_INT_STRUCT = struct.Struct("<2si2s")
+MESSAGE_START_STRUCT = struct.Struct("<2si2s2B")
+NO_PORT = "what answers there is no YARP port"
 FAST_TCP, MESSAGE = 7780, 10
 INT32_STRUCT = struct.Struct("<i")
 HEAD_BYTES = YARP_INT_STRUCT.size + 10
@@ -126,16 +129,19 @@ class MessageSplitter(LengthSplitter):
             self.port, at = _yarp_int(data, 0), YARP_INT_STRUCT.size
         if len(data) - at < HEAD_BYTES:
             return None
-        if _yarp_int(data, at) != MESSAGE:
+        first, kind, last, count_in, count_out = MESSAGE_START_STRUCT.unpack_from(data, at)
+        if first != b"YA" or last != b"RP":
+            raise ProtocolError(NO_PORT)
+        if kind != MESSAGE:
             raise ProtocolError("what it sends is no YARP message")
-        count_in, count_out = data[at + YARP_INT_STRUCT.size], data[at + YARP_INT_STRUCT.size + 1]
         begin = at + HEAD_BYTES + 4 * (count_in + count_out)
         if len(data) < begin:
             return None
-        lengths = struct.unpack_from(f"<{count_in + count_out}i", data, at + HEAD_BYTES)
-        if min(lengths, default=0) < 0 or sum(lengths) > MESSAGE_MAX_BYTES:
-            raise ProtocolError(f"it announces a message of {sum(lengths)} bytes; at most {MESSAGE_MAX_BYTES} are taken")
-        end = begin + sum(lengths)
+        lengths = _lengths_struct(count_in + count_out).unpack_from(data, at + HEAD_BYTES)
+        size = sum(lengths)
+        if size > MESSAGE_MAX_BYTES or min(lengths, default=0) < 0:
+            raise ProtocolError(f"it announces a message of {size} bytes; at most {MESSAGE_MAX_BYTES} are taken")
+        end = begin + size
         if len(data) < end:
             return None
         self._is_first = False
@@ -143,10 +149,15 @@ class MessageSplitter(LengthSplitter):
         return data[begin : begin + sum(lengths[:count_in])], end
 
 
+@cache
+def _lengths_struct(count: int) -> struct.Struct:
+    return struct.Struct(f"<{count}i")
+
+
 def _yarp_int(data: bytes, at: int) -> int:
     begin, number, end = YARP_INT_STRUCT.unpack_from(data, at)
     if begin != b"YA" or end != b"RP":
-        raise ProtocolError("what answers there is no YARP port")
+        raise ProtocolError(NO_PORT)
     return number
 
 

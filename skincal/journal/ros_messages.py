@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,22 +70,31 @@ def encode_wrenches(unix_ns: IntArray, frame: str, wrenches: FloatArray) -> NDAr
 
 def encode_taxels(unix_ns: int, frame: str, seq: int, values: FloatArray) -> bytes:
     """Encode a `skincal_msgs/msg/Taxels` of (channels,) raw values; `seq` counts the frames of a recording."""
-    body = _header(unix_ns, frame)
-    body += bytes(-len(body) % 4) + struct.pack("<II", seq & 0xFFFFFFFF, len(values))
-    return CDR_HEADER + body + np.ascontiguousarray(values, dtype="<f4").tobytes()
+    head = _stamp(unix_ns) + _taxels_head(frame) + struct.pack("<II", seq & 0xFFFFFFFF, len(values))
+    return head + np.ascontiguousarray(values, dtype="<f4").tobytes()
+
+
+@lru_cache(maxsize=16)
+def _taxels_head(frame: str) -> bytes:
+    """Encode what is between stamp and number of a `skincal_msgs/msg/Taxels`."""
+    return _padded(_text(frame), 4)
 
 
 def encode_joints(unix_ns: int, frame: str, names: Sequence[str], angles: FloatArray) -> bytes:
     """Encode a `sensor_msgs/msg/JointState` of (joints,) angles, radians, without velocities and efforts."""
-    body = _header(unix_ns, frame)
-    body += bytes(-len(body) % 4) + struct.pack("<I", len(names))
+    head = _stamp(unix_ns) + _joints_head(frame, tuple(names), len(angles))
+    return head + np.ascontiguousarray(angles, dtype="<f8").tobytes() + bytes(8)
+
+
+@lru_cache(maxsize=16)
+def _joints_head(frame: str, names: tuple[str, ...], count: int) -> bytes:
+    """Encode what is between stamp and angles of a `sensor_msgs/msg/JointState`. The stamp ends at a multiple of 8 bytes."""
+    body = _padded(_text(frame), 4) + struct.pack("<I", len(names))
     for name in names:
-        body += bytes(-len(body) % 4) + _text(name)
-    body += bytes(-len(body) % 4) + struct.pack("<I", len(angles))
+        body = _padded(body, 4) + _text(name)
+    body = _padded(body, 4) + struct.pack("<I", count)
     # CDR aligns written numbers only: an empty sequence has no padding behind its length.
-    if len(angles):
-        body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
-    return CDR_HEADER + body + struct.pack("<II", 0, 0)
+    return _padded(body, 8) if count else body
 
 
 def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
@@ -94,8 +104,17 @@ def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
 
 
 def _header(unix_ns: int, frame: str) -> bytes:
+    return _stamp(unix_ns)[len(CDR_HEADER) :] + _text(frame)
+
+
+def _stamp(unix_ns: int) -> bytes:
+    """Encode the beginning of a message with a time."""
     seconds, rest = divmod(unix_ns, 1_000_000_000)
-    return struct.pack("<iI", min(seconds, MAX_ROS_TIME_S), rest) + _text(frame)
+    return CDR_HEADER + struct.pack("<iI", min(seconds, MAX_ROS_TIME_S), rest)
+
+
+def _padded(body: bytes, size: int) -> bytes:
+    return body + bytes(-len(body) % size)
 
 
 def _text(text: str) -> bytes:

@@ -26,7 +26,7 @@ import time
 import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from functools import wraps
+from functools import cache, wraps
 from io import BufferedWriter
 from pathlib import Path
 from typing import Any, Concatenate, NoReturn, ParamSpec
@@ -255,7 +255,7 @@ class JournalWriter:
         self._add("/taxels", at, ros_messages.encode_taxels(at, frame, self._frames, sample.skin))
         self._frames += 1
         if sample.angles is not None:
-            names = tuple(f"joint{k}" for k in range(len(sample.angles)))
+            names = _joint_names(len(sample.angles))
             self._add("/joints", at, ros_messages.encode_joints(at, frame, names, sample.angles))
 
     @_stops_on_disk_error
@@ -430,6 +430,11 @@ class JournalWriter:
     def _release_lock(self) -> None:
         if self._holds_lock:
             self._lock.release()
+
+
+@cache
+def _joint_names(count: int) -> tuple[str, ...]:
+    return tuple(f"joint{k}" for k in range(count))
 
 
 def _json_bytes(document: dict[str, Any]) -> bytes:

@@ -8,12 +8,10 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.devices.pose_names import clash_in_scene
-from skincal.files.importers.preview import RecordingFiles, guess_streams
-from skincal.files.importers.registry import RecordedPlace, StoppedError, importer_of
-from skincal.files.importers.timeline import SESSION_START_TIME_NS, OpenRecording
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME, describe_lock_holder
 from skincal.model.actions import SetPose
@@ -36,6 +34,12 @@ from skincal.words.poke_words import (
     too_short_sentence,
     unnamed_landmarks_sentence,
 )
+
+if TYPE_CHECKING:
+    # A live recording, and the window, do without the importers.
+    from skincal.files.importers.preview import RecordingFiles
+    from skincal.files.importers.registry import RecordedPlace
+    from skincal.files.importers.timeline import OpenRecording
 
 
 class KeptError(InputError):
@@ -111,6 +115,9 @@ def play_recording(
 
     Raises InputError: the names of the columns of the poses contradict the scene.
     """
+    from skincal.files.importers.registry import StoppedError
+    from skincal.files.importers.timeline import SESSION_START_TIME_NS
+
     try:
         _check_pose_names(pipeline.scene, recording)
         if pose:
@@ -250,6 +257,8 @@ def check_recorded_tool(scene: Scene, places: Mapping[Stream, RecordedPlace]) ->
     place = places.get(Stream.TOOL)
     if place is None or scene.tool is None or scene.tool.streamed_form is not None:
         return
+    from skincal.files.importers.registry import importer_of
+
     if importer_of(place.path).name != "rosbag":
         raise InputError(
             f"{place}: numbers do not say the form of a pose; set rotation and unit in [tool] of {scene.path.name}: "
@@ -265,6 +274,9 @@ def find_topics(
     A stream without a likely topic gets an empty one, which the importer refuses with the topics that there are. Joints are
     read only where the scene has an arm and no pose is given.
     """
+    from skincal.files.importers.preview import guess_streams
+    from skincal.files.importers.registry import RecordedPlace
+
     wanted = {Stream.SKIN, *named}
     wanted |= {Stream.WRENCH} if scene.has_sensor else set[Stream]()
     wanted |= set[Stream]() if scene.tool is None else {Stream.TOOL}

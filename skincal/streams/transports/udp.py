@@ -10,7 +10,7 @@ import time
 
 from skincal.devices.datagrams import DATAGRAM_MAX_BYTES as LISTENED_MAX_BYTES
 from skincal.devices.datagrams import OTHER_SENDER_KIND, READING_KIND
-from skincal.devices.decoding import pack
+from skincal.devices.decoding import pack, pack_all
 from skincal.devices.family import AUTO_FORMAT, Form
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
@@ -80,7 +80,7 @@ class DatagramLink:
         self._group = listening
 
     def read(self, timeout_s: float) -> bytes:
-        return b"".join(pack(self._kind, datagram) for datagram in self.read_datagrams(timeout_s))
+        return pack_all(self._kind, self.read_datagrams(timeout_s))
 
     def read_datagrams(self, timeout_s: float) -> list[bytes]:
         """Return the datagrams of the host, waiting at most `timeout_s` for the first. Raises LinkError."""
