@@ -449,6 +449,11 @@ def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_pa
     assert (folder / "scene").is_dir()
 
 
+def test_a_live_session_does_not_wait_for_the_importers():
+    seen = "import sys, skincal.session.importing; sys.exit('skincal.files.importers.preview' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", seen], check=False).returncode == 0
+
+
 def test_help_does_not_wait_for_numpy():
     seen = "import sys; from skincal.cli import main; main(['solve', '--help']); sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", seen], stdout=subprocess.DEVNULL, check=False).returncode == 0

@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from skincal.devices.decoding import pack
+from skincal.devices.decoding import pack, pack_all
 from skincal.devices.netft import RECORDS
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkState, Loss, Stream
@@ -390,3 +390,9 @@ def test_a_break_of_the_connection_is_counted_with_its_time():
     send(20.0)
     say(LinkState.ENDED, 21.0)
     assert outages(40.0) == {"wrench": (2, 19.0), "skin": (0, 0.0)}
+
+
+@pytest.mark.parametrize("sizes", [(), (36,), (36, 36, 36), (36, 0, 7)])
+def test_messages_are_packed_together_as_one_by_one(sizes):
+    payloads = [bytes([at]) * size for at, size in enumerate(sizes)]
+    assert pack_all(3, payloads) == b"".join(pack(3, payload) for payload in payloads)
