@@ -211,15 +211,13 @@ def _add_shared_errors(
     at, evidence, errors = touches.rows, touches.evidence, None
     if shared is not None:
         errors = shared(evidence.pokes[at], touches.contact_centres(fitted.pads)[0], evidence.pairs[at])
-    starts = np.searchsorted(touches.of, np.arange(len(touches.modules) + 1))
-    is_on_surface = isinstance(model.ground, ModulesOnSurface)
-    spread = spread_over_modules(evidence, at, starts, fitted.rows, fitted.trust, noise, errors, is_on_surface=is_on_surface)
+    spread = spread_over_modules(touches, fitted.rows, fitted.trust, noise, errors)
     pad_of = {channel: pad for pad, channel in enumerate(touches.channels.tolist())}
     known = [estimate for estimate in estimates if estimate.position is not None]
     pads = np.array([pad_of[estimate.channel] for estimate in known], dtype=np.int64)
     of, gradient = fitted.of[pads], fitted.pads.gradients[pads]
     more = gradient @ spread.added[of] @ gradient.transpose(0, 2, 1)
-    if is_on_surface:
+    if isinstance(model.ground, ModulesOnSurface):
         outward = fitted.pads.normals[pads]
         more = more + spread.heights[of, None, None] * outward[:, :, None] * outward[:, None]
     if fitted_modules is not None:

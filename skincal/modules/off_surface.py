@@ -20,11 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose_fit import ModuleRows
+from skincal.modules.pose import ModulesOnSurface
+from skincal.modules.pose_fit import ModuleRows, Touches
 from skincal.solver.machine import shared
-from skincal.taxels.contact_table import Evidence
 from skincal.taxels.shared_errors import nothing_shared, shared_rows_in_solver, spread_rules
 
 SUBTRACTED_SKIN_THICKNESS_SDS = 1.0
@@ -62,28 +62,25 @@ class ModuleErrors:
 
 
 def spread_over_modules(
-    evidence: Evidence,
-    at: IntArray,
-    starts: IntArray,
+    touches: Touches,
     rows: ModuleRows,
     trust: FloatArray,
     noise: NoiseSettings,
     errors: tuple[FloatArray, FloatArray] | None,
-    *,
-    is_on_surface: bool,
     inverse: FloatArray | None = None,
 ) -> ModuleErrors:
-    """Find how errors that many pokes share move modules.
+    """Find how errors that many pokes share move the modules of `touches`.
 
     Parameters
     ----------
-    at : (m,) an answer of each poke in `evidence`; by module, then by the poke's number
-    starts : (b + 1,) first poke of each module, and m
     rows, trust : of the pokes
     errors : result of `SharedRows` for these pokes; `None` without a correction of the rig
-    inverse : (b, d, d) of the information of the pokes and a prior; then factors are 1. `None` without a prior
+    inverse : (b, d, d) of the information of the pokes and the prior of sheets; then factors are 1. `None` for boards
     """
-    modules, unknowns = len(starts) - 1, rows.slopes.shape[2]
+    evidence, at = touches.evidence, touches.rows
+    modules, unknowns = len(touches.modules), rows.slopes.shape[2]
+    starts = np.searchsorted(touches.of, np.arange(modules + 1))
+    is_on_surface = inverse is not None or unknowns == ModulesOnSurface.unknowns
     shared_rows = nothing_shared(len(at)) if errors is None else errors
     found = shared().run(
         "spread_modules",

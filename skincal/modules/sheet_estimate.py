@@ -142,8 +142,7 @@ def _with_shared_errors(
         errors = shared(evidence.pokes[at], fit.touches.contact_centres(fit.pads)[0], evidence.pairs[at])
     # The prior leaves no direction of the information undetermined.
     inverse = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)[None]
-    starts = np.array([0, len(at)])
-    spread = spread_over_modules(evidence, at, starts, rows, trust, noise, errors, is_on_surface=True, inverse=inverse)
+    spread = spread_over_modules(fit.touches, rows, trust, noise, errors, inverse)
     # A shift of the whole sheet is the same in its first two unknowns, and an error of this sheet alone.
     moves = np.zeros((fit.information.shape[0], 2 * sheets))
     moves[:2, 2 * fit.module : 2 * fit.module + 2] = COMMON_AIM_SD_FACTOR * noise.contact * np.eye(2)

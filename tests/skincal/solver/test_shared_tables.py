@@ -9,7 +9,7 @@ import pytest
 from skincal.model.scene import NoiseSettings
 from skincal.modules import pose_fit
 from skincal.modules.off_surface import spread_over_modules
-from skincal.modules.pose_fit import ModuleRows
+from skincal.modules.pose_fit import ModuleRows, Touches
 from skincal.solver import tables
 from skincal.solver.machine import Machine, shared
 from skincal.taxels.contact_table import ContactTable
@@ -165,13 +165,15 @@ def test_the_noise_of_a_poke_is_the_solvers(tmp_path):
 def test_the_variance_factors_of_modules_are_those_of_shared_errors():
     """`skincal/taxels/shared_errors.py` has the formula of `spread.h` for sheets and corrections."""
     rng, sizes = np.random.default_rng(4), np.array([2, 3, 9, 30])
-    count, starts = int(sizes.sum()), np.concatenate([[0], np.cumsum(sizes)])
+    count, starts = int(sizes.sum()), np.cumsum(sizes) - sizes
     contacts = [press(poke, np.zeros(3), [0.1 * np.sin(poke), 0.1 * np.cos(poke), -1.0]) for poke in range(1, count + 1)]
     whiten = np.tril(rng.uniform(500.0, 2000.0, (count, 2, 2)))
     slopes, misses, normals = rng.normal(size=(count, 2, 3)), 2.0 * rng.normal(size=(count, 2)), rng.normal(size=(count, 3))
     rows, trust = ModuleRows(slopes, misses, whiten, normals, np.zeros((count, 3, 3))), rng.uniform(0.0, 1.0, count)
+    none, of = np.empty(0, dtype=np.int64), np.repeat(np.arange(len(sizes)), sizes)
     evidence = ContactTable(contacts).evidence([0])
-    found = spread_over_modules(evidence, np.arange(count), starts, rows, trust, NoiseSettings(), None, is_on_surface=True)
-    expected = variance_factors(np.sum(misses**2, axis=1), trust, starts[:-1], 3)
+    touches = Touches(np.arange(len(sizes)), of, np.arange(count), evidence, np.empty(0), none, np.empty(0), none, none)
+    found = spread_over_modules(touches, rows, trust, NoiseSettings(), None)
+    expected = variance_factors(np.sum(misses**2, axis=1), trust, starts, 3)
     assert expected.max() > 1.5
     np.testing.assert_allclose(found.factors, expected, rtol=1e-13)
