@@ -92,6 +92,7 @@ def readings(contacts, seed=1, noise=0.0001, aim_sd=0.0008, slide=None, hold_s=H
         times = np.arange(0, poke_s, 1 / HZ)
         height, moved = heights(times, hold_s)
         near = np.exp(-np.sum((TAXELS - contact) ** 2, axis=1) / (2 * 0.004**2))
+        near, quaternion, tip = np.where(near > 0.2, near, 0.0), Rotation.from_matrix(turn).as_quat(), turn @ TIP
         for t, high, share in zip(times, height, moved, strict=True):
             place = centre - high * ABOVE * push + share * away
             if slide is not None and PAUSE_S + WAY_S < t < PAUSE_S + WAY_S + hold_s:
@@ -99,8 +100,8 @@ def readings(contacts, seed=1, noise=0.0001, aim_sd=0.0008, slide=None, hold_s=H
             place = BASE_FROM_PART[:3, :3] @ place + BASE_FROM_PART[:3, 3] + noise * rng.standard_normal(3)
             pressed = np.clip(1.0 - high / 0.05, 0.0, 1.0)
             at = 1.0 + number * poke_s + t
-            yield "tool", at, np.concatenate([place - turn @ TIP, Rotation.from_matrix(turn).as_quat()])
-            yield "skin", at, np.round(20 + 150 * pressed * np.where(near > 0.2, near, 0.0) + rng.normal(0.0, 0.4, len(TAXELS)))
+            yield "tool", at, np.concatenate([place - tip, quaternion])
+            yield "skin", at, np.round(20 + 150 * pressed * near + rng.normal(0.0, 0.4, len(TAXELS)))
 
 
 def chunks(contacts, **more):
@@ -121,8 +122,7 @@ def pipeline_of(scene):
 
 def calibrate(scene, items):
     pipeline = pipeline_of(scene)
-    for item in items:
-        pipeline.feed(item)
+    pipeline.feed_many(list(items))
     pipeline.close()
     return pipeline
 

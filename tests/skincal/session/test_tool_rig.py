@@ -203,8 +203,7 @@ def calibrate(scene, items, names=("wrench", "skin", "tool"), *, ends=True):
     pipeline = Pipeline(scene, [LinkSpec(name, f"simulated:{name}", (STREAMS[name],)) for name in names], surface)
     for name in names:
         pipeline.feed(LinkEvent(name, 1, LinkState.OPEN))
-    for item in items:
-        pipeline.feed(item)
+    pipeline.feed_many(list(items))
     if ends:
         pipeline.close()
     return pipeline
