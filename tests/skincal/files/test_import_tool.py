@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -123,6 +124,23 @@ def test_a_tool_at_an_arm_of_several_transforms_gives_the_poses_of_one(made, tmp
     assert "No transform of wall has come; frames that came: base, base_link, flange" in " ".join(
         capsys.readouterr().err.split()
     )
+
+
+def test_messages_after_a_transform_that_stopped_are_counted_and_the_reason_is_said(tmp_path):
+    turn = [0.0, 0.0, 0.0, 1.0]
+    with BagFile(tmp_path / "stopped", "mcap") as bag:
+        for k in range(200):
+            ns = START_NS + k * 20_000_000
+            bag.add("/skin", SKIN_TYPE, ns, skin_message(np.zeros(9)))
+            bag.add("/tf", TREE, ns, {"transforms": [transform(ns, "base", "flange", [0.4, 0.001 * k, 0.3, *turn])]})
+            if k <= 100:
+                bag.add("/tf", TREE, ns, {"transforms": [transform(ns, "flange", "tool0", [0.0, 0.0, 0.1, *turn])]})
+    path = bag.path
+    found = open_bag({Stream.SKIN: RecordedPlace(path, "/skin"), Stream.TOOL: RecordedPlace(path, "/tf?frame=tool0&base=base")})
+    # The last 2 s have no flange_from_tool0; the first of them is too new to be missed.
+    (said,) = [each for each in found.findings if "gave no pose" in each]
+    assert 40 <= int(re.search(r"(\d+) messages gave no pose", said)[1]) <= 50
+    assert "The transform of tool0 in flange is" in said
 
 
 def write_tables(folder, streams, names=("x", "y", "z", "qx", "qy", "qz", "qw")):
