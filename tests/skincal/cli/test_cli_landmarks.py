@@ -400,6 +400,11 @@ def test_pokes_are_excluded_by_the_actions_of_the_window_and_the_estimates_follo
     answered("pokes", folder, "--undo")
     answered("pokes", folder, "--undo")
     assert same_estimates(load(folder).snapshot(), before)
+    at = next(poke for poke in early if poke in log.names)
+    answered("pokes", folder, "--exclude", at)
+    assert at not in load(folder).snapshot().at_landmarks
+    answered("pokes", folder, "--undo")
+    assert load(folder).snapshot().at_landmarks == before.at_landmarks
     assert run("pokes", folder, "--exclude", "5000")[2].endswith(f"the session has the pokes 1 to {log.count}.\n")
     for words in (["--exclude", "x"], ["--exclude", "3-1"], ["--exclude", "1", "--restore", "1"], ["--undo", "--restore", "1"]):
         assert run("pokes", folder, *words)[0] == 2
