@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -76,7 +76,8 @@ def landmarks(
         typer.Option(
             "--find",
             help="Find the landmarks: pokes without a taxel's answer whose force axis, or tip if it is known, is within 20 mm "
-            "of one landmark, and at least twice as far from every other.",
+            "of one landmark, and at least twice as far from every other. While the place of a tool's part is unknown, the "
+            "shape of the touched points names three or more.",
         ),
     ] = False,
     add: Annotated[
@@ -226,7 +227,7 @@ def _write(folder: Path, session: Session, pairs: Iterable[Pair], *, find: bool,
 
     Each action is tried on the loaded `session` first; nothing is written if one is refused.
     """
-    from skincal.model.actions import AddLandmark, AtLandmark
+    from skincal.model.actions import AddLandmark
 
     actions: list[AddLandmark | AtLandmark] = []
     if add is not None:
@@ -237,24 +238,64 @@ def _write(folder: Path, session: Session, pairs: Iterable[Pair], *, find: bool,
         if names.setdefault(poke, name) != name:
             both = f"{names[poke] or 'none'} and at {name or 'none'}"
             raise InputError(f"Poke {poke} is said to be at {both}; leave out one of them.")
+    by_shape: list[str] = []
+    if find and not session.snapshot().is_placed:
+        found, by_shape = _names_by_shape(session, names)
+        names |= found
+        actions += _name_pokes(session, names)
     nearest, before = session.nearest_landmarks(), session.snapshot().at_landmarks
     unsure: list[str] = []
-    if find:
+    if find and session.snapshot().is_placed:
         names |= {poke: name for poke, name in session.sure_landmarks().items() if poke not in names}
         unsure = [
             f"poke {poke}: not sure, {_near_words(nearest.get(poke), has_axis=not session.has_used_tip)}"
             for poke in _unanswered(session)
             if poke not in {**names, **before} and poke not in session.decisions.taken_from_landmarks
         ]
-        if not session.snapshot().is_placed:
-            unsure = ["The part's pose is not known yet, so --find finds no landmark: name three by --at or --order first."]
-    for poke, name in sorted(names.items()):
-        if before.get(poke, "") != name:
-            actions.append(AtLandmark(poke, name))
-            session.act(actions[-1])
+    actions += _name_pokes(session, names)
     if actions:
         append_actions(folder, actions)
-    return [*_written_lines(folder, session, actions), *unsure]
+    return [*_written_lines(folder, session, actions), *by_shape, *unsure]
+
+
+def _name_pokes(session: Session, names: Mapping[int, str]) -> list[AtLandmark]:
+    """Name pokes in the loaded session, and return the actions that change anything."""
+    from skincal.model.actions import AtLandmark
+
+    before = session.snapshot().at_landmarks
+    actions = [AtLandmark(poke, name) for poke, name in sorted(names.items()) if before.get(poke, "") != name]
+    for action in actions:
+        session.act(action)
+    return actions
+
+
+def _names_by_shape(session: Session, known: Mapping[int, str]) -> tuple[dict[int, str], list[str]]:
+    """Name pokes by the shape of the touched points, and say how sure that is; none if several namings fit."""
+    from skincal.words.units import millimetres
+
+    first = "The part's pose is not known yet"
+    if not session.has_used_tip:
+        return {}, [f"{first}, and neither is the tip, so --find finds no landmark: name three by --at or --order first."]
+    found = session.landmarks_by_shape(known)
+    if found is None:
+        return {}, [
+            f"{first}, and no three touches have the shape of three landmarks: name three by --at or --order first. Check "
+            "the places of the landmarks and tip_mm, too."
+        ]
+    if found.rival is not None:
+        either = ", ".join(
+            f"poke {poke} at {name or 'none'} or {found.rival.get(poke) or 'none'}"
+            for poke, name in sorted({**dict.fromkeys(found.rival, ""), **found.names}.items())
+            if found.rival.get(poke, "") != name
+        )
+        return {}, [
+            f"{first}, and the touched points have the shape of the landmarks in more than one way: {either}. Name one of them "
+            "by --at, in the same call."
+        ]
+    count = len({*found.names.values()})
+    sure = "No other naming fits." if count > 3 else "No other naming fits; a touch of a fourth landmark would confirm it."
+    shape = f"The touched points have the shape of {plural(count, 'landmark')}, to {millimetres(found.miss)} rms."
+    return dict(found.names), [f"{shape} {sure}"]
 
 
 def append_actions(folder: Path, actions: Iterable[Action]) -> None:

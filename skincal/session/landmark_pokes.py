@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import may_be_at_landmark
 from skincal.model.actions import FoundAtLandmark, MissedLandmark
 from skincal.model.scene import Landmark, NoiseSettings
@@ -19,6 +19,7 @@ from skincal.rig.expected_gain import expected_miss
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
+    from skincal.model.tool_rig import ToolSpec
 
 VISUAL_REACTION_TIME_S = 0.25
 """s, visual reaction time. A poke that starts sooner after a new request was on its way to the landmark before."""
@@ -34,6 +35,8 @@ OTHER_LANDMARK_MIN_DISTANCE_RATIO = 2.0
 """...if it passes every other landmark at this many times that distance. On 40 rigs with the paper's errors this names 90 % of
 840 landmark pokes, none wrongly: axes pass their landmarks at 10 mm in the median, at 19 mm in nine of ten. The axes of 29 % of
 the pokes on the skin pass a landmark in the same way, so a poke that a taxel answered is never matched."""
+BALL_CONTACT_SD_OVER_RADIUS = 0.3
+"""Before the part's place is known a ball is taken to touch along its push: pushes lean by up to 20 degrees."""
 MAX_PUSH_COSINE = -0.5
 """Largest cosine between the push and the outward normal of a landmark: a push that leans more than 60 degrees slides off."""
 
@@ -50,6 +53,18 @@ class NearestLandmark:
     """m, distance from the next one; infinite without one."""
     sure: bool
     """No taxel answered, and no other landmark is nearly as near."""
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkNames:
+    """Landmarks of pokes by the shape of the touched points."""
+
+    names: Mapping[int, str]
+    """By poke, of those at a landmark."""
+    rival: Mapping[int, str] | None
+    """Other names that fit as well; `None` if there are none."""
+    miss: float
+    """m, rms distance of the touched points from their landmarks."""
 
 
 class LandmarkFinder:
@@ -229,6 +244,54 @@ def nearest_landmarks(
             )
             found[outcome.poke] = NearestLandmark(outcome.poke, landmarks[nearest].name, miss, other, sure)
     return found
+
+
+def name_by_shape(
+    outcomes: Iterable[Outcome],
+    landmarks: Sequence[Landmark],
+    surface: Surface | None,
+    contact_of: Callable[[Outcome], FloatArray | None],
+    tool: ToolSpec | None,
+    known: Mapping[int, str],
+) -> LandmarkNames | None:
+    """Name the landmarks of pokes by the shape of the points that a tool's tip touched (`landmark_match`).
+
+    Parameters
+    ----------
+    outcomes : in the base of the tool's poses
+    surface : for the outward direction at landmarks without a normal
+    contact_of : as in `nearest_landmarks`
+    known : landmark of pokes that have a name; an empty one for a poke at none
+
+    Returns
+    -------
+    `None` if fewer than three landmarks fit.
+    """
+    possible = [each for each in outcomes if can_be_at_landmark(each) and known.get(each.poke) != ""]
+    touched = [contact for each in possible if (contact := contact_of(each)) is not None]
+    if tool is None or not touched or len(touched) < len(possible):
+        return None
+    from skincal.rig.landmark_match import match_landmarks  # rarely needed
+    from skincal.rig.part_touches import LANDMARK_SD_M
+
+    names, numbers = [landmark.name for landmark in landmarks], [each.poke for each in possible]
+    row_of = {name: row for row, name in enumerate(names)}
+    normals = [np.zeros(3) if normal is None else normal for normal in landmark_normals(landmarks, surface)]
+    found = match_landmarks(
+        np.array(touched),
+        Pokes.collect(possible).direction,
+        np.array([landmark.place for landmark in landmarks]).reshape(-1, 3),
+        np.array(normals).reshape(-1, 3),
+        math.hypot(LANDMARK_SD_M, tool.tip_sd, BALL_CONTACT_SD_OVER_RADIUS * tool.tip_radius),
+        np.array([row_of.get(known.get(poke, ""), -1) for poke in numbers], dtype=np.int64),
+    )
+    if found is None:
+        return None
+
+    def named(rows: IntArray) -> dict[int, str]:
+        return {poke: names[row] for poke, row in zip(numbers, rows.tolist(), strict=False) if row >= 0}
+
+    return LandmarkNames(named(found.landmark), None if found.rival is None else named(found.rival), found.miss)
 
 
 def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> list[FloatArray | None]:

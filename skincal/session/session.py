@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Outcome
+from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.contacts.poke_columns import GrowingPokeColumns
 from skincal.contacts.value_order import OrderOfValues, ValueOrderCounts
 from skincal.geometry import FloatArray, IntArray
@@ -32,10 +32,12 @@ from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fi
 from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import Decisions, apply_action, is_undoable, take_back, with_excluded
 from skincal.session.landmark_pokes import (
+    LandmarkNames,
     NearestLandmark,
     can_be_at_landmark,
     driven_to_leave_out,
     landmark_pokes,
+    name_by_shape,
     nearest_landmarks,
 )
 from skincal.session.snapshot import ChangePlace, ChannelOrder, PokeRecord, Snapshot, without_excluded
@@ -202,6 +204,23 @@ class Session:
         """Name the landmark of each poke that has none and is surely at one, by poke; not of those that were taken from one."""
         named = {*self.snapshot().at_landmarks, *self.decisions.taken_from_landmarks}
         return {poke: near.name for poke, near in self.nearest_landmarks().items() if near.sure and poke not in named}
+
+    def landmarks_by_shape(self, known: Mapping[int, str]) -> LandmarkNames | None:
+        """Name the pokes that no taxel answered by the shape of the touched points; for a part whose pose is unknown.
+
+        Parameters
+        ----------
+        known : names of pokes in addition to those that have one
+
+        Returns
+        -------
+        `None` if fewer than three landmarks fit, or the tip is not known.
+        """
+        excluded, named = self.decisions.excluded, {**self.snapshot().at_landmarks, **known}
+        left_out = self.decisions.taken_from_landmarks - named.keys()
+        pokes = [poke for poke in self._records if poke not in excluded and poke not in left_out]
+        outcomes = [each for each in self.frame_corrected(pokes) if isinstance(each, Rejection) or each.poke in named]
+        return name_by_shape(outcomes, self.decisions.landmarks, self.surface, self.contact_of, self.scene.tool, named)
 
     def frame_corrected(self, pokes: Iterable[int]) -> list[Outcome]:
         """Return pokes with the correction of the sensor's frame, without the correction of the rig's small errors."""

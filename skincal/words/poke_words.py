@@ -262,7 +262,8 @@ def unnamed_landmarks_sentence(landmarks: Sequence[str], pokes: int, folder: str
     how = (
         f"`skincal landmarks {folder} --find` names them, or Shift+K in the window, where it is sure"
         if is_placed
-        else f"`skincal landmarks {folder} --order` names them in their order, or --at one by one; three show the part's pose"
+        else f"`skincal landmarks {folder} --find` names them by the shape of the touched points, --order in their order, or "
+        "--at one by one; three show the part's pose"
     )
     at = count(len(landmarks), "landmark has no poke", "landmarks have no poke")
     return f"{at}, and no taxel answered {count(pokes, 'poke')}: {how}."

@@ -1,9 +1,12 @@
 """The commands with a rig that has no force sensor: record, landmarks, solve."""
 
 import json
+from types import SimpleNamespace
 
 import skincal
+from skincal.cli.landmarks import _names_by_shape
 from skincal.model.scene import load_scene
+from skincal.session.landmark_pokes import LandmarkNames
 from skincal.words.units import millimetres, point_mm
 from tests.skincal.session.test_no_sensor import EVERY, RADIUS, TIP, chunks, scene_of, scene_text
 
@@ -25,7 +28,8 @@ def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, ru
     assert (code, "The reference is not compared" in out, "outside the box" in out) == (0, True, False), "two frames"
     assert "error against the reference" not in out
     code, out, _ = run("landmarks", tmp_path / "s", "--find")
-    assert (code, "--find finds no landmark: name three" in out) == (0, True)
+    assert (code, "have the shape of 4 landmarks" in out, "wrote poke 4 at m3, 0." in out) == (0, True, True)
+    assert "took back poke 4 at m3" in run("landmarks", tmp_path / "s", "--undo")[1]
     code, out, _ = run("landmarks", tmp_path / "s", "--at", "1=m0")
     assert (code, "wrote poke 1 at m0\n" in out, "do not show yet" in out) == (0, True, True), "no distance between frames"
     assert "mm from it" not in run("landmarks", tmp_path / "s")[1]
@@ -47,6 +51,22 @@ def test_a_recording_without_a_wrench_is_calibrated_by_the_commands(tmp_path, ru
     assert all(each["error_mm"] for each in solved["methods"].values()), "compared in one frame"
     code, _, err = run("record", options[0], "--scene", tmp_path / "scene.toml", "--out", tmp_path / "t")
     assert (code, "or --tool" in err) == (2, True)
+
+
+def test_find_says_how_sure_the_shape_of_the_touched_points_is_and_writes_no_name_of_two():
+    def said(names, rival=None, **session):
+        found = LandmarkNames(names, rival, 0.0004)
+        return _names_by_shape(SimpleNamespace(has_used_tip=True, landmarks_by_shape=lambda _: found, **session), {})
+
+    three = {1: "a", 2: "b", 3: "c"}
+    names, (words,) = said(three)
+    assert names == three
+    assert "a touch of a fourth landmark would confirm it" in words
+    assert "fourth" not in said({**three, 4: "d"})[1][0]
+    names, (words,) = said(three, {1: "a", 2: "c", 4: "b"})
+    assert names == {}
+    assert "poke 2 at b or c, poke 3 at c or none, poke 4 at none or b." in words
+    assert "--at" in words
 
 
 def test_the_help_keeps_words_in_brackets(run):

@@ -341,9 +341,15 @@ def test_a_long_press_of_something_else_beside_a_parked_tip_is_no_poke(tmp_path)
 
 def test_landmarks_without_a_poke_are_named_with_the_command_that_finds_them(tmp_path):
     pipeline = calibrate(scene_of(tmp_path, scene_text()), chunks(EVERY[:5]))
+    by_shape = pipeline.session.landmarks_by_shape({})
+    assert by_shape.names == {1: "m0", 2: "m1", 3: "m2", 4: "m3"}
+    assert by_shape.rival is None
+    assert by_shape.miss < 0.0015
+    assert pipeline.session.landmarks_by_shape({2: "m2"}) is None, "a name that was given stays, and fits no shape"
     (before,) = unnamed_landmarks(pipeline, tmp_path / "monday")
     assert before.startswith("4 landmarks have no poke, and no taxel answered 4 pokes: ")
-    assert f"`skincal landmarks {tmp_path / 'monday'} --order`" in before
+    assert f"`skincal landmarks {tmp_path / 'monday'} --find`" in before
+    assert "--order in their order" in before
     for row in range(3):
         pipeline.act(AtLandmark(row + 1, f"m{row}"), 0)
     assert pipeline.snapshot().is_placed
