@@ -218,7 +218,9 @@ class SessionGuide:
         verdict = replace(
             verdict, closings=closings, frame_in_doubt=doubt, has_arm=has_arm, has_tool=has_tool, off_mesh=off_mesh
         )
-        verdict = replace(verdict, wrong_scale=snapshot.wrong_scale)
+        part = snapshot.part_pose
+        touched = None if part is None or unchecked is not None else part.landmark_places
+        verdict = replace(verdict, wrong_scale=snapshot.wrong_scale, touched_landmarks=touched)
         return replace(verdict, unchecked=unchecked, left=left, axes=self._axis_findings(snapshot, method))
 
     def _axis_findings(self, snapshot: Snapshot, method: Method) -> AxisFindings | None:

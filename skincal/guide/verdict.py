@@ -313,6 +313,8 @@ class Verdict:
     """Whether the scene has joints of an arm."""
     has_tool: bool = False
     """Whether a tool pokes the part, whose poses are streamed."""
+    touched_landmarks: int | None = None
+    """Number of different landmarks that the tip of a tool touched; `None` in rigs whose sensor they check."""
     landmarks_left: int = 0
     """Number of landmark pokes that the guide still requests."""
 

@@ -33,7 +33,7 @@ from skincal.words.poke_words import poke_count_words, reason_words
 from skincal.words.rig_words import rig_error_sentences
 from skincal.words.taxel_words import NOT_KNOWN_YET, state_sentence, taxel_error_words, unchecked_sentence
 from skincal.words.units import DASH, millimetres
-from skincal.words.verdict_words import agreement_words, check_words, closing_words, figures, left_words, verdict_sentence
+from skincal.words.verdict_words import check_words, closing_words, figures, landmark_figure, left_words, verdict_sentence
 
 _INVISIBLE_CHARACTER_RE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
 _NUMBER_RE = re.compile(rf"-?[\d.]+|{DASH}")
@@ -165,8 +165,9 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     check, landmarks = facts.verdict.check, facts.verdict.landmarks
     said = AGREES if check.agrees else AGAINST
     yield "Test pokes", check_words(facts.verdict), said if check.has_enough or not check.believed else OPEN
-    said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
-    yield "Landmarks", agreement_words(landmarks, has_arm=facts.verdict.has_arm), said
+    said = OPEN if landmarks is None or (landmarks.agrees and landmarks.driven) else AGREES
+    said = said if landmarks is None or landmarks.agrees else AGAINST
+    yield "Landmarks", landmark_figure(facts.verdict), said
     closings = facts.verdict.closings
     yield (
         "Final check",

@@ -110,6 +110,8 @@ class PartPose:
     """...and touches on the mesh."""
     tip_shift: FloatArray = field(default_factory=lambda: np.zeros(3))
     """(3,) float, metres: error of the tip that the touches show, in the frame of `PartShape.tip_covariance`."""
+    tip_shift_chi2: float = 0.0
+    """Chi-square of `tip_shift` under `PartShape.tip_covariance`, three degrees of freedom."""
     height: float = 0.0
     """m, h: height of the touched face of the skin over the mesh; 0 without touches on it."""
     height_sd: float = np.inf
@@ -356,6 +358,7 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
         taxels=counts[1],
         points=counts[2],
         tip_shift=best.tip_shift,
+        tip_shift_chi2=_tip_shift_chi2(best.tip_shift, shape),
         height=best.height[0] if counts[2] else 0.0,
         height_sd=best.height[1] * max(1.0, ratio) if counts[2] else np.inf,
         ratio=ratio,
@@ -368,6 +371,11 @@ def _judge(best: _Fit, fits: Sequence[_Fit], touches: PartTouches, shape: PartSh
         open_motions=open_motions,
         rival=rival,
     )
+
+
+def _tip_shift_chi2(tip_shift: FloatArray, shape: PartShape) -> float:
+    covariance = shape.tip_covariance + TIP_MIN_SD_M**2 * np.eye(3)
+    return float(tip_shift @ np.linalg.solve(covariance, tip_shift))
 
 
 def _scales_of(best: _Fit, touches: PartTouches, shape: PartShape, freedom: int) -> PartScales:

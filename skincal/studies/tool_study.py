@@ -141,7 +141,7 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
 
     Returns
     -------
-    JSON by count: `methods`, the numbers of `error_numbers` by method, and `seconds`, run time of the new pokes' solution
+    JSON by count: `methods`, the numbers of `error_numbers` by method, and `seconds`, processor time of the new pokes' solution
     """
     case, part = task.case, forearm()
     poked = simulate_tool_session(
@@ -161,12 +161,12 @@ def run_session(task: Task) -> dict[int, dict[str, Any]]:
     found: dict[int, dict[str, Any]] = {}
     done = 0
     for count in task.sizes.counts:
-        start = time.perf_counter()
+        start = time.process_time()
         for contact in contacts[done:count]:
             session.add(contact)
         done = count
         snapshot = session.snapshot()
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
         in_part = case.known != BASE_ALONE and snapshot.is_placed
         places = poked.places if in_part else _carry(poked.base_from_part, poked.places)
         numbers = {method.value: error_numbers(each, places) for method, each in snapshot.estimates.items()}

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from skincal.model.tool_rig import ToolSpec
+from skincal.rig.correction_fit import MIN_LANDMARKS
 from skincal.rig.mesh_distance import MeshDistance
 from skincal.rig.part_pose import MIN_TOUCHES, MISFIT_MIN_RATIO, PartPose, PartPoseState
 from skincal.rig.part_scale import DrawnThing, WrongScale
@@ -24,6 +26,8 @@ MISFIT_ADVICE = (
     "The cause may be the tip, a landmark with another name or place, or a part that moved. Make the fixed-point test (Session "
     "menu, or `skincal tool`), and touch more landmarks: with six or more the mistake is named."
 )
+TIP_SHIFT_NAMED_ABOVE_CHI2 = 12.84
+"""An error of the tip that the touches show is named above it: one right tip in 200 (chi-square, three degrees of freedom)."""
 ADD_LANDMARK = "The scene has no landmarks: add one, such as a corner or a screw whose place the drawing gives, and touch it."
 _WORDS_OF_THING = {
     DrawnThing.LANDMARKS: ("landmarks lie", "too far apart", "too close together"),
@@ -89,7 +93,28 @@ def part_pose_sentence(pose: PartPose, landmark: str = "") -> str:
             )
             of = ", ".join(count(number, one, many) for number, one, many in seen if number)
             known = f"Part: its pose in the base is known to {millimetres(pose.sd)} everywhere on it, from {of}."
-            return " ".join(filter(None, (known, _open_words(pose))))
+            return " ".join(filter(None, (known, _open_words(pose), _few_landmarks_words(pose.landmark_places))))
+
+
+def _few_landmarks_words(touched: int) -> str:
+    """Say what too few landmarks cannot show; empty with enough, or none."""
+    if not 0 < touched < MIN_LANDMARKS:
+        return ""
+    return (
+        f"{count(touched, 'landmark gives', 'landmarks give')} the pose and cannot check it: a landmark with a wrong place may "
+        f"fit as well. Touch {MIN_LANDMARKS} or more, with the tool turned another way at each."
+    )
+
+
+def tip_shift_sentence(part: PartPose, tool: ToolSpec) -> str:
+    """Warn of a tip that the touches show elsewhere than `tip_mm`; empty if they agree, or no tip is given."""
+    if tool.tip is None or not part.is_known or part.tip_shift_chi2 <= TIP_SHIFT_NAMED_ABOVE_CHI2:
+        return ""
+    shift = tool.tool_from_sensor[:3, :3] @ part.tip_shift
+    return (
+        f"The touches show the tip ({point_mm(shift)}) mm from tip_mm, in the tool's frame, and the taxels are placed by it. "
+        "Make the fixed-point test, and correct tip_mm."
+    )
 
 
 def _rival_words(pose: PartPose) -> str:

@@ -161,6 +161,11 @@ def off_plan_sentence(off_plan: float) -> str:
 def _landmark_words(verdict: Verdict) -> str:
     """Say whether landmarks agree, where the headline has no doubt: only they reveal a common shift of all taxels."""
     landmarks = verdict.landmarks
+    if landmarks is None and verdict.touched_landmarks:
+        return (
+            f"{count(verdict.touched_landmarks, 'landmark')} cannot check it: a landmark with a wrong place, and so a common "
+            f"shift of all taxels, would go unnoticed. Touch {MIN_LANDMARKS}."
+        )
     if landmarks is None:
         return "Not checked with landmarks: a common shift of all taxels would go unnoticed."
     if not landmarks.agrees:
@@ -195,7 +200,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Expected error", _error_words(verdict)),
         ("Finished means", done_words(verdict.method, verdict.wanted)),
         ("Test pokes", check_words(verdict)),
-        ("Landmarks", agreement_words(verdict.landmarks, has_arm=verdict.has_arm)),
+        ("Landmarks", landmark_figure(verdict)),
         ("Final check", closing_words(verdict.closings, has_tool=verdict.has_tool)),
         ("Work", f"{duration(verdict.seconds)}, {poke_count_words(verdict.counts)}"),
     )
@@ -231,6 +236,14 @@ def check_words(verdict: Verdict) -> str:
     moved = "the part or the tip moved, and tip_mm and flange of [tool]" if verdict.has_tool else ""
     moved = moved or "the part or the sensor moved, and the frames in the scene"
     return f"{words}: errors are larger than expected. Check whether {moved}."
+
+
+def landmark_figure(verdict: Verdict) -> str:
+    """Say whether landmarks agree, or what the check needs."""
+    touched = verdict.touched_landmarks
+    if verdict.landmarks is None and touched is not None:
+        return f"not checked: {touched} of the {MIN_LANDMARKS} landmarks that it needs were touched"
+    return agreement_words(verdict.landmarks, has_arm=verdict.has_arm)
 
 
 def agreement_words(landmarks: LandmarkAgreement | None, *, has_arm: bool) -> str:

@@ -5,6 +5,7 @@ rests, and goes back.
 """
 
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -32,6 +33,7 @@ from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from skincal.words.mistake_words import setup_sentences
 from skincal.words.outcome_words import outcome_headline
+from skincal.words.part_words import tip_shift_sentence
 from skincal.words.poke_words import rejection_advice, rejection_words, short_rejection
 from skincal.words.tool_words import tool_findings
 from skincal.words.units import ChannelNames
@@ -418,6 +420,30 @@ def test_landmarks_to_which_a_robot_drove_confirm_nothing_and_the_verdict_says_s
     assert not is_believed(enough, driven.landmarks)
     assert "A robot drove to 4 of 4 landmark pokes" in verdict_sentence(driven)
     assert "by hand" in dict(figures(driven))["Landmarks"]
+
+
+def test_three_landmarks_give_the_pose_and_every_place_says_that_they_cannot_check_it(tmp_path):
+    pipeline = calibrate(scene_of(tmp_path, scene_text()), chunks(EVERY[:5]))
+    for row in range(3):
+        pipeline.act(AtLandmark(row + 1, f"m{row}"), 0)
+    results = SessionResults(pipeline)
+    verdict = results.verdict(Method.SURFACE)
+    assert (results.snapshot.part_pose.is_known, verdict.landmarks) == (True, None)
+    assert not is_believed(Check(30, 30), verdict.landmarks)
+    assert "3 landmarks cannot check it" in verdict_sentence(verdict)
+    assert dict(figures(verdict))["Landmarks"].startswith("not checked: 3 of the 4 landmarks")
+    assert "3 landmarks give the pose and cannot check it" in results.tool[0]
+    pipeline.act(AtLandmark(4, "m3"), 0)
+    results = SessionResults(pipeline)
+    assert "Landmarks agree" in verdict_sentence(results.verdict(Method.SURFACE))
+    assert "cannot check it" not in results.tool[0]
+
+
+def test_a_tip_that_the_touches_show_elsewhere_is_named_with_its_way(recorded):
+    part, tool = recorded.snapshot().part_pose, recorded.scene.tool
+    assert tip_shift_sentence(part, tool) == "", "a right tip"
+    wrong = replace(part, tip_shift=np.array([0.0, -0.005, 0.0]), tip_shift_chi2=25.0)
+    assert "(0.0  \N{MINUS SIGN}5.0  0.0) mm from tip_mm" in tip_shift_sentence(wrong, tool)
 
 
 def test_a_landmark_to_which_a_robot_drives_later_changes_no_pose_that_three_others_give(tmp_path):
