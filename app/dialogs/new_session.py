@@ -40,7 +40,7 @@ from app.panels.widgets import (
     theme_colours,
 )
 from app.session.opening import Addresses, OpenRequest, check_addresses, check_streams, server_command
-from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
+from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics, list_trackers
 from app.session.recording import stop_all
 from app.state.view_state import LinkStatus, link_status
 from app.text_size import scaled, set_font
@@ -314,8 +314,10 @@ class NewSessionDialog(Dialog):
         self.destroyed.connect(lambda: previews.stop_readers())
         self._ports: list[tuple[str, str]] = []
         self._topics: list[FoundTopic] = []
-        self._port_search, self._topic_search, self._closing = (
-            ThreadService(name, self) for name in ("ports", "topics", "closing")
+        self._trackers: list[tuple[str, str]] | None = None
+        """Address and description of trackers; `None` before a scene with a tool is chosen."""
+        self._port_search, self._topic_search, self._tracker_search, self._closing = (
+            ThreadService(name, self) for name in ("ports", "topics", "trackers", "closing")
         )
         self._arrange()
         self._connect()
@@ -411,6 +413,16 @@ class NewSessionDialog(Dialog):
         self._ports = ports
         self._list_addresses()
 
+    def _search_trackers(self) -> None:
+        """Search for trackers once: the search sends a broadcast, which other rigs have no use for."""
+        if self._trackers is None:
+            self._trackers = []
+            self._tracker_search.submit(list_trackers, self._set_trackers, lambda _: None)
+
+    def _set_trackers(self, trackers: list[tuple[str, str]]) -> None:
+        self._trackers = trackers
+        self._list_addresses()
+
     def _set_topics(self, found: tuple[list[FoundTopic], str]) -> None:
         topics, trouble = found
         self._topics = topics
@@ -423,12 +435,13 @@ class NewSessionDialog(Dialog):
         self._list_addresses()
 
     def _list_addresses(self) -> None:
-        """List topics that look like the row's stream, then ports and other topics, then addresses that were used before."""
+        """List trackers and topics that look like the row's stream, then ports and other topics, then addresses used before."""
         topics = [(each.stream, (each.address, each.words)) for each in self._topics]
-        listed = dict([*self._ports, *(entry for _, entry in topics)])
+        listed = dict([*self._ports, *(self._trackers or ()), *(entry for _, entry in topics)])
         used = [(address, "used before") for address in self._known if address not in listed]
         for stream, row in self.rows.items():
             likely = [entry for of, entry in topics if of is stream]
+            likely[:0] = (self._trackers or ()) if stream is Stream.TOOL else ()
             others = [entry for of, entry in topics if of is not stream]
             row.set_ports([*likely, *self._ports, *others, *reversed(used)])
 
@@ -453,6 +466,8 @@ class NewSessionDialog(Dialog):
                 self.pose.addItem(plain_text(name), name)
         has_tool = scene is not None and scene.tool is not None
         self.rows[Stream.TOOL].set_used(has_tool)
+        if has_tool:
+            self._search_trackers()
         has_wrench = scene is None or scene.has_sensor
         self.rows[Stream.WRENCH].set_used(has_wrench)
         self.swap.setVisible(has_wrench)
@@ -584,7 +599,7 @@ class NewSessionDialog(Dialog):
         self._timer.stop()
         self._previews.stop_readers()
         self.scene.close_threads()
-        for service in (self._port_search, self._topic_search, self._closing):
+        for service in (self._port_search, self._topic_search, self._tracker_search, self._closing):
             service.close(0.0)
         super().done(result)
 

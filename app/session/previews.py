@@ -47,6 +47,13 @@ def list_topics() -> tuple[list[FoundTopic], str]:
     return found, f"{left_out} more topics of ROS 2 are not listed; type their addresses." if left_out else ""
 
 
+def list_trackers() -> list[tuple[str, str]]:
+    """List address and description of the optical trackers that answer a broadcast; takes half a second."""
+    from skincal.streams.tracker_search import find_trackers  # only parts that a tool pokes need it
+
+    return find_trackers()
+
+
 @dataclass(frozen=True, slots=True)
 class Preview:
     """Live preview of one stream: its newest readings and state."""

@@ -44,6 +44,7 @@ def _own_settings(tmp_path: Path) -> Iterator[None]:
 def _no_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """The dialog for a new session looks for ROS topics for two seconds: only in its own test."""
     monkeypatch.setattr("app.dialogs.new_session.list_topics", lambda: ([], ""))
+    monkeypatch.setattr("app.dialogs.new_session.list_trackers", list)
 
 
 def _left() -> list[str]:
