@@ -24,7 +24,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.part.part import Part, lay_part
 from skincal.robot.ros_targets import RosTargets
-from skincal.robot.target_lines import NoTarget, TipPose
+from skincal.robot.target_lines import GuidedByHand, NoTarget, TipPose
 from skincal.robot.target_server import RobotChange
 from skincal.robot.targets import Targets
 from skincal.session.solving import methods_of
@@ -119,6 +119,10 @@ class GuidedSession:
                 continue
             if isinstance(item, TipPose):
                 self.tip = item
+                self._robot.note_tip()
+                continue
+            if isinstance(item, GuidedByHand):
+                self._robot.note_hand(item)
                 continue
             if isinstance(item, RobotPace | RobotChange):
                 self._take_robot(item)

@@ -18,6 +18,7 @@ from skincal.robot.target_lines import (
     Answer,
     AnswerKind,
     AskedLine,
+    GuidedByHand,
     Held,
     Judged,
     NoTarget,
@@ -52,8 +53,10 @@ class _Request:
     """No verdict on it follows."""
     is_held: bool = False
     """The robot knows that it may let go."""
+    is_by_hand: bool = False
+    """The robot says that a person guides the tip to this known point."""
     is_driven: bool = False
-    """The robot says that it drove to this known point."""
+    """The robot said where its tip is in the part's frame, or that it reached this known point: it knows the part's pose."""
     landmark: str = ""
     """Name of the landmark that its poke was at; empty before, and at none."""
 
@@ -170,7 +173,10 @@ class RobotDialogue:
         """Process a robot's answer and return its meaning."""
         if not 0 < answer.number <= self._number:
             return Meaning(protocol_error=f"it answers {write_answer(answer)[:40]!r}, and was asked {self._number} at most.")
-        self._note_drive(answer)
+        if answer.kind is AnswerKind.REACHED:
+            for each in self._requests:
+                if each.target.number == answer.number:
+                    self._note_drive(each)
         request, skips = self._requests[-1], answer.kind is AnswerKind.SKIP
         is_newest = answer.number == request.target.number
         if is_newest and skips and self._is_stopped:
@@ -192,14 +198,21 @@ class RobotDialogue:
             "or for another once it skips this one."
         )
 
-    def _note_drive(self, answer: Answer) -> None:
-        """Remember that the robot drove to a known point; the answer may come before or after the verdict on the poke."""
-        if answer.kind is not AnswerKind.REACHED or answer.by_hand:
-            return
+    def note_hand(self, line: GuidedByHand) -> None:
+        """Remember that a person guides the tip to a known point."""
         for request in self._requests:
-            if request.target.number == answer.number and request.target.known and not request.is_driven:
-                request.is_driven = True
-                self._driven += [request.landmark] if request.landmark else []
+            request.is_by_hand |= request.target.number == line.number
+
+    def note_tip(self) -> None:
+        """Remember that a robot with a known point to go to says where its tip is in the part's frame."""
+        if self.has_open_request:
+            self._note_drive(self._requests[-1])
+
+    def _note_drive(self, request: _Request) -> None:
+        """Remember that the robot drives to a known point; this may show before or after the verdict on the poke."""
+        if request.target.known and not request.is_by_hand and not request.is_driven:
+            request.is_driven = True
+            self._driven += [request.landmark] if request.landmark else []
 
     def take_driven(self) -> list[str]:
         """Return the landmarks that the robot drove to since the last call: the newest poke at each is meant."""

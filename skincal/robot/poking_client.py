@@ -167,8 +167,6 @@ class PokingClient:
         """Takes the pose (4, 4) of the part in the base of the arm, metres, as skincal found it; `None` if the arm knows it."""
         self.prepare_arm: Callable[[PokeTarget], bool] | None = None
         """Called before a poke is planned, and says whether a person guides the tip; `None` if the arm always drives."""
-        self._is_by_hand = False
-        """A person guides the tip to the present target."""
         self._part: PartPlace | None = None
         """The newest one, which is not used yet."""
         self._plan: PokePlan | None = None
@@ -368,8 +366,8 @@ class PokingClient:
         if part is not None and self.locate_part is not None:
             # Not during a motion, whose points are in the frame of the part.
             self.locate_part(part.base_from_link)
-        if self.prepare_arm is not None:
-            self._is_by_hand = self.prepare_arm(goal)
+        if self.prepare_arm is not None and self.prepare_arm(goal):
+            self._say(target_lines.GuidedByHand(goal.number))
         self._shift = self._shift_for(goal)
         plan = self._plan_poke(goal)
         if isinstance(plan, str):
@@ -478,7 +476,7 @@ class PokingClient:
         if self._is_pressed_well(missing):
             self._enter(Phase.HOLD, plan.target.hold + own.held_wait_s)
         elif self.arm.time_s > self._expected_s or self._is_held:
-            self._let_go(Answer(AnswerKind.REACHED, plan.target.number, by_hand=self._is_by_hand))
+            self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
         else:
             self._move_by_force(missing, own.press_speed)
 
@@ -488,7 +486,7 @@ class PokingClient:
         is_over = self._is_held or self.arm.time_s > self._expected_s
         # A tip that has slid lets go, too: skincal sees that and says what it wants now.
         if is_over or self.force < own.slip_share * plan.target.force:
-            self._let_go(Answer(AnswerKind.REACHED, plan.target.number, by_hand=self._is_by_hand))
+            self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
         elif not self._is_pressed_well(missing):
             self._move_by_force(missing, own.press_speed / 4.0)
 

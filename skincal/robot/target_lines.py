@@ -30,7 +30,7 @@ NO_TAXEL = "-"
 KNOWN_POINT = "+"
 """In place of the channel: a known point of the part, such as a screw head or a corner."""
 BY_HAND = "hand"
-"""After `reached N`: a person guided the tip to a known point."""
+"""First word of a robot's line: a person guides the tip to a known point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +110,7 @@ class AnswerKind(Enum):
     """Words of a robot on a target."""
 
     REACHED = "reached"
-    """It pressed there as requested, and released. Without `BY_HAND` it drove to the place."""
+    """It pressed there as requested, and released."""
     SKIP = "skip"
     """It cannot or will not; another target is wanted. With a text it never can, and the text says why."""
     FAULT = "fault"
@@ -125,8 +125,6 @@ class Answer:
     number: int
     text: str = ""
     """What happened, for a fault; why it is impossible, for a skip."""
-    by_hand: bool = False
-    """A person guided the tip to the place that was reached: no pose of the part did."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,9 +137,16 @@ class TipPose:
     """(3,) float, unit: from the tool to the tip."""
 
 
-RobotLine: TypeAlias = Answer | RobotPace | TipPose
+@dataclass(frozen=True, slots=True)
+class GuidedByHand:
+    """A person guides the tip to the known point of a request: the robot drives to it by no pose of the part."""
 
-ANSWER_HELP = "reached N [hand], skip N [REASON], fault N TEXT, robot SPEED SECONDS or tip X Y Z PX PY PZ"
+    number: int
+
+
+RobotLine: TypeAlias = Answer | RobotPace | TipPose | GuidedByHand
+
+ANSWER_HELP = "reached N, skip N [REASON], fault N TEXT, hand N, robot SPEED SECONDS or tip X Y Z PX PY PZ"
 COORDINATE_MAX_M = 10.0
 """m. No part reaches so far from its frame's origin."""
 ROBOT_SPEED_AND_POKE_TIME_MAX = 1000.0
@@ -185,8 +190,9 @@ def write_answer(answer: RobotLine) -> str:
         case TipPose():
             return " ".join(["tip", *(f"{value:.6f}" for value in (*answer.place, *answer.push))])
         case Answer():
-            text = BY_HAND if answer.by_hand else _words(answer.text)
-            return f"{answer.kind.value} {answer.number} {text}".rstrip()
+            return f"{answer.kind.value} {answer.number} {_words(answer.text)}".rstrip()
+        case GuidedByHand():
+            return f"{BY_HAND} {answer.number}"
 
 
 def read_answer_line(line: str) -> RobotLine | None:
@@ -197,16 +203,20 @@ def read_answer_line(line: str) -> RobotLine | None:
     try:
         if words[0] == "robot":
             return _pace_of(*words[1:])
+        if words[0] == BY_HAND:
+            return _hand_of(*words[1:])
         if words[0] == "tip":
             return _tip_of(words[1:])
         kind, number = AnswerKind(words[0]), read_number(words[1])
-        if kind is AnswerKind.REACHED:
-            if words[2:] not in ([], [BY_HAND]):
-                raise ValueError(line)
-            return Answer(kind, number, by_hand=len(words) > 2)
+        if len(words) > 2 and kind is AnswerKind.REACHED:
+            raise ValueError(line)
     except (ValueError, IndexError, TypeError):
         raise InputError(f"it says {shortened(line.strip(), 80)!r}; expected {ANSWER_HELP}.") from None
     return Answer(kind, number, _words(" ".join(words[2:])))
+
+
+def _hand_of(number: str) -> GuidedByHand:
+    return GuidedByHand(read_number(number))
 
 
 def _pace_of(speed: str, poke_s: str) -> RobotPace:

@@ -17,7 +17,7 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import nearest_pushed_points
 from skincal.model.errors import InputError
-from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, NoTarget, PokeTarget
+from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, GuidedByHand, NoTarget, PokeTarget
 from skincal.simulation.simulated_rig import (
     PressedPlaces,
     Rig,
@@ -478,9 +478,9 @@ class GuidedOperator(AutoOperator):
     """s, time of the next touch; `None` while the hand rests."""
     _poked: int = 0
     """Number of the last poked target."""
-    _unanswered: Answer | None = None
-    """Answer to give once the hand is back; `None` after it."""
-    answered: Callable[[Answer], object] | None = None
+    _unanswered: int = 0
+    """Target number without an answer, or 0."""
+    answered: Callable[[Answer | GuidedByHand], object] | None = None
     """Receives the answers."""
 
     def accept(self, order: Order) -> None:
@@ -499,9 +499,9 @@ class GuidedOperator(AutoOperator):
             self._newest = line
 
     def next(self, now: float) -> OperatorAction | None:
-        self._seen, answer, self._unanswered = self._newest, self._unanswered, None
-        if answer is not None and self.answered is not None:
-            self.answered(answer)
+        self._seen, number, self._unanswered = self._newest, self._unanswered, 0
+        if number and self.answered is not None:
+            self.answered(Answer(AnswerKind.REACHED, number))
         if self._seen in (NoTarget.WAIT, NoTarget.STOP, NoTarget.ENOUGH):
             self._touch = None
             return None
@@ -515,8 +515,9 @@ class GuidedOperator(AutoOperator):
             self._touch = now + self._rng.uniform(*self._habits.approach_s)
         if now < self._touch - self._habits.reaction_s or self._seen.number == self._poked:
             return None
-        self._poked = self._seen.number
-        self._unanswered = Answer(AnswerKind.REACHED, self._poked, by_hand=self._seen.known)
+        self._poked = self._unanswered = self._seen.number
+        if self._seen.known and self.answered is not None:
+            self.answered(GuidedByHand(self._poked))
         # After a wait the touch is now, or as soon as a tool is there.
         touch, self._touch = max(self._touch, now + self._habits.tool_s), None
         self.begun += 1

@@ -13,7 +13,7 @@ def drove_sentence(landmark: str) -> str:
     """Warn of a robot that drove to a landmark by a pose of the part that it was given."""
     return (
         f"The robot drove to the landmark {landmark} by a pose of the part, so its touch cannot check that pose. "
-        "Guide the tip to the landmarks by hand, and look that it touches them."
+        "Guide the tip to the landmarks by hand, and look that it touches them (a program for that says `hand N`)."
     )
 
 

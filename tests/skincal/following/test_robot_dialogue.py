@@ -11,7 +11,7 @@ from skincal.following.robot_dialogue import POKE_DETECTION_TIMEOUT_S, RobotDial
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.model.scene import load_scene, resource
 from skincal.rig.part_pose import NO_PART_POSE, PartPoseState
-from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PartPlace, PokeTarget
+from skincal.robot.target_lines import Answer, AnswerKind, GuidedByHand, Held, Judged, NoTarget, PartPlace, PokeTarget
 from skincal.session.decisions import Decisions
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
@@ -157,26 +157,40 @@ def test_a_poke_that_began_before_is_of_the_target_before_or_of_nobody():
     assert course.at(2.6, wants(5))[0] == Judged(2)
 
 
-@pytest.mark.parametrize("is_late", [False, True], ids=["before the verdict", "after it"])
+@pytest.mark.parametrize("by", ["reached before the verdict", "reached after it", "tip"])
 @pytest.mark.parametrize("by_hand", [False, True])
-def test_a_robot_that_drove_to_a_landmark_is_remembered_by_its_answer(is_late, by_hand):
+def test_a_robot_that_drives_to_a_landmark_is_known_by_its_lines_unless_a_hand_guides_it(by, by_hand):
     course = Course()
     screw = replace(wants(3).target, channel=None, landmark="screw")
+    course.robot.note_tip()
     course.asked(1.0, wants(3, target=screw))
-    answer = Answer(REACHED, 1, by_hand=by_hand)
-    if not is_late:
-        course.robot.handle_answer(answer, 2.4)
+    if by_hand:
+        course.robot.note_hand(GuidedByHand(1))
+    if by == "reached before the verdict":
+        course.robot.handle_answer(Answer(REACHED, 1), 2.4)
+    elif by == "tip":
+        course.robot.note_tip()
     course.pokes.append(poke(1, 2.0, Reason.NO_TAXEL))
     course.landmarks[1] = "screw"
     assert course.at(2.6, wants(4))[0] == Judged(1)
-    if is_late:
-        course.robot.handle_answer(answer, 2.7)
+    if by == "reached after it":
+        course.robot.handle_answer(Answer(REACHED, 1), 2.7)
     assert course.robot.take_driven() == ([] if by_hand else ["screw"])
     assert course.robot.take_driven() == []
-    # A taxel is no landmark, and a poke that missed is at none.
+    # A taxel is no landmark.
+    course.robot.note_tip()
     course.robot.handle_answer(Answer(REACHED, 2), 3.0)
     course.pokes.append(poke(2, 2.9))
     course.at(3.6, wants(5))
+    assert course.robot.take_driven() == []
+
+
+def test_a_hand_that_touches_a_landmark_while_the_robot_waits_in_silence_drove_nowhere():
+    course = Course()
+    course.asked(1.0, wants(3, target=replace(wants(3).target, channel=None, landmark="screw")))
+    course.pokes.append(poke(1, 2.0, Reason.NO_TAXEL))
+    course.landmarks[1] = "screw"
+    course.at(2.6, wants(4))
     assert course.robot.take_driven() == []
 
 

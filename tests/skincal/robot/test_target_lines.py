@@ -16,6 +16,7 @@ from skincal.robot.target_lines import (
     LINE_MAX_BYTES,
     Answer,
     AnswerKind,
+    GuidedByHand,
     Held,
     Judged,
     LineCutter,
@@ -64,13 +65,10 @@ def test_a_tip_survives_its_line():
     np.testing.assert_allclose(read.push, SHOWN.push, atol=1e-6)
 
 
-def test_a_touch_by_hand_survives_its_line_and_nothing_else_follows_reached():
-    for by_hand, line in ((False, "reached 7"), (True, "reached 7 hand")):
-        answer = Answer(AnswerKind.REACHED, 7, by_hand=by_hand)
-        assert write_answer(answer) == line
-        assert read_answer_line(line) == answer
-    assert read_answer_line("skip 7 hand") == Answer(AnswerKind.SKIP, 7, "hand")
-    for wrong in ("reached 7 hands", "reached 7 hand x"):
+def test_a_touch_by_hand_survives_its_line():
+    assert write_answer(GuidedByHand(7)) == "hand 7"
+    assert read_answer_line("hand 7") == GuidedByHand(7)
+    for wrong in ("hand", "hand x", "hand 7 8", "reached 7 hand"):
         with pytest.raises(InputError):
             read_answer_line(wrong)
 
