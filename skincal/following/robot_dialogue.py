@@ -199,7 +199,7 @@ class RobotDialogue:
         )
 
     def note_hand(self, line: GuidedByHand) -> None:
-        """Remember that a person guides the tip to a known point."""
+        """Remember that a person guides the tip to a known point; the robot may have said where its tip is before."""
         for request in self._requests:
             request.is_by_hand |= request.target.number == line.number
 
@@ -264,7 +264,8 @@ class RobotDialogue:
             if request is not None and not request.is_judged:
                 request.end()
                 request.landmark = snapshot.at_landmarks.get(outcome.poke, "")
-                self._driven += [request.landmark] if request.landmark and request.is_driven else []
+                is_driven = request.is_driven and not request.is_by_hand
+                self._driven += [request.landmark] if request.landmark and is_driven else []
                 lines.append(Judged(request.target.number, _why_rejected(record, snapshot)))
         newest = self._requests[-1] if self._requests else None
         if newest and newest.is_open and newest.reached_s is not None and now_s - newest.reached_s > POKE_DETECTION_TIMEOUT_S:

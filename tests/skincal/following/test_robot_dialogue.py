@@ -165,6 +165,8 @@ def test_a_robot_that_drives_to_a_landmark_is_known_by_its_lines_unless_a_hand_g
     course.robot.note_tip()
     course.asked(1.0, wants(3, target=screw))
     if by_hand:
+        # The last place of the tip before the robot read the request.
+        course.robot.note_tip()
         course.robot.note_hand(GuidedByHand(1))
     if by == "reached before the verdict":
         course.robot.handle_answer(Answer(REACHED, 1), 2.4)
