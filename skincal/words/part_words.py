@@ -106,6 +106,14 @@ def _few_landmarks_words(touched: int) -> str:
     )
 
 
+def driven_pose_sentence(driven: int) -> str:
+    """Warn of a pose of the part from landmarks that a robot drove to by another pose of it."""
+    return (
+        f"Part: a robot drove to {count(driven, 'landmark touch', 'landmark touches')} by a pose of the part, so its pose here "
+        "is as wrong as that one, and no error contains that. Guide the tip to the landmarks by hand."
+    )
+
+
 def tip_shift_sentence(part: PartPose, tool: ToolSpec) -> str:
     """Warn of a tip that the touches show elsewhere than `tip_mm`; empty if they agree, or no tip is given."""
     if tool.tip is None or not part.is_known or part.tip_shift_chi2 <= TIP_SHIFT_NAMED_ABOVE_CHI2:

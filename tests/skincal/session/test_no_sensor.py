@@ -412,7 +412,9 @@ def test_landmarks_to_which_a_robot_drove_confirm_nothing_and_the_verdict_says_s
     assert verdict.landmarks.driven == 0
     for row in range(len(MARKS)):
         pipeline.act(DroveToLandmark(f"m{row}"), 0)
-    driven = SessionResults(pipeline).verdict(Method.SURFACE)
+    results = SessionResults(pipeline)
+    assert any("a robot drove to 4 landmark touches" in each for each in results.tool), "in solve, report and files"
+    driven = results.verdict(Method.SURFACE)
     assert (driven.landmarks.driven, driven.landmarks.ratio) == (4, verdict.landmarks.ratio)
     assert driven.landmarks.agrees
     enough = Check(30, 30)
