@@ -516,7 +516,8 @@ class GuidedOperator(AutoOperator):
         if now < self._touch - self._habits.reaction_s or self._seen.number == self._poked:
             return None
         self._poked = self._unanswered = self._seen.number
-        if self._seen.known and self.answered is not None:
+        # Other rigs find no pose of the part.
+        if self._seen.known and self.answered is not None and self._rig.scene.tool is not None:
             self.answered(GuidedByHand(self._poked))
         # After a wait the touch is now, or as soon as a tool is there.
         touch, self._touch = max(self._touch, now + self._habits.tool_s), None

@@ -16,7 +16,7 @@ from skincal.contacts.outcome import Contact
 from skincal.following.guided_session import RobotGuide
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import resource
-from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget
+from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, write_answer
 from skincal.robot.target_server import TargetServer, parse_port
 from skincal.session.pipeline import Pipeline
 from skincal.simulation.device import DeviceTimeline
@@ -53,7 +53,7 @@ class SimulatedRobot:
         self.hand = GuidedOperator(rig, Habits().at_pace(DEMO_PACE), np.random.default_rng(3))
         self.hand.show(NoTarget.WAIT)
         self.asked: dict[int, int | None] = {}
-        self.hand.answered = lambda answer: self.lines.say(f"reached {answer.number}")
+        self.hand.answered = lambda answer: self.lines.say(write_answer(answer))
 
     def step(self):
         for line in self.lines.read():
