@@ -97,7 +97,7 @@ def part_pose_sentence(pose: PartPose, landmark: str = "") -> str:
 
 
 def _few_landmarks_words(touched: int) -> str:
-    """Say what too few landmarks cannot show; empty with enough, or none."""
+    """Name the limit of too few landmarks; empty with enough, or none."""
     if not 0 < touched < MIN_LANDMARKS:
         return ""
     return (
