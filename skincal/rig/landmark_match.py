@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations, permutations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,17 @@ class LandmarkMatch:
     """m, rms distance of the matched touches from their landmarks."""
 
 
+class _Given(NamedTuple):
+    """Parameters of `match_landmarks`, of at most `MATCHED_TOUCHES_MAX` touches and `MATCHED_LANDMARKS_MAX` landmarks."""
+
+    points: FloatArray
+    pushes: FloatArray
+    places: FloatArray
+    normals: FloatArray
+    sd: float
+    known: IntArray
+
+
 def match_landmarks(
     points: FloatArray, pushes: FloatArray, places: FloatArray, normals: FloatArray, sd: float, known: IntArray
 ) -> LandmarkMatch | None:
@@ -61,15 +73,16 @@ def match_landmarks(
     places, normals = places[:MATCHED_LANDMARKS_MAX], normals[:MATCHED_LANDMARKS_MAX]
     if len(points) < MIN_TOUCHES or len(places) < MIN_TOUCHES:
         return None
+    given = _Given(points, pushes, places, normals, sd, known)
     touched, marked = _equal_triangles(points, places, sd, known)
     if not len(touched):
         return None
     turns, shifts = _motions(points[touched], places[marked], np.ones(touched.shape))
     for _ in range(REFIT_STEPS):
-        named, _ = _nearest(points, pushes, places, normals, turns, shifts, known, sd)
+        named, _ = _nearest(given, turns, shifts)
         goals = places[np.maximum(named, 0)]
         turns, shifts = _motions(np.broadcast_to(points, goals.shape), goals, (named >= 0).astype(np.float64))
-    named, squares = _nearest(points, pushes, places, normals, turns, shifts, known, sd)
+    named, squares = _nearest(given, turns, shifts)
     costs = np.minimum(squares, UNMATCHED_COST).sum(axis=1)
     enough = np.array([len(set(row[row >= 0].tolist())) >= MIN_TOUCHES for row in named])
     enough &= (named[:, known >= 0] >= 0).all(axis=1)
@@ -130,17 +143,9 @@ def _motions(points: FloatArray, goals: FloatArray, weights: FloatArray) -> tupl
     return turns, ends - (turns @ middles[:, :, None])[:, :, 0]
 
 
-def _nearest(
-    points: FloatArray,
-    pushes: FloatArray,
-    places: FloatArray,
-    normals: FloatArray,
-    turns: FloatArray,
-    shifts: FloatArray,
-    known: IntArray,
-    sd: float,
-) -> tuple[IntArray, FloatArray]:
+def _nearest(given: _Given, turns: FloatArray, shifts: FloatArray) -> tuple[IntArray, FloatArray]:
     """Find (c, m) the landmark of each touch under each motion, -1 at none, and (c, m) the squared misses over `sd`."""
+    points, pushes, places, normals, sd, known = given
     there = points @ turns.transpose(0, 2, 1) + shifts[:, None]
     squares = np.sum((there[:, :, None] - places) ** 2, axis=3) / sd**2
     is_behind: BoolArray = (pushes @ turns.transpose(0, 2, 1)) @ normals.T > PUSH_MAX_COSINE
