@@ -32,7 +32,7 @@ SIZES: dict[str, Any] = {
     ),
     "paper": PaperSizes(seeds=2, share=0.1, safety=1, good=1, counts=(42, 252), courses=2, steps=(28, 84)),
     "runtime": RuntimeSizes(
-        small=PartPlan(FOREARM, 2, 1, (300,), (1,), budget_s=0.02),
+        small=PartPlan(FOREARM, 1, 1, (300,), (1,), budget_s=0.02),
         large=PartPlan(FOREARM, 1, 1, (1_000,), (), (24,), budget_s=0.02),
         per_taxel=2,
         live_pokes=3,
