@@ -200,7 +200,8 @@ def skip_open_session(controller: Controller, window: Window) -> None:
     They are hundreds of thousands for a whole body and live as long as the session. A look at them takes a tenth of a second.
     """
     # `freeze` looks at no object.
-    controller.session_opened.connect(lambda _: gc.freeze())
+    for made in (controller.part_loaded, controller.session_opened):
+        made.connect(lambda _: gc.freeze())
     window.view_ready.connect(gc.freeze)
     controller.released.connect(gc.unfreeze)
 
