@@ -14,14 +14,13 @@ import ctypes
 import math
 import threading
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import numpy as np
 import wasmtime
 from numpy.typing import NDArray
-from wasmtime import _ffi as bindings
 
 from skincal.solver.tables import SHARED_TABLES, TABLE_OF_FUNCTION, Field, Table, layout_number
 
@@ -149,19 +148,26 @@ class Machine:
 
 
 def _direct_call(store: Any, function: Any) -> Callable[[], None]:
-    """Make a call of a function without arguments: `Func` asks for its type each time, 40 us where a short solve takes 5."""
-    # Its own calls do the same.
-    context, place = store._context(), ctypes.byref(function._func)  # noqa: SLF001
-    call_function, trap_type = cast("Any", bindings).wasmtime_func_call, ctypes.POINTER(bindings.wasm_trap_t)
-    errors, traps = cast("Any", wasmtime.WasmtimeError), cast("Any", wasmtime.Trap)
+    """Make a call of a function without arguments: `Func` asks for its type each time, 40 us where a short solve takes 5.
+
+    Its own calls do the same, by names that a later version of wasmtime may not have: then it is called as usual.
+    """
+    try:
+        from wasmtime import _ffi as bindings
+
+        context, place = store._context(), ctypes.byref(function._func)  # noqa: SLF001
+        call_function, trap_type = cast("Any", bindings).wasmtime_func_call, ctypes.POINTER(bindings.wasm_trap_t)
+        error_of, trap_of = (cast("Any", of)._from_ptr for of in (wasmtime.WasmtimeError, wasmtime.Trap))  # noqa: SLF001
+    except (ImportError, AttributeError):
+        return partial(function, store)
 
     def call() -> None:
         trap = trap_type()
         error = call_function(context, place, None, 0, None, 0, ctypes.byref(trap))
         if error:
-            raise errors._from_ptr(error)  # noqa: SLF001
+            raise error_of(error)
         if trap:
-            raise traps._from_ptr(trap)  # noqa: SLF001
+            raise trap_of(trap)
 
     return call
 

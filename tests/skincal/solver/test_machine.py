@@ -4,6 +4,7 @@ import math
 import subprocess
 import sys
 import threading
+from functools import partial
 
 import numpy as np
 import pytest
@@ -194,6 +195,16 @@ def test_stored_tables_stay_while_the_memory_grows_and_are_in_the_clone():
             surface, place = each.read(address, SHARED_TABLES["Ground"].dtype.itemsize).view(np.uint32)
             assert surface == 0
             np.testing.assert_array_equal(each.read(int(place), 4 * len(over)).view(np.int32), over)
+
+
+def test_another_version_of_wasmtime_is_called_as_usual(monkeypatch):
+    asked = {"pokes": 3, "squares": np.array([0.0, 1.0, 100.0]), "trust": (3,)}
+    direct = Machine().run("trusts", **asked)
+    monkeypatch.delattr(wasmtime.Trap, "_from_ptr")
+    machine = Machine()
+    found = machine.run("trusts", **asked)
+    assert isinstance(machine._functions["trusts"], partial)
+    assert found["trust"].tolist() == direct["trust"].tolist()
 
 
 def test_a_cache_folder_that_cannot_be_made_does_not_stop_the_solver(tmp_path, monkeypatch):
