@@ -601,6 +601,11 @@ class MapCard(QFrame):
         grid.setRowStretch(3, 1)
         grid.setColumnStretch(0, 1)
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave the legend the lines that it needs at another width."""
+        self.legend.setMinimumHeight(0)
+        super().resizeEvent(event)
+
     def show_state(self, state: ViewState, *, is_changed: bool) -> None:
         """Show a tick; `is_changed` if the estimates may have changed."""
         before = self.map.generation
@@ -611,6 +616,9 @@ class MapCard(QFrame):
             texts = (f"{symbol} {words}".replace(" ", "\N{NO-BREAK SPACE}") for symbol, words in entries)
             self.legend.setText("   ".join(texts))
             self.legend.setAccessibleDescription(", ".join(words for _, words in entries))
+            # The map keeps its place when an entry goes.
+            needed = self.legend.heightForWidth(self.legend.width())
+            self.legend.setMinimumHeight(max(needed, self.legend.minimumHeight()))
         if is_changed:
             self.progress.setText(summary_words(state.estimates))
             self.pokes.setText(poke_count_words(state.snapshot.poke_counts))

@@ -79,6 +79,23 @@ def test_counts_and_legend_are_not_cut_on_a_screen_of_1366_x_768(qtbot, monkeypa
     assert card.map.height() >= 60
 
 
+def test_the_map_keeps_its_height_when_an_entry_of_the_legend_goes(qtbot, monkeypatch):
+    entries = [[("a", f"touched, error above 3 mm {count}") for count in range(shown)] for shown in (6, 1, 1)]
+    monkeypatch.setattr("app.panels.taxel_map.legend_words", lambda *_: entries.pop(0))
+    card = shown(qtbot, MapCard(None, TaxelMap(SCENE, PLAN.channels, NAMES), METHODS), size=(430, 300))
+    heights = []
+    for generation in (1, 2):
+        card.show_state(frame(session(generation, {3: estimate(3, (0, 0, 0))})), is_changed=True)
+        qtbot.wait(30)
+        heights.append(card.map.height())
+    assert heights[0] == heights[1]
+    # Another size needs other lines.
+    card.resize(900, 300)
+    card.show_state(frame(session(3, {})), is_changed=True)
+    qtbot.wait(30)
+    assert card.map.height() > heights[1]
+
+
 def around(view: TaxelMap, channel: int, reach: int = 9) -> np.ndarray:
     place = view.place_of(channel)
     x, y = round(place.x()), round(place.y())
