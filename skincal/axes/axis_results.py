@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from skincal.axes.axis_checks import DeadAxis, find_dead_z
-from skincal.axes.module_axes import AxisFindings, ModulePlan, find_axes
+from skincal.axes.module_axes import AxisFindings, ModulePlan, find_axes, share_of_own_errors
 from skincal.axes.session_turns import SessionTurns, ShownTurn
 from skincal.axes.taxel_frames import FrameState, TaxelFrame, frames_of_taxels
+from skincal.axes.turn_fit import AxisPokes
 from skincal.contacts.value_order import OrderOfValues
 from skincal.geometry import FloatArray, cross_matrix, fit_rotation, length_of
 from skincal.model.skin import Layout, Module
@@ -40,7 +41,7 @@ class AxisResults:
     def findings(self, method: Method) -> AxisFindings:
         """Decide for each module, and name mistakes of the axes."""
         if method not in self._findings:
-            plans = () if self._layout is None else module_plans(self._layout, self._estimates[method])
+            plans = () if self._layout is None else module_plans(self._layout, self._estimates[method], self.turns.skin.pokes)
             modules = list(self.turns.modules.values())
             self._findings[method] = find_axes(self.turns.skin, plans, self._order, modules)
         return self._findings[method]
@@ -75,17 +76,18 @@ class AxisResults:
         return found
 
 
-def module_plans(layout: Layout, estimates: Sequence[Estimate]) -> list[ModulePlan]:
-    """Make the plan of each module, placed by the estimates of its taxels."""
+def module_plans(layout: Layout, estimates: Sequence[Estimate], pokes: Mapping[int, AxisPokes]) -> list[ModulePlan]:
+    """Make the plan of each module, placed by the estimates of its taxels; `pokes` by channel."""
     by_channel = {each.channel: each for each in estimates if each.position is not None and each.normal is not None}
-    return [place_plan(module, by_channel) for module in layout.modules]
+    return [place_plan(module, by_channel, pokes) for module in layout.modules]
 
 
-def place_plan(module: Module, by_channel: Mapping[int, Estimate]) -> ModulePlan:
+def place_plan(module: Module, by_channel: Mapping[int, Estimate], pokes: Mapping[int, AxisPokes]) -> ModulePlan:
     """Fit the rotation from the plan of a module to its estimated taxels, with its error.
 
-    The errors of the positions move the n points that are fitted: all together by those that taxels share, and each by the
-    others. These may agree, so the sum of n errors has n times the sum of their variances (Cauchy and Schwarz).
+    The errors of the positions move the points that are fitted: all together by those that taxels share, and each by the
+    others. These agree if one poke presses m taxels: the sum of m errors has up to m times the sum of their variances (Cauchy
+    and Schwarz). By the modules method all n taxels have the errors of one pose.
     """
     channels = tuple(module.channels.tolist())
     known = [by_channel[channel] for channel in channels if channel in by_channel]
@@ -96,7 +98,10 @@ def place_plan(module: Module, by_channel: Mapping[int, Estimate]) -> ModulePlan
     if placed is None:
         return ModulePlan(module.id, channels, None)
     rotation, points = placed
-    return ModulePlan(module.id, channels, rotation, _turn_covariance(points @ rotation.T, known))
+    pressed = [channel for channel in channels if channel in pokes]
+    is_by_pose = known[0].method is Method.MODULES or not pressed
+    agreeing = len(known) if is_by_pose else 1.0 / share_of_own_errors(pressed, pokes)
+    return ModulePlan(module.id, channels, rotation, _turn_covariance(points @ rotation.T, known, agreeing))
 
 
 def fit_plan(module: Module, places: Mapping[int, tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray] | None:
@@ -122,8 +127,11 @@ def fit_plan(module: Module, places: Mapping[int, tuple[FloatArray, FloatArray]]
     return np.ascontiguousarray(fit_rotation(products).T), flat
 
 
-def _turn_covariance(points: FloatArray, estimates: Sequence[Estimate]) -> FloatArray:
-    """Compute the covariance (3, 3), rad^2, of the turn of `points` (n + 1, 3), as `fit_plan` gives them, in the link frame."""
+def _turn_covariance(points: FloatArray, estimates: Sequence[Estimate], agreeing: float) -> FloatArray:
+    """Compute the covariance (3, 3), rad^2, of the turn of `points` (n + 1, 3), as `fit_plan` gives them, in the link frame.
+
+    `agreeing` errors of positions are alike.
+    """
     # Least squares of turn x point = error; the sum of S(p)'S(p) is |p|^2 I - p p'.
     information = np.sum(points**2) * np.eye(3) - points.T @ points
     slopes = list[FloatArray](np.linalg.inv(information) @ cross_matrix(points))
@@ -138,4 +146,4 @@ def _turn_covariance(points: FloatArray, estimates: Sequence[Estimate]) -> Float
         own += slope @ covariance @ slope.T
     of_normal = max(estimate.normal_sd or 0.0 for estimate in estimates) * length_of(points[-1]) * slopes[-1]
     of_shared = np.sum(shared, axis=0) if shared else np.zeros((3, 0))
-    return len(estimates) * own + of_normal @ of_normal.T + of_shared @ of_shared.T
+    return agreeing * own + of_normal @ of_normal.T + of_shared @ of_shared.T

@@ -205,7 +205,7 @@ def find_axes(
         wrong = (AxisMistake(AxisMistakeKind.ORDER, None, (), float("nan"), order.log_odds_wrong, ()),)
         return AxisFindings(tuple(modules), log_odds, wrong if order.is_wrong else ())
     mistakes = _plan_mistakes(modules, {plan.id: plan for plan in plans}, turns)
-    if not mistakes:
+    if not mistakes and all(plan.rotation is None for plan in plans):
         mistakes = _normal_mistakes(turns)
     return AxisFindings(tuple(modules), log_odds, mistakes)
 
@@ -320,7 +320,7 @@ def _plan_mistakes(modules: Sequence[ModuleTurn], plans: Mapping[int, ModulePlan
         if module.is_separate:
             own = _scores_of_taxels(module, plan, turns)
         else:
-            own = score_permutations(module.turn, plan, share=_share_of_own_errors(module.turn.channels, turns.pokes))
+            own = score_permutations(module.turn, plan, share=share_of_own_errors(module.turn.channels, turns.pokes))
         if own is not None:
             scores[module.id] = own
     if not scores:
@@ -348,7 +348,7 @@ def _likeliest(scores: FloatArray, usual: int = 0) -> tuple[int, float]:
     return (first, log_odds) if first != usual and log_odds > CERTAIN_LOG_ODDS and is_clear else (usual, 0.0)
 
 
-def _share_of_own_errors(channels: Sequence[int], pokes: Mapping[int, AxisPokes]) -> float:
+def share_of_own_errors(channels: Sequence[int], pokes: Mapping[int, AxisPokes]) -> float:
     """Compute the information of a reading if the taxels of a poke share its errors: pokes over readings."""
     numbers = np.concatenate([pokes[channel].pokes for channel in channels])
     return len(np.unique(numbers)) / len(numbers)
@@ -361,7 +361,7 @@ def _scores_of_taxels(module: ModuleTurn, plan: ModulePlan, turns: SkinTurns) ->
     if len(judged) < MIN_JUDGED_TAXELS:
         return None
     each = np.array([score_permutations(taxels[channel], plan, CURVED_PLAN_TOLERANCE) for channel in judged])
-    scores = _share_of_own_errors(judged, turns.pokes) * each.sum(axis=0)
+    scores = share_of_own_errors(judged, turns.pokes) * each.sum(axis=0)
     agree = each[:, scores.argmax()] > each.max(axis=1) - CERTAIN_LOG_ODDS
     return scores if agree.mean() >= AGREEING_MIN_SHARE else None
 

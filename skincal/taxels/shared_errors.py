@@ -147,8 +147,6 @@ def add_shared_errors(
     )
     moved = None if shared is None else found["moved"]
     spread = _with_covariances(known, found["covariances"], found["worst"], found["sds"], found["rms"], moved)
-    if len(spread) == len(estimates):
-        return spread
     by_channel = {estimate.channel: estimate for estimate in spread}
     return [by_channel.get(estimate.channel, estimate) for estimate in estimates]
 

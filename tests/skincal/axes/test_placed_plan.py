@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from skincal.axes.axis_results import fit_plan, place_plan
+from skincal.axes.turn_fit import AxisPokes
 from skincal.geometry import rotation_by, rotation_vector
 from skincal.model.scene import load_scene, scene_file
 from skincal.taxels.result import Estimate, Method, State
 
 SD_M = 0.0004
+OWN_POKES, ONE_POKE = (
+    {channel: AxisPokes(np.ones((1, 3)), np.ones((1, 3)), np.array([poke])) for channel, poke in enumerate(pokes)}
+    for pokes in (range(100), np.zeros(100, dtype=int))
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +40,22 @@ def shifted(module, estimates, shifts):
 
 def test_exact_estimates_place_the_plan(placed):
     module, turn, estimates = placed
-    assert place_plan(module, estimates).rotation == pytest.approx(turn, abs=1e-12)
+    assert place_plan(module, estimates, OWN_POKES).rotation == pytest.approx(turn, abs=1e-12)
 
 
-def test_errors_of_their_own_are_inside_the_predicted_error(placed):
-    """They scatter by less, since they may agree: by the square root of their number."""
+def test_errors_of_their_own_have_the_predicted_size(placed):
+    """Taxels that a poke presses together may have alike errors: then the prediction grows by the root of their number."""
     module, turn, estimates = placed
     rng = np.random.default_rng(0)
     turns = [
         rotation_vector(shifted(module, estimates, SD_M * rng.normal(size=(len(estimates), 3))) @ turn.T) for _ in range(400)
     ]
-    found = np.sqrt(np.diag(place_plan(module, estimates).covariance))
-    assert np.std(turns, axis=0) * np.sqrt(len(estimates)) == pytest.approx(found, rel=0.1)
+    found = np.sqrt(np.diag(place_plan(module, estimates, OWN_POKES).covariance))
+    assert np.std(turns, axis=0) == pytest.approx(found, rel=0.1)
+    together = np.sqrt(np.diag(place_plan(module, estimates, ONE_POKE).covariance))
+    assert together == pytest.approx(found * np.sqrt(len(estimates)), rel=1e-9)
+    by_pose = {channel: replace(each, method=Method.MODULES) for channel, each in estimates.items()}
+    assert np.sqrt(np.diag(place_plan(module, by_pose, OWN_POKES).covariance)) == pytest.approx(together, rel=1e-9)
 
 
 def test_the_error_that_all_taxels_share_is_exact(placed):
@@ -60,13 +69,15 @@ def test_the_error_that_all_taxels_share_is_exact(placed):
         for channel, each in estimates.items()
     }  # fmt: skip
     turned = rotation_vector(shifted(module, estimates, [each.moved[:, 0] for each in every.values()]) @ turn.T)
-    assert place_plan(module, every).covariance == pytest.approx(np.outer(turned, turned), abs=1e-3 * turned @ turned)
+    assert place_plan(module, every, OWN_POKES).covariance == pytest.approx(
+        np.outer(turned, turned), abs=1e-3 * turned @ turned
+    )
 
 
 def test_the_error_of_normals_leans_the_plan(placed):
     module, _, estimates = placed
     every = {channel: replace(each, covariance=np.zeros((3, 3)), normal_sd=0.1) for channel, each in estimates.items()}
-    plan = place_plan(module, every)
+    plan = place_plan(module, every, OWN_POKES)
     in_plan = plan.rotation.T @ plan.covariance @ plan.rotation
     # The taxels hold the plane, too: the normal counts by its share.
     assert 0.0 < in_plan[0, 0] < 0.1**2
