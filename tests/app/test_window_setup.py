@@ -565,8 +565,12 @@ def touch_from_all_sides(bench, pose):
             dialog.take_touch()  # the space bar; refused until the tool has been at rest for half a second
             return dialog.list.count() == number
 
-        # The new pose has come: before, the tool is at rest at the last one.
-        bench.until(lambda: np.abs(np.array(dialog.live.sent_pose.numbers) - pose).max() < 1e-4, VERDICT_MS)
+        def has_come() -> bool:
+            sent = dialog.live.sent_pose
+            return sent is not None and np.abs(np.array(sent.numbers) - pose).max() < 1e-4
+
+        # Before the new pose comes, the tool is at rest at the last one.
+        bench.until(has_come, VERDICT_MS)
         bench.until(touched, VERDICT_MS)
     assert "Tip in the tool's frame: 12.0" in dialog.said.text()
     return dialog
