@@ -1,9 +1,18 @@
 """One turn for a module or one for each taxel, and plain mistakes of the axes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from skincal.axes.module_axes import AxisMistakeKind, ModulePlan, find_axes
+from skincal.axes.module_axes import (
+    SIGNED_PERMUTATIONS,
+    AxisMistakeKind,
+    ModulePlan,
+    find_axes,
+    score_permutations,
+    share_of_own_errors,
+)
 from skincal.axes.skin_turns import TurnState, find_noise, find_turns, joined, pokes_by_taxel
 from skincal.axes.turn_fit import AxisPokes
 from skincal.contacts.outcome import Contact
@@ -88,6 +97,23 @@ def test_a_plain_mistake_is_named_within_20_pokes(seed, change, kind, axes, dire
     (mistake,) = found.mistakes
     assert (mistake.kind, mistake.module, mistake.axes, mistake.directions) == (kind, None, axes, directions)
     assert mistake.log_odds > np.log(20.0)
+
+
+def test_taxels_that_one_poke_presses_count_as_one():
+    pokes, plans = skin(1, change=EXCHANGED_XY, pokes=3)
+    turns = find_turns(pokes, FORCE_NOISE_N)
+    together = {channel: replace(each, pokes=np.arange(3)) for channel, each in turns.pokes.items()}
+    share = share_of_own_errors(plans[0].channels, together)
+    assert share == pytest.approx(1.0 / TAXELS)
+    (alone,) = find_axes(turns, plans).mistakes
+    (mistake,) = find_axes(replace(turns, pokes=together), plans).mistakes
+    assert mistake.kind is alone.kind is AxisMistakeKind.EXCHANGED
+    assert mistake.log_odds < 0.8 * alone.log_odds
+    turn = find_axes(turns, plans).modules[0].turn
+    every, fourth = (score_permutations(turn, plans[0], 0.0, each) for each in (1.0, share))
+    # A fit has a quarter of the information, so scores of one hand differ by a quarter.
+    right_handed = [place for place, permutation in enumerate(SIGNED_PERMUTATIONS) if np.linalg.det(permutation) > 0]
+    assert np.diff(fourth[right_handed]) == pytest.approx(share * np.diff(every[right_handed]), rel=1e-9)
 
 
 def curved_skin(change):
