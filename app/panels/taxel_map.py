@@ -583,6 +583,7 @@ class MapCard(QFrame):
         self.legend.setAccessibleName("legend of the map")
         self.progress, self.errors, self.methods = FittedLabel(), secondary_label(wrap=True), QComboBox()
         self.pokes = secondary_label(wrap=True)
+        self.wrapped = (self.pokes, self.errors, self.legend)
         for method in methods:
             self.methods.addItem(method.value.capitalize() + " method", method)
         self.methods.setVisible(len(methods) > 1)
@@ -602,8 +603,9 @@ class MapCard(QFrame):
         grid.setColumnStretch(0, 1)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Leave the legend the lines that it needs at another width."""
-        self.legend.setMinimumHeight(0)
+        """Leave the texts the lines that they need at another width."""
+        for text in self.wrapped:
+            text.setMinimumHeight(0)
         super().resizeEvent(event)
 
     def show_state(self, state: ViewState, *, is_changed: bool) -> None:
@@ -616,11 +618,12 @@ class MapCard(QFrame):
             texts = (f"{symbol} {words}".replace(" ", "\N{NO-BREAK SPACE}") for symbol, words in entries)
             self.legend.setText("   ".join(texts))
             self.legend.setAccessibleDescription(", ".join(words for _, words in entries))
-            # The map keeps its place when an entry goes.
-            needed = self.legend.heightForWidth(self.legend.width())
-            self.legend.setMinimumHeight(max(needed, self.legend.minimumHeight()))
         if is_changed:
             self.progress.setText(summary_words(state.estimates))
             self.pokes.setText(poke_count_words(state.snapshot.poke_counts))
             self.errors.setText(skin_error_words(state.estimates, state.snapshot.part_size))
             self.methods.setCurrentIndex(self.methods.findData(state.method))
+        if is_changed or self.map.generation != before:
+            # The map keeps its place when a line goes.
+            for text in self.wrapped:
+                text.setMinimumHeight(max(text.heightForWidth(text.width()), text.minimumHeight()))

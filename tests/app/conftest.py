@@ -13,7 +13,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings, QThread, QTimer
 from PySide6.QtWidgets import QApplication
 
 from skincal.model.scene import resource
-from skincal.robot.target_lines import write_line
+from skincal.robot.target_lines import Answer, AnswerKind, write_line
 from skincal.robot.target_server import TargetServer
 
 WAIT_S = 5.0  # s. A thread that was told to stop has so long on a busy machine.
@@ -136,3 +136,19 @@ def said():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(TargetServer, "send", record)
         yield lines
+
+
+@pytest.fixture
+def reached():
+    """Numbers of the targets that the simulated operator pressed, in order."""
+    numbers: list[int] = []
+    read = TargetServer.read_answers
+
+    def note(server):
+        answers = read(server)
+        numbers.extend(each.number for each in answers if isinstance(each, Answer) and each.kind is AnswerKind.REACHED)
+        return answers
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(TargetServer, "read_answers", note)
+        yield numbers

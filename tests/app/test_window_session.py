@@ -120,13 +120,10 @@ class Keys:
 
 
 @pytest.mark.timeout(400)
-def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate, tmp_path, said):
+def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate, tmp_path, said, reached):
     keys = Keys(bench, plate, tmp_path / "recording")
     first_look(keys)
-    meant = follow_until_enough(keys)
-    hits = sum(peak == asked for asked, peak in meant)
-    assert hits >= 0.4 * len(meant), "it mostly follows, and lands on a neighbour now and then; by chance it would be a quarter"
-    assert hits < len(meant), "and not always"
+    follow_until_enough(keys)
     verdict = keys.dialog(VerdictDialog)
     assert verdict.sentence.text().startswith("All 4 taxels are finished"), "a demo shows its verdict by itself"
     keys.tap(Key.Key_Escape)
@@ -134,6 +131,9 @@ def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate
     # The poke that was under way may ask for one more, before it is enough for good; that is said once it is judged.
     bench.until(lambda: keys.headline == approved("guide.enough", count=4), 20_000)
     bench.until(lambda: said[-1] == "enough", 5000)
+    meant = asked_and_answered(keys, said, reached)
+    hits = sum(peak == asked for asked, peak in meant)
+    assert hits >= 0.6 * len(meant), "it ignores one target in twelve; by chance a quarter would be right"
     pokes = len(bench.snapshot.pokes)
     keys.qtbot.wait(2500)
     assert len(bench.snapshot.pokes) <= pokes + 1, "who sees that it is enough stops"
@@ -186,27 +186,26 @@ def first_look(keys: Keys) -> None:
         keys.tap(Key.Key_M)
 
 
-def follow_until_enough(keys: Keys) -> list[tuple[int, int]]:
-    """Wait until the guide says enough; return which taxel was asked for and which answered most, poke by poke."""
-    bench, meant = keys.bench, dict[int, tuple[int, int]]()
-    asked = [keys.guidance.target.channel]
+def follow_until_enough(keys: Keys) -> None:
+    """Wait until the guide says enough."""
+    bench = keys.bench
     empty = pixels(keys.workspace.view)
-    done = [keys.guidance.finished]
-
-    def enough() -> bool:
-        for record in bench.snapshot.pokes:
-            contact = record.outcome
-            if isinstance(contact, Contact) and contact.poke not in meant:
-                meant[contact.poke] = asked[0], peak_channel(contact)
-        if keys.guidance.target is not None:
-            asked[0] = keys.guidance.target.channel
-        done.append(keys.guidance.finished)
-        return keys.guidance.phase is GuidePhase.ENOUGH
-
-    bench.until(enough, ENOUGH_MS)
-    assert done[-1] == 4
+    bench.until(lambda: keys.guidance.phase is GuidePhase.ENOUGH, ENOUGH_MS)
+    assert keys.guidance.finished == 4
     assert changed(empty, pixels(keys.workspace.view)) > 100
-    return list(meant.values())
+
+
+def asked_and_answered(keys: Keys, said: list[str], reached: list[int]) -> list[tuple[int, int]]:
+    """Return which taxel was asked for and which answered most, for each target that the hand pressed: once, in order."""
+    words = [line.split() for line in said]
+    asked = {int(each[1]): int(each[2]) for each in words if each[0] == "target"}
+    last = max(int(each[1]) for each in words if each[0] in ("accepted", "rejected"))
+    # Its answer comes when the hand is back, after the verdict.
+    keys.bench.until(lambda: last in reached)
+
+    # A press before the hand knew the guide has no number.
+    pairs = zip(reversed(reached), reversed(keys.bench.snapshot.pokes), strict=False)
+    return [(asked[number], peak_channel(poke.outcome)) for number, poke in pairs if isinstance(poke.outcome, Contact)]
 
 
 def to_the_file(keys: Keys) -> Path:

@@ -89,6 +89,16 @@ def test_the_map_keeps_its_height_when_an_entry_of_the_legend_goes(qtbot, monkey
         qtbot.wait(30)
         heights.append(card.map.height())
     assert heights[0] == heights[1]
+    # The lines above it, too.
+    errors = ["errors: " + 20 * "3 mm, ", "errors: 3 mm"]
+    monkeypatch.setattr("app.panels.taxel_map.skin_error_words", lambda *_: errors.pop(0))
+    monkeypatch.setattr("app.panels.taxel_map.legend_words", lambda *_: [("a", "touched")])
+    for _ in range(2):
+        card.show_state(frame(session(2, {})), is_changed=True)
+        qtbot.wait(30)
+        heights.append(card.map.height())
+    assert heights[1] > heights[2] == heights[3]
+    monkeypatch.undo()
     # Another size needs other lines.
     card.resize(900, 300)
     card.show_state(frame(session(3, {})), is_changed=True)
