@@ -100,15 +100,12 @@ def _read_touches(path: Path) -> tuple[FloatArray, list[str], list[str]]:
 
 
 def _check_names(touches: Path, names: list[str], given: PoseForm | None, unit: LengthUnit) -> None:
-    """Compare the names of the columns with the options. Raises InputError: they differ, or x y z are not first."""
+    """Compare the names of the columns with the options. Raises InputError: they differ, or are no pose."""
     from skincal.devices.pose_names import PoseNames
 
     found = PoseNames.read(names)
-    if found.is_rotation_first:
-        raise InputError(
-            f"{touches}: its columns are {' '.join(names)}, the rotation before the place; expected x y z, then the rotation: "
-            "order the columns so."
-        )
+    if found.mistake is not None:
+        raise InputError(f"{touches}: its columns are {', '.join(names)}, {found.mistake.seen}; {found.mistake.advice}.")
     clash = found.clash(given, METRES_PER_UNIT[unit])
     if clash is not None:
         seen, key, value = clash

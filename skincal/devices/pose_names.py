@@ -1,7 +1,8 @@
 """Names of the columns of a pose: what they state on the order of its numbers and on their units.
 
 A scene states the form of the numbers, too. Where both do and differ, one is wrong, and the poses would be plausible: lengths
-in mm read as m, degrees as radians, a rotation read as the place.
+in mm read as m, degrees as radians, a rotation read as the place. The names may also show that the columns are no pose: the
+places of two markers have six numbers, too.
 """
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import TypeAlias
 
 from skincal.model.length_units import METRES_PER_UNIT
-from skincal.model.pose_form import QUATERNION_FORMS, PoseForm, RotationForm
+from skincal.model.pose_form import POSE_WIDTHS, QUATERNION_FORMS, PoseForm, RotationForm
 
 _UNIT_WORDS = "mm|cm|um|\u00b5m|m|inch(?:es)?|in|degrees?|deg|\u00b0|radians?|rad"
 POSE_UNIT = rf"(?:[ _]*[\[(]?(?:{_UNIT_WORDS})[\])]?)?"
@@ -21,14 +23,101 @@ QUATERNION_LETTERS = "wxyz"
 POSE_WITH_QUATERNION_VALUES = 7
 POSE_WITH_MATRIX_VALUES_MIN = 12
 _SHORT_UNITS = (("d", "deg"), ("\u00b0", "deg"), ("r", "rad"), ("in", "in"))
-_AXIS_LETTER_RE = re.compile(rf".*?([xyzw]){POSE_UNIT}")
 _UNIT_RE = re.compile(rf".*?(?:[xyzw]|[^a-z])[ _]*[\[(]?({_UNIT_WORDS})[\])]?")
-_ROTATION_RE = re.compile(
-    rf"(?:.*[./_ ])?(?:(?:q|quat|quaternion|rot|r|orientation|rotation)[._]?[xyzw]|roll|pitch|yaw|w|[abc]){POSE_UNIT}"
+_UNIT_END_RE = re.compile(rf"(?<=[xyzw]|[^a-z])[ _]*[\[(]?(?:{_UNIT_WORDS})[\])]?$")
+_WORD_RE = re.compile("[a-z0-9]+")
+_PLACE_WORDS = frozenset(["p", "t", "pos", "position", "trans", "translation", "loc", "location", "coord", "pose", "xyz"])
+_ROTATION_WORDS = frozenset(
+    (
+        *("r", "w", "o", "q", "quat", "quaternion", "rot", "rotation", "rv", "rotvec", "rvec", "orientation", "orient", "ori"),
+        *("axis", "axisangle", "aa", "angle", "angles", "ang", "theta", "euler", "rpy", "att", "attitude"),
+        *("roll", "pitch", "yaw"),
+    )
 )
+_QUATERNION_WORDS = frozenset(["q", "quat", "quaternion"])
+_KIND_SUFFIX_RE = re.compile("(.+?)(pos|position|translation|rot|rotation|rotvec|orientation|quat|quaternion|euler|angle)")
+"""A word that ends with the kind of its number, as `handrot`."""
+_OWN_AXIS_RE = re.compile(rf"({'|'.join(sorted(_PLACE_WORDS | _ROTATION_WORDS))}|)([xyzw])(\d*)")
+"""A word that is an axis, such as `x`, `rx`, `quatw` or `x1`."""
+_ENDING_AXIS_RE = re.compile(r"(.*?)([xyzw])(\d*)")
+_AXES_OF_MATRIX = tuple(map(frozenset, ("noa", "nsa", "xyz", "uvw", "ijk")))
+"""Last letters of the columns of a rotation matrix."""
+_MATRIX_ROW_RE = re.compile("(?:r|row|c|col)[0-3]")
 
 Clash: TypeAlias = tuple[str, str, str]
 """What the names state, in words; the key of `[tool]` that states something else, and its value."""
+
+
+class PoseMistake(Enum):
+    """Why columns are no pose of a tool, by their names: what is seen, what is expected, and what to do."""
+
+    ROTATION_FIRST = "the rotation before the place", "x y z, then the rotation", "order the columns so"
+    PLACE_NOT_FIRST = "in another order", "x y z, then the rotation", "order the columns so"
+    SEVERAL_PLACES = (
+        "the places of several things",
+        "the place x y z and the rotation of one tool",
+        "choose the columns of one, and name a rotation rx ry rz",
+    )
+    SEVERAL_THINGS = (
+        "the place of one thing and the rotation of another",
+        "place and rotation of one tool",
+        "choose the columns of one, or name both alike",
+    )
+    QUATERNION_WITHOUT_W = (
+        "a quaternion without its w",
+        "all four of its numbers, or a rotation vector rx ry rz",
+        "add the column, or correct the names",
+    )
+
+    @property
+    def seen(self) -> str:
+        """What the names show."""
+        return self.value[0]
+
+    @property
+    def advice(self) -> str:
+        """What is expected and what to do, as the rest of a sentence."""
+        _, expected, action = self.value
+        return f"expected {expected}: {action}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """A column's name, taken apart."""
+
+    letter: str
+    """x, y, z or w; empty without one."""
+    kinds: frozenset[str]
+    """Words for a rotation."""
+    thing: tuple[str, ...]
+    """The other words: of what it is the place or the rotation."""
+
+    @classmethod
+    def parse(cls, name: str) -> _Column:
+        words = _WORD_RE.findall(_UNIT_END_RE.sub("", name))
+        own = [(k, each) for k, word in enumerate(words) if (each := _OWN_AXIS_RE.fullmatch(word))]
+        at, found = next((each for each in reversed(own) if each[1][2] != "w"), own[-1] if own else (-1, None))
+        if found is None and words and (found := _ENDING_AXIS_RE.fullmatch(words[-1])) is not None:
+            at = len(words) - 1
+        if found is not None:
+            words[at : at + 1] = [word for word in (found[1], found[3]) if word]
+        kinds, thing = set[str](), list[str]()
+        for word in words:
+            ended = _KIND_SUFFIX_RE.fullmatch(word)
+            kind = re.sub("(?<=..)[0-9]+$", "", word)
+            thing += [] if ended is None else [ended[1]]
+            kind = kind if ended is None else ended[2]
+            if kind in _ROTATION_WORDS:
+                kinds.add(kind)
+            elif ended is None and kind not in _PLACE_WORDS:
+                thing.append(word)
+        if found is None and words and words[-1] in ("a", "b", "c"):
+            kinds.add(thing.pop())
+        return cls("" if found is None else found[2], frozenset(kinds), tuple(thing))
+
+    @property
+    def is_rotation(self) -> bool:
+        return bool(self.kinds) or self.letter == "w"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,18 +128,21 @@ class PoseNames:
     """Such as `wxyz`."""
     length_unit: str = ""
     angle_unit: str = ""
-    is_rotation_first: bool = False
-    """Whether the rotation comes before x y z, which no form has."""
+    mistake: PoseMistake | None = None
+    """Why the columns are no pose in any form; `None` if they may be one."""
 
     @classmethod
     def read(cls, names: Sequence[str]) -> PoseNames:
         """Read the names, in small letters, of the columns of one pose."""
-        letters = [axis_letter(name) for name in names]
-        if len(names) >= POSE_WITH_MATRIX_VALUES_MIN or len(names) < POSE_WITH_QUATERNION_VALUES - 1:
+        if len(names) not in POSE_WIDTHS:
             return cls()
-        is_turn = [_ROTATION_RE.fullmatch(name) is not None for name in names]
-        if all(is_turn[:3]) and not any(is_turn[-3:]) and letters[-3:] == ["x", "y", "z"]:
-            return cls(is_rotation_first=True)
+        columns = [_Column.parse(name) for name in names]
+        letters = axis_letters(names)
+        if len(names) >= POSE_WITH_MATRIX_VALUES_MIN:
+            return cls(mistake=PoseMistake.SEVERAL_PLACES if _are_markers(columns, letters) else None)
+        mistake = _mistake_of(columns, letters)
+        if mistake is not None:
+            return cls(mistake=mistake)
         order = "".join(letters[3:])
         is_quaternion = letters[:3] == ["x", "y", "z"] and len(names) == POSE_WITH_QUATERNION_VALUES and all(letters)
         return cls(
@@ -84,10 +176,10 @@ NO_POSE_NAMES = PoseNames()
 """States nothing."""
 
 
-def axis_letter(name: str) -> str:
-    """Return x, y, z or w with which a column's name ends, before its unit; empty without one."""
-    found = _AXIS_LETTER_RE.fullmatch(name)
-    return "" if found is None else found[1]
+def axis_letters(names: Sequence[str]) -> list[str]:
+    """Return x, y, z or w that each of some columns names; empty texts without one, and for a numbered vector `x0 x1 x2`."""
+    letters = [_Column.parse(name).letter for name in names]
+    return [""] * len(letters) if len(letters) > 1 and len({*letters}) == 1 else letters
 
 
 def clash_in_scene(clash: Clash, scene: str) -> str:
@@ -103,3 +195,60 @@ def _unit_of(names: Sequence[str]) -> str:
     units = [each[1] for each in found if each is not None]
     short = [next((short for begin, short in _SHORT_UNITS if unit.startswith(begin)), unit) for unit in units]
     return " and ".join(dict.fromkeys(short))
+
+
+def _mistake_of(columns: Sequence[_Column], letters: Sequence[str]) -> PoseMistake | None:
+    """Find why 6 or 7 columns are no pose."""
+    place, rotation = columns[:3], columns[3:]
+    if (
+        all(each.is_rotation for each in place)
+        and not any(each.is_rotation for each in columns[-3:])
+        and _are_axes(letters[-3:])
+    ):
+        return PoseMistake.ROTATION_FIRST
+    is_axis_angle = rotation[-1].is_rotation and not letters[-1]
+    if "w" not in letters and not is_axis_angle and _count_places(columns, letters) > 1:
+        return PoseMistake.SEVERAL_PLACES
+    if all(letters[:3]) and letters[:3] != ["x", "y", "z"]:
+        return PoseMistake.PLACE_NOT_FIRST
+    is_rotation = "w" in letters or all(each.is_rotation for each in rotation)
+    if not letters[0] or not is_rotation:
+        return None
+    if len(columns) < POSE_WITH_QUATERNION_VALUES and all(each.kinds & _QUATERNION_WORDS for each in rotation):
+        return PoseMistake.QUATERNION_WITHOUT_W
+    return None if _is_one_thing(place, rotation) else PoseMistake.SEVERAL_THINGS
+
+
+def _are_axes(letters: Sequence[str]) -> bool:
+    return sorted(letters) == ["x", "y", "z"]
+
+
+def _count_places(columns: Sequence[_Column], letters: Sequence[str]) -> int:
+    """Count the complete places x y z among columns that do not name a rotation."""
+    return min(sum(has == axis and not each.kinds for each, has in zip(columns, letters, strict=True)) for axis in "xyz")
+
+
+def _are_markers(columns: Sequence[_Column], letters: Sequence[str]) -> bool:
+    """Check whether columns as wide as a pose with a matrix are the places of several things."""
+    if any(each.kinds for each in columns) or _count_places(columns, letters) < len(columns) // 3 - 1:
+        return False
+    things = {each.thing[-1] for each in columns if each.thing}
+    ends = {thing[-1] for thing in things}
+    return not all(map(_MATRIX_ROW_RE.fullmatch, things)) and not any(
+        axes <= ends and len(ends) <= len(axes) + 1 for axes in _AXES_OF_MATRIX
+    )
+
+
+def _is_one_thing(place: Sequence[_Column], rotation: Sequence[_Column]) -> bool:
+    """Check whether place and rotation name the same thing, or one of them names none."""
+    first, second = _common_words(place), _common_words(rotation)
+    short = {word for each in rotation for word in each.kinds if len(word) == 1}
+    is_vector = len(rotation) == len(place)
+    if is_vector and len(first) == 1 and len(first[0]) == 1 and first[0].isalpha() and short and not second:
+        return False  # such as l and r, the left and the right one, or the points p and q
+    count = min(len(first), len(second))
+    return first[:count] == second[:count]
+
+
+def _common_words(columns: Sequence[_Column]) -> tuple[str, ...]:
+    return tuple(word for word in columns[0].thing if all(word in each.thing for each in columns))

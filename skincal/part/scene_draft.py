@@ -49,8 +49,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     if robot is not None:
         _check_names(draft, robot)
         draft = with_own_mesh(draft, robot, draft.mesh, draft.unit)
-    if not draft.layout_text and draft.channels is None:
-        raise InputError(f"{out}: say how many values a frame of the skin has (--channels), or name its layout.")
+    _check_skin_and_tip(draft, out)
     preview = PartPreviewer(has_lists=False).preview(replace(draft, name=out.resolve().parent.name or draft.link), {})
     if "part" in preview.problems and not preview.is_meshless:
         raise InputError(preview.problems["part"])
@@ -89,6 +88,17 @@ def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:
             "the mesh's unit."
         )
     return AnchorDraft.from_anchor(anchor)
+
+
+def _check_skin_and_tip(draft: PartDraft, out: Path) -> None:
+    """Raise InputError: the width of a skin frame, or the tip of a rig without a sensor, is missing."""
+    if not draft.layout_text and draft.channels is None:
+        raise InputError(f"{out}: say how many values a frame of the skin has (--channels), or name its layout.")
+    if draft.rig is Rig.NONE and draft.tool.tip_mm is None:
+        raise InputError(
+            f"{out}: --sensor none has no --tip, which alone says where a poke is without a force sensor; add --tip X,Y,Z, mm "
+            "in the frame of the poses (`skincal tool` finds it from touches of one point)."
+        )
 
 
 def _check_names(draft: PartDraft, robot: Robot) -> None:

@@ -120,6 +120,11 @@ def parse_address(address: str) -> DeviceAddress:
     scheme = UNKNOWN_SCHEME_RE.match(address)
     if scheme is not None:
         raise InputError(f"{address}: skincal cannot open addresses that begin with {scheme[1]}:. Expected {ADDRESS_HELP}.")
+    if address.startswith("/") and not _may_be_path(path):
+        raise InputError(
+            f"{address}: there is no such port or file. A topic of ROS 2 begins with ros2: (type ros2:{address}), or is "
+            f"behind a rosbridge server (rosbridge://HOST:PORT{address})."
+        )
     device = DeviceAddress(address, SERIAL_ROUTE, path=path, baud=baud, options=options)
     _part_of(device)
     return device
@@ -149,6 +154,17 @@ def make_link_decoder(address: str, format_name: str, channels: int | None, carr
     if part is None:
         return LinkDecoder(format_name, channels, carries)
     return PartDecoder(part, format_name, channels, carries)
+
+
+def _may_be_path(path: str) -> bool:
+    """Check whether a path is there, or may still come: a port in `/dev`, or a pty that another program is about to name."""
+    folder = Path(path).parent
+    try:
+        return "?" not in path and (
+            path.startswith("/dev/") or Path(path).exists() or (folder != folder.parent and folder.is_dir())
+        )
+    except OSError:  # such as a name that is too long
+        return False
 
 
 def _is_file(path: str) -> bool:

@@ -229,12 +229,12 @@ def _pose_values(file: ArrayFile, spec: ArraySpec, rows: StreamRows) -> tuple[An
 
 
 def _pose_names(file: ArrayFile, spec: ArraySpec, rows: StreamRows) -> PoseNames:
-    """Read what the labels state on a pose. Raises InputError: the rotation comes before the place."""
+    """Read what the labels state on a pose. Raises InputError: they are no pose."""
     found = PoseNames.read([label.lower() for label in rows.labels])
-    if found.is_rotation_first:
+    if found.mistake is not None:
         raise InputError(
-            f"{file.path}: the values of {spec.text} are {', '.join(rows.labels)}, the rotation before the place; expected x y "
-            "z, then the rotation: choose the columns in that order."
+            f"{file.path}: the values of {spec.text} are {', '.join(rows.labels)}, {found.mistake.seen}; "
+            f"{found.mistake.advice}."
         )
     return found
 

@@ -24,7 +24,7 @@ from skincal.devices.column_names import (
     short_unit,
 )
 from skincal.devices.netft_page import FORCE_UNITS
-from skincal.devices.pose_names import NO_POSE_NAMES, POSE_UNIT, PoseNames, axis_letter
+from skincal.devices.pose_names import NO_POSE_NAMES, POSE_UNIT, PoseNames, axis_letters
 from skincal.files.importers.table_form import TableForm
 from skincal.files.importers.table_values import is_date, is_time_of_day, to_float
 from skincal.model.errors import InputError, plural
@@ -330,12 +330,11 @@ class TableColumns:
         """Choose the columns of a pose: x y z first, then those of the rotation, all in the order of the table."""
         named = [k for k in self.named_pose if k in columns]
         chosen = named if len(named) in POSE_WIDTHS else [k for k in self.others if k in columns]
-        ends = [axis_letter(self.names[k]) for k in chosen]
-        stated = PoseNames.read([self.names[k] for k in chosen])
-        if stated.is_rotation_first:
+        names = [self.names[k] for k in chosen]
+        ends, stated = axis_letters(names), PoseNames.read(names)
+        if stated.mistake is not None:
             raise InputError(
-                f"{self.path}: its columns are {self._list_names(chosen)}, the rotation before the place; expected x y z, then "
-                "the rotation: order the columns so."
+                f"{self.path}: its columns are {self._list_names(chosen)}, {stated.mistake.seen}; {stated.mistake.advice}."
             )
         if len(chosen) not in POSE_WIDTHS or (len(chosen) < 16 and ends[:3] not in (["x", "y", "z"], [""] * 3)):
             raise InputError(

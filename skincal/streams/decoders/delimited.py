@@ -181,8 +181,8 @@ class TextDecoder(FrameDecoder):
         columns = [name for name in names if not is_clock_or_counter(name)]
         found = PoseNames.read(columns)
         clash = None if self._pose_form is None else found.clash(*self._pose_form)
-        if found.is_rotation_first:
-            self._other_pose = f"The header is {' '.join(columns)}, the rotation before the place: send x y z first"
+        if found.mistake is not None and self._width(Stream.TOOL) in (None, len(columns)):
+            self._other_pose = f"The header is {' '.join(columns)}, {found.mistake.seen}; {found.mistake.advice}"
         elif clash is not None:
             self._other_pose = f"The header names {clash_in_scene(clash, 'the scene')}"
         elif len(columns) in POSE_WIDTHS:

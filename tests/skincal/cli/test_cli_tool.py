@@ -88,6 +88,7 @@ def test_a_header_with_another_order_of_the_quaternion_is_said(tmp_path, capsys)
         ("x [mm],y [mm],z [mm],rx,ry,rz", [], "name the lengths in mm, and --unit is m"),
         ("x y z rx_deg ry_deg rz_deg", ["--rotation", "vector"], "name the angles in deg, and --degrees is not given"),
         ("rx;ry;rz;x;y;z", [], "the rotation before the place; expected x y z, then the rotation"),
+        ("a_x,a_y,a_z,b_x,b_y,b_z", [], "the places of several things; expected the place x y z and the rotation of one tool"),
         ("x_m,y_m,z_m,rx,ry,rz", [], ""),
     ],
 )

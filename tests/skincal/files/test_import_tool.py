@@ -201,6 +201,13 @@ def test_arrays_of_quaternions_and_matrices_give_the_same_poses(made, tmp_path):
         open_arrays({Stream.TOOL: RecordedPlace(path, "tactile")})
 
 
+def test_a_table_of_arrays_with_two_markers_is_no_pose(tmp_path):
+    columns = [(name, "f8") for name in ("t", "x_a", "y_a", "z_a", "x_b", "y_b", "z_b")]
+    np.save(tmp_path / "log.npy", np.ones(50, columns))
+    with pytest.raises(InputError, match="are x_a, y_a, z_a, x_b, y_b, z_b, the places of several things; expected the place"):
+        open_arrays({Stream.TOOL: RecordedPlace(tmp_path / "log.npy", "*")})
+
+
 def test_a_log_of_yarp_gives_the_poses_of_its_cartesian_controller(made, tmp_path):
     """The state of iCub's Cartesian controller: x y z, an axis and the angle about it."""
     _, streams = made
@@ -244,6 +251,9 @@ def test_columns_that_name_another_order_of_the_quaternion_than_the_scene_are_re
         ("rx ry rz x y z", "vector", "m", "false", "the rotation before the place"),
         ("a b c x y z", "abc", "m", "false", "the rotation before the place"),
         ("roll pitch yaw x y z", "rpy", "m", "false", "the rotation before the place"),
+        ("a_x a_y a_z b_x b_y b_z", "vector", "m", "false", "the places of several things; expected the place x y z and"),
+        ("x1 y1 z1 x2 y2 z2", "rpy", "m", "true", "the places of several things"),
+        ("hand_x hand_y hand_z arm_rx arm_ry arm_rz", "vector", "m", "false", "the place of one thing and the rotation of"),
         ("x_mm y_mm z_mm rx ry rz", "vector", "m", "false", 'the lengths in mm, and scene.toml has unit = "m" in [tool]'),
         ("x y z roll_deg pitch_deg yaw_deg", "rpy", "m", "false", "the angles in deg, and scene.toml has degrees = false"),
         ("x y z roll_rad pitch_rad yaw_rad", "rpy", "m", "true", "the angles in rad, and scene.toml has degrees = true"),
@@ -281,7 +291,8 @@ def test_units_and_order_in_a_header_of_streamed_lines_are_compared_with_the_sce
         ("x_m,y_m,z_m,rx,ry,rz", ""),
         ("x_mm,y_mm,z_mm,rx,ry,rz", 'The header names the lengths in mm, and the scene has unit = "m" in [tool]'),
         ("x,y,z,rx_deg,ry_deg,rz_deg", "The header names the angles in deg, and the scene has degrees = false in [tool]"),
-        ("rx,ry,rz,x,y,z", "The header is rx ry rz x y z, the rotation before the place: send x y z first"),
+        ("rx,ry,rz,x,y,z", "The header is rx ry rz x y z, the rotation before the place; expected x y z, then the rotation"),
+        ("a_x,a_y,a_z,b_x,b_y,b_z", "The header is a_x a_y a_z b_x b_y b_z, the places of several things; expected"),
     ):
         decoder = make_decoder("text", None, (Stream.TOOL,))
         decoder.set_pose_form(PoseForm(RotationForm.ROTATION_VECTOR), 1.0)

@@ -394,7 +394,7 @@ def test_a_sensor_below_a_part_that_a_tool_pokes_is_refused(tmp_path, urdf, caps
         return capsys.readouterr().err
 
     assert "--sensor tool" in refused()
-    assert "fixed-point test" in refused("--sensor", "none")
+    assert "--sensor none has no --tip, which alone says where a poke is" in refused("--sensor", "none")
     assert "--joints is of joints between" in refused("--sensor", "tool", "--joints", "elbow")
     assert "--tip is of a tool" in refused("--sensor", "wrist_ft", "--tip", "0,0,1")
     assert "expected FORM:UNIT" in refused("--sensor", "tool", "--poses", "vector")

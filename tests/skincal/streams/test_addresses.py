@@ -58,6 +58,21 @@ def read_link(address, channels, count, carries=SKIN, send=None):
 # ------------------------------------------------------------------ what to type instead
 
 
+@pytest.mark.parametrize("address", ["/tf?frame=tool0&base=base", "/skin", "/ft_sensor/wrench", "/tf?frame=tool0"])
+def test_a_topic_without_its_scheme_is_no_port(address):
+    with pytest.raises(
+        InputError, match=re.escape(f"no such port or file. A topic of ROS 2 begins with ros2: (type ros2:{address})")
+    ):
+        parse_address(address)
+    assert parse_address(f"ros2:{address}").route.scheme == "ros2"
+
+
+def test_a_port_that_may_still_come_is_no_topic(tmp_path):
+    (tmp_path / "there").touch()
+    for path in ("/dev/ttyUSB7", "/dev/serial/by-id/usb-1", "COM3", f"{tmp_path}/pty", f"{tmp_path}/there", str(tmp_path)):
+        assert parse_address(path).path == path
+
+
 @pytest.mark.parametrize(
     ("address", "typed"),
     [
