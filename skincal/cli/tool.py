@@ -105,7 +105,7 @@ def _check_names(touches: Path, names: list[str], given: PoseForm | None, unit: 
 
     found = PoseNames.read(names)
     if found.mistake is not None:
-        raise InputError(f"{touches}: its columns are {', '.join(names)}, {found.mistake.seen}; {found.mistake.advice}.")
+        raise InputError(f"{touches}: its columns are {', '.join(names)}, {found.mistake.finding}; {found.mistake.advice}.")
     clash = found.clash(given, METRES_PER_UNIT[unit])
     if clash is not None:
         seen, key, value = clash

@@ -49,7 +49,7 @@ Clash: TypeAlias = tuple[str, str, str]
 
 
 class PoseMistake(Enum):
-    """Why columns are no pose of a tool, by their names: what is seen, what is expected, and what to do."""
+    """Reason why the names of columns are those of no pose: the finding, the expectation, and the remedy."""
 
     ROTATION_FIRST = "the rotation before the place", "x y z, then the rotation", "order the columns so"
     PLACE_NOT_FIRST = "in another order", "x y z, then the rotation", "order the columns so"
@@ -70,13 +70,13 @@ class PoseMistake(Enum):
     )
 
     @property
-    def seen(self) -> str:
-        """What the names show."""
+    def finding(self) -> str:
+        """Columns that the names show, in words."""
         return self.value[0]
 
     @property
     def advice(self) -> str:
-        """What is expected and what to do, as the rest of a sentence."""
+        """Expectation and remedy, as the rest of a sentence."""
         _, expected, action = self.value
         return f"expected {expected}: {action}"
 
@@ -90,7 +90,7 @@ class _Column:
     kinds: frozenset[str]
     """Words for a rotation."""
     thing: tuple[str, ...]
-    """The other words: of what it is the place or the rotation."""
+    """The other words, which name the thing that has the place or the rotation."""
 
     @classmethod
     def parse(cls, name: str) -> _Column:

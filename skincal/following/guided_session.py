@@ -29,7 +29,7 @@ from skincal.robot.target_server import RobotChange
 from skincal.robot.targets import Targets
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
-from skincal.words.robot_words import drove_sentence
+from skincal.words.robot_words import drove_sentence, silent_robot_sentence
 from skincal.words.units import ChannelNames
 
 if TYPE_CHECKING:
@@ -137,10 +137,16 @@ class GuidedSession:
         return [*sentences, *self._record_drives(pipeline, now_ns)]
 
     def _record_drives(self, pipeline: Pipeline, now_ns: int) -> Iterator[str]:
-        """Record the landmarks that a robot drove to; give a sentence for the first. Only the pose of a part needs that."""
-        for name in self._robot.take_driven():
-            if pipeline.scene.tool is None:
-                continue
+        """Record the landmarks that a robot drove to; give a sentence for the first, and for silence about a touch.
+
+        Only the pose of a part needs that.
+        """
+        driven, silent = self._robot.take_driven(), self._robot.take_silent(now_ns * 1e-9)
+        if pipeline.scene.tool is None:
+            return
+        if silent:
+            yield silent_robot_sentence(silent)
+        for name in driven:
             if not pipeline.session.decisions.driven_to_landmarks:
                 yield drove_sentence(name)
             pipeline.act(DroveToLandmark(name), now_ns)
@@ -150,6 +156,7 @@ class GuidedSession:
             self.guide.robot = news
         else:
             self.guide.robot = self.tip = None
+            self._robot.robot_left()
         if news is RobotChange.CAME:
             self._robot.robot_connected()
 

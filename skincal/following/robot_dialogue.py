@@ -57,6 +57,8 @@ class _Request:
     """The robot says that a person guides the tip to this known point."""
     is_driven: bool = False
     """The robot said where its tip is in the part's frame, or that it reached this known point: it knows the part's pose."""
+    judged_s: float | None = None
+    """Time of the verdict on its poke; `None` before, without a poke, and if a robot connected since."""
     landmark: str = ""
     """Name of the landmark that its poke was at; empty before, and at none."""
 
@@ -93,6 +95,8 @@ class RobotDialogue:
         """Reasons for skips that the operator knows."""
         self._driven: list[str] = []
         """Landmarks of `take_driven`."""
+        self._asks_who_moves = False
+        """A robot is connected, and its silence at a landmark was not reported yet."""
         self._part: PartPose | None = None
         """Pose of the part that the robot knows."""
         self._judged_poke = -1
@@ -168,6 +172,13 @@ class RobotDialogue:
     def robot_connected(self) -> None:
         """Send targets again after a robot's fault, and the pose of the part."""
         self._is_stopped, self._part = False, None
+        self._asks_who_moves = True
+        for request in self._requests:
+            request.judged_s = None
+
+    def robot_left(self) -> None:
+        """Expect no word of a robot."""
+        self._asks_who_moves = False
 
     def handle_answer(self, answer: Answer, now_s: float) -> Meaning:
         """Process a robot's answer and return its meaning."""
@@ -219,6 +230,20 @@ class RobotDialogue:
         driven, self._driven = self._driven, []
         return driven
 
+    def take_silent(self, now_s: float) -> str:
+        """Return a landmark that was touched, about which a connected robot said nothing; once for each connection.
+
+        Whether the robot drove there is unknown. Its `reached` has the time of an undetected poke to arrive.
+        """
+        if not self._asks_who_moves:
+            return ""
+        for request in self._requests:
+            is_silent = request.landmark and not (request.is_by_hand or request.is_driven)
+            if is_silent and request.judged_s is not None and now_s - request.judged_s > POKE_DETECTION_TIMEOUT_S:
+                self._asks_who_moves = False
+                return request.landmark
+        return ""
+
     def _skipped(self, answer: Answer) -> Meaning:
         is_new = answer.text not in {"", *self._reasons}
         self._reasons.add(answer.text)
@@ -263,6 +288,7 @@ class RobotDialogue:
             self._judged_poke = outcome.poke
             if request is not None and not request.is_judged:
                 request.end()
+                request.judged_s = now_s
                 request.landmark = snapshot.at_landmarks.get(outcome.poke, "")
                 is_driven = request.is_driven and not request.is_by_hand
                 self._driven += [request.landmark] if request.landmark and is_driven else []

@@ -17,6 +17,15 @@ def drove_sentence(landmark: str) -> str:
     )
 
 
+def silent_robot_sentence(landmark: str) -> str:
+    """Report a connected robot's silence about a touch at a landmark."""
+    return (
+        f"The robot said nothing about the touch at the landmark {landmark}, so it is unknown whether it drove there by a pose "
+        "of the part, which the touch then cannot check. Its program sends `hand N` if a person guides the tip to target N, "
+        "and `reached N` if the robot drives there."
+    )
+
+
 def sensor_findings(robot: Robot, sensor_name: str, link: str) -> list[str]:
     """List what is unusual about a sensor for a part on a link."""
     sensor = robot.sensor_named(sensor_name, str(robot.path))

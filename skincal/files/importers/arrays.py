@@ -233,7 +233,7 @@ def _pose_names(file: ArrayFile, spec: ArraySpec, rows: StreamRows) -> PoseNames
     found = PoseNames.read([label.lower() for label in rows.labels])
     if found.mistake is not None:
         raise InputError(
-            f"{file.path}: the values of {spec.text} are {', '.join(rows.labels)}, {found.mistake.seen}; "
+            f"{file.path}: the values of {spec.text} are {', '.join(rows.labels)}, {found.mistake.finding}; "
             f"{found.mistake.advice}."
         )
     return found

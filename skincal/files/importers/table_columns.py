@@ -334,7 +334,7 @@ class TableColumns:
         ends, stated = axis_letters(names), PoseNames.read(names)
         if stated.mistake is not None:
             raise InputError(
-                f"{self.path}: its columns are {self._list_names(chosen)}, {stated.mistake.seen}; {stated.mistake.advice}."
+                f"{self.path}: its columns are {self._list_names(chosen)}, {stated.mistake.finding}; {stated.mistake.advice}."
             )
         if len(chosen) not in POSE_WIDTHS or (len(chosen) < 16 and ends[:3] not in (["x", "y", "z"], [""] * 3)):
             raise InputError(

@@ -182,7 +182,7 @@ class TextDecoder(FrameDecoder):
         found = PoseNames.read(columns)
         clash = None if self._pose_form is None else found.clash(*self._pose_form)
         if found.mistake is not None and self._width(Stream.TOOL) in (None, len(columns)):
-            self._other_pose = f"The header is {' '.join(columns)}, {found.mistake.seen}; {found.mistake.advice}"
+            self._other_pose = f"The header is {' '.join(columns)}, {found.mistake.finding}; {found.mistake.advice}"
         elif clash is not None:
             self._other_pose = f"The header names {clash_in_scene(clash, 'the scene')}"
         elif len(columns) in POSE_WIDTHS:

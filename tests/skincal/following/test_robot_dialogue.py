@@ -196,6 +196,52 @@ def test_a_hand_that_touches_a_landmark_while_the_robot_waits_in_silence_drove_n
     assert course.robot.take_driven() == []
 
 
+@pytest.mark.parametrize("says", ["nothing", "hand", "reached", "tip", "reached late"])
+def test_a_connected_robot_that_says_nothing_about_a_landmark_is_reported_once(says):
+    course = Course()
+    course.robot.robot_connected()
+    course.asked(1.0, wants(3, target=replace(wants(3).target, channel=None, landmark="screw")))
+    if says == "hand":
+        course.robot.note_hand(GuidedByHand(1))
+    elif says == "tip":
+        course.robot.note_tip()
+    elif says == "reached":
+        course.robot.handle_answer(Answer(REACHED, 1), 2.2)
+    course.pokes.append(poke(1, 2.0, Reason.NO_TAXEL))
+    course.landmarks[1] = "screw"
+    course.at(2.6, wants(4))
+    assert course.robot.take_silent(2.6 + POKE_DETECTION_TIMEOUT_S) == "", "its line may be on the way"
+    if says == "reached late":
+        course.robot.handle_answer(Answer(REACHED, 1), 2.8)
+    later_s = 2.7 + POKE_DETECTION_TIMEOUT_S
+    assert course.robot.take_silent(later_s) == ("screw" if says == "nothing" else "")
+    assert course.robot.take_silent(later_s) == ""
+    course.robot.robot_connected()
+    assert course.robot.take_silent(later_s) == "", "the touch was before this robot came"
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_robot_that_left_is_not_expected_to_speak(is_there):
+    course = Course()
+    course.asked(1.0, wants(3, target=replace(wants(3).target, channel=None, landmark="screw")))
+    course.robot.robot_connected()
+    course.pokes.append(poke(1, 2.0, Reason.NO_TAXEL))
+    course.landmarks[1] = "screw"
+    course.at(2.6, wants(4))
+    if not is_there:
+        course.robot.robot_left()
+    assert course.robot.take_silent(9.0) == ("screw" if is_there else "")
+
+
+def test_silence_about_a_taxel_or_without_a_robot_is_usual():
+    course = Course()
+    course.asked(1.0, wants(3))
+    course.robot.robot_connected()
+    course.pokes.append(poke(1, 2.0))
+    course.at(2.6, wants(4))
+    assert course.robot.take_silent(9.0) == ""
+
+
 def test_what_is_reached_and_not_felt_is_rejected_in_the_end():
     course = Course()
     course.asked(1.0, wants(3))
