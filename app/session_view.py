@@ -106,6 +106,9 @@ class Workspace(QWidget):
         self.docks = Docks(self, left, self.card, self._tabs_card, self.tabs)
         self._state: ViewState | None = None
         self._was_placed = True  # The 3D view has no note
+        self._view_timer = QTimer(self, singleShot=True, interval=0)
+        """Updates the 3D view in an event of its own: together with a tick it would block the window twice as long."""
+        self._view_timer.timeout.connect(self._show_in_view)
         self.view.taxel_picked.connect(self.taxel_selected)
         self.map.taxel_clicked.connect(self.taxel_selected)
         for panel in self.panels.values():
@@ -159,11 +162,15 @@ class Workspace(QWidget):
         self.now.show_state(state)
         is_changed = before is None or (before.revision, before.method) != (state.revision, state.method)
         self.card.show_state(state, is_changed=is_changed)
-        self.view.show_state(state)
+        self._view_timer.start()
         if not state.snapshot.is_placed or not self._was_placed:
             self.view.set_note(unplaced_note(state, tip_in_sensor(state)))
             self._was_placed = state.snapshot.is_placed
         self._show_tab()
+
+    def _show_in_view(self) -> None:
+        if self._state is not None:
+            self.view.show_state(self._state)
 
     def current_panel(self) -> Panel | None:
         """Return the panel of the open tab; `None` before `arrange`."""
