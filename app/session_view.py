@@ -120,9 +120,12 @@ class Workspace(QWidget):
     def panel(self, kind: type[AnyPanel]) -> AnyPanel:
         return next(panel for panel in self.panels.values() if isinstance(panel, kind))
 
-    def make_plots(self) -> None:
-        """Make the plots of the readings, before `arrange`. Not done in `__init__`, to keep the window responsive."""
-        self.panel(ReadingsPanel).make_curves()
+    def make_next_plot(self) -> bool:
+        """Make a plot of the readings; return whether all are there, as `arrange` needs.
+
+        Not done in `__init__`, to keep the window responsive.
+        """
+        return self.panel(ReadingsPanel).make_next_curves()
 
     def arrange(self) -> None:
         """Lay the panels out, once. Not done in `__init__`, to keep the window responsive."""

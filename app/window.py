@@ -281,8 +281,8 @@ class Window(QMainWindow):
 
     def _make_plots(self, view: SessionView) -> None:
         if view is self.session_view:
-            view.workspace.make_plots()
-            QTimer.singleShot(0, view, lambda: self._arrange_session(view))
+            next_step = self._arrange_session if view.workspace.make_next_plot() else self._make_plots
+            QTimer.singleShot(0, view, lambda: next_step(view))
 
     def _arrange_session(self, view: SessionView) -> None:
         if view is self.session_view:

@@ -37,6 +37,8 @@ NUMBERS_UPDATE_PERIOD_S = 0.2  # Faster numbers cannot be read
 READINGS_PER_SHOWN_MEAN = 100  # Readings in the mean that is shown: a tenth of a second at 1 kHz
 NO_SENSOR = "This rig has no force/torque sensor: a poke is the place of the tip. The tab Devices shows the tool's poses."
 MIN_PLOT_HEIGHT_PX = 160  # Height of a plot at 100 %; below it the two plots are side by side
+PLOTTED_QUANTITIES = (("Force", "N", 1.0, 2), ("Moment", "N m", 50.0, 0))
+"""Title, unit, smallest half height of the axis and decimals of each of the `Curves`."""
 
 
 def min_max_decimation(times: FloatArray, values: FloatArray, columns: int, span: float) -> tuple[FloatArray, FloatArray]:
@@ -135,7 +137,7 @@ class ReadingsPanel(Panel):
 
     def __init__(self, _guided: GuidedSession | None = None) -> None:
         super().__init__()
-        self._made: tuple[Curves, Curves] | None = None
+        self._made: list[Curves] = []
         self._newest_s = self._numbers_s = -np.inf
         self.no_sensor = secondary_label(NO_SENSOR, wrap=True)
         self.no_sensor.hide()
@@ -153,15 +155,20 @@ class ReadingsPanel(Panel):
     def moment(self) -> Curves:
         return self.make_curves()[1]
 
-    def make_curves(self) -> tuple[Curves, Curves]:
-        """Make the curves of force and moment once, and return them.
+    def make_next_curves(self) -> bool:
+        """Make the curves of force, or then of moment; return whether both are there.
 
-        Not done in `__init__`: pyqtgraph takes long for two plots, and the window makes all panels in one step.
+        Not done in `__init__`: pyqtgraph takes long for a plot, and the window makes all panels in one step.
         """
-        if self._made is None:
-            self._made = Curves("Force", "N", 1.0, 2), Curves("Moment", "N m", 50.0, 0)
-            for curves in self._made:
-                self._both.addWidget(curves, 1)
+        if len(self._made) < len(PLOTTED_QUANTITIES):
+            self._made.append(Curves(*PLOTTED_QUANTITIES[len(self._made)]))
+            self._both.addWidget(self._made[-1], 1)
+        return len(self._made) == len(PLOTTED_QUANTITIES)
+
+    def make_curves(self) -> list[Curves]:
+        """Make the curves that are missing; return those of force and moment."""
+        while not self.make_next_curves():
+            pass
         return self._made
 
     def resizeEvent(self, event: QResizeEvent) -> None:

@@ -45,7 +45,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.widgets import FittedLabel, escape_tooltip, mix, secondary_label, theme_colours
-from app.scene3d.camera import first_frame
+from app.scene3d.camera import first_axes
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark, answer_levels, marks
 from app.state.view_state import ViewState
@@ -126,7 +126,7 @@ def quarter_turns(static: StaticScene) -> int | None:
     layout, known = static.scene.skin.layout, np.flatnonzero(np.isfinite(static.places[:, 0]))
     if layout is None or len(known) < 3:
         return None
-    _, axes = first_frame(static.extent, static.facing)
+    axes = first_axes(static.extent, static.facing)
     seen = known[static.normals[known] @ axes[2] > 0.0]
     rows = known if len(seen) < 3 else seen
     flat = layout.places[static.channels[rows]]

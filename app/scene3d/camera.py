@@ -107,7 +107,7 @@ class Framing:
 
     def __init__(self, points: FloatArray, facing: FloatArray | None = None) -> None:
         self.points = points
-        _, self._front = first_frame(points, facing)
+        self._front = first_axes(points, facing)
         self._long = long_axis(points)
 
     def axes(self, back: FloatArray, aspect: float) -> FloatArray:
@@ -211,11 +211,10 @@ def _turned_axes(reference: FloatArray, back: FloatArray, row: int) -> FloatArra
     raise AssertionError
 
 
-def first_frame(points: FloatArray, facing_: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return the middle of the points, and the axes of the straight first view in a wide picture."""
+def first_axes(points: FloatArray, facing_: FloatArray | None) -> FloatArray:
+    """Return the axes, (3, 3) float, rows: right, up and back, of the straight first view in a wide picture."""
     if len(points) < 3:
-        return points.mean(axis=0) if len(points) else np.zeros(3), np.eye(3)
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+        return np.eye(3)
     variances, principal = np.linalg.eigh(np.cov(points.T))
     back = principal[:, 0] if facing_ is None else facing_
     # The signs of principal axes mean nothing: fix them, so that the same part is always seen the same way.
@@ -223,7 +222,7 @@ def first_frame(points: FloatArray, facing_: FloatArray | None) -> tuple[FloatAr
     level = _level(variances, principal, back)
     right: FloatArray = level - float(level @ back) * back
     right /= np.linalg.norm(right)
-    return centre, np.stack([right, np.cross(back, right), back])
+    return np.stack([right, np.cross(back, right), back])
 
 
 def _level(variances: FloatArray, principal: FloatArray, back: FloatArray) -> FloatArray:

@@ -72,6 +72,11 @@ def _session_size(pipeline: Pipeline) -> tuple[Sequence[HistoryEntry], int]:
     return pipeline.session.history.entries, len(pipeline.snapshot().pokes)
 
 
+def _import_targets() -> None:
+    """Import what asks a robot, with numpy: in the window's thread the window would not answer for 0.2 s."""
+    import skincal.robot.targets  # noqa: F401
+
+
 def _drop(pipeline: Pipeline, storage: SessionFolder) -> None:
     """Close a session whose opening ended after the operator chose another one."""
     pipeline.close()
@@ -168,7 +173,7 @@ class Controller(QObject):
             self._pending_links = link_specs(request.addresses)
             self._serve_targets(request.targets)
         elif request.server:
-            self._start_server(request.server)
+            self.compute(_import_targets, lambda _: self._start_server(request.server))
         self.compute(lambda: self._load_scene(request), lambda guided: self._take_part(guided, request.pose))
 
     def leave(self) -> None:

@@ -108,12 +108,17 @@ def believed_positions(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: 
 
 def measured_positions(estimates: Sequence[Estimate]) -> tuple[FloatArray, FloatArray]:
     """Collect (n, 3) positions, metres, NaN without an estimate, and compute (n, 3, 3) their precisions, 1/m^2, there 0."""
-    measured, covariances = np.full((len(estimates), 3), np.nan), np.zeros((len(estimates), 3, 3))
-    for row, estimate in enumerate(estimates):
-        if estimate.position is not None and estimate.covariance is not None:
-            measured[row], covariances[row] = estimate.position, estimate.covariance
-    precision = np.asarray(np.linalg.inv(covariances + MIN_ESTIMATE_SD_M**2 * np.eye(3)), dtype=np.float64)
-    precision[np.isnan(measured[:, 0])] = 0.0
+    measured, precision = np.full((len(estimates), 3), np.nan), np.zeros((len(estimates), 3, 3))
+    known = [
+        (row, estimate.position, estimate.covariance)
+        for row, estimate in enumerate(estimates)
+        if estimate.position is not None and estimate.covariance is not None
+    ]
+    if known:
+        rows, positions, covariances = zip(*known, strict=True)
+        measured[list(rows)] = positions
+        precision[list(rows)] = np.linalg.inv(np.array(covariances) + MIN_ESTIMATE_SD_M**2 * np.eye(3))
+        precision[np.isnan(measured[:, 0])] = 0.0
     return measured, precision
 
 

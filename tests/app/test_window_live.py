@@ -21,6 +21,7 @@ from app import run
 from app.panels.readings_panel import Curves
 from app.run import Faults, collect_in_window
 from app.scene3d.canvas import best_canvas
+from app.scene3d.view import View3D
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
@@ -177,6 +178,7 @@ def test_a_scene_that_cannot_be_read_is_said_once_without_the_process_around_it(
     bad = tmp_path / "bad.toml"
     bad.write_text("name = 3")
     bench.window.open(OpenRequest(scene=bad, server=server_command(bad)))
+    bench.until(lambda: bench.controller.findChild(DeviceProcess) is not None)
     server = bench.controller.findChild(DeviceProcess)
     bench.until(lambda: not server.is_running and len(bench.messages) == 2)
     assert bench.messages[0] == bench.messages[1], "from the window's own reading of the scene, and from the process"
@@ -418,6 +420,28 @@ def test_what_takes_long_at_opening_is_made_in_the_background_or_in_a_step_of_it
     # The view exists before its curves.
     assert curves == [False, False]
     assert ready == [True]
+
+
+def test_what_asks_a_robot_is_imported_in_the_background(bench, monkeypatch):
+    threads = []
+    monkeypatch.setattr("app.session.controller._import_targets", lambda: threads.append(threading.current_thread()))
+    bench.open_served()
+    assert len(threads) == 1
+    assert threads[0] is not threading.main_thread()
+
+
+def test_the_3d_view_follows_a_tick_in_an_event_of_its_own(bench, recorded, monkeypatch):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    QApplication.processEvents()
+    view, shown = bench.window.session_view, []
+    monkeypatch.setattr(View3D, "show_state", lambda _, state: shown.append(state.selected))
+    first, second = (int(channel) for channel in view.workspace.part.channels[:2])
+    for channel in (first, second):
+        view.select_taxel(channel)
+    assert shown == []
+    QApplication.processEvents()
+    assert shown == [second]
 
 
 def noting(call, note):

@@ -12,7 +12,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from app.panels.taxel_map import MapCard, ModulesItem, TaxelMap, lay_out_map, mark_path, quarter_turns
-from app.scene3d.camera import first_frame
+from app.scene3d.camera import first_axes
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark
 from app.theme import MODULE_HUES
@@ -254,7 +254,7 @@ def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
 def test_the_map_lies_as_the_part_is_seen_first(name):
     part = load_part(resource(f"scenes/{name}/scene.toml"))
     static = StaticScene(part)
-    _, (right, up, back) = first_frame(static.extent, static.facing)
+    right, up, back = first_axes(static.extent, static.facing)
     drawn = lay_out_map(part.scene.skin.layout, part.channels, quarter_turns(static)).places
     seen = static.normals @ back > 0.3
     on_part = (static.places @ np.stack([right, up]).T)[seen]
