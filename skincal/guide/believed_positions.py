@@ -95,17 +95,6 @@ def plan_without_positions(channels: IntArray, modules: IntArray | None = None) 
     return PlannedPlaces(channels, nowhere, nowhere.copy(), owners)
 
 
-def believed_positions(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:
-    """Compute (n, 3) the believed positions, metres; NaN without plan and estimate.
-
-    Parameters
-    ----------
-    estimates : in the plan's order
-    rig : as for `believed_from_measured`
-    """
-    return believed_from_measured(plan, *measured_positions(estimates), rig)
-
-
 def measured_positions(estimates: Sequence[Estimate]) -> tuple[FloatArray, FloatArray]:
     """Collect (n, 3) positions, metres, NaN without an estimate, and compute (n, 3, 3) their precisions, 1/m^2, there 0."""
     measured, precision = np.full((len(estimates), 3), np.nan), np.zeros((len(estimates), 3, 3))

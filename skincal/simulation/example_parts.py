@@ -12,13 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray
 from skincal.guide.believed_positions import PlannedPlaces, plan_from_layout
 from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
@@ -29,7 +27,7 @@ from skincal.model.skin import Layout
 from skincal.modules.pose import ModuleModel
 from skincal.simulation.contacts import simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
-from skincal.simulation.simulated_rig import TAXELS_CHECKED_AROUND_TIP, Rig
+from skincal.simulation.simulated_rig import Rig
 
 MESH_TRIANGLES_FOR_LAYING_LAYOUT = 4_000
 """Size of the mesh for laying the layout: on 100,000 triangles it takes 3 s."""
@@ -94,23 +92,13 @@ SHAPE_OF_PART = {
 
 
 class _Rig(Rig):
-    """A rig that finds nearby taxels with a search tree, sorted by distance."""
-
-    def _taxels_near(self, points: FloatArray) -> IntArray:
-        # A list of ranks makes scipy return two dimensions also for one taxel.
-        near: IntArray = self._tree.query(points, np.arange(1, min(TAXELS_CHECKED_AROUND_TIP, len(self.places)) + 1))[1]
-        return near
+    """A rig whose taxels can be moved to another surface."""
 
     def move_taxels_to(self, surface: Surface) -> None:
         """Move the taxels to the nearest points of `surface`."""
         self.surface = surface
         self.places, triangles = nearest_points(surface, self.places)
         self.normals = surface.normals[triangles]
-
-    @cached_property
-    def _tree(self) -> Any:
-        spatial: Any = import_module("scipy.spatial")
-        return spatial.cKDTree(self.places)
 
 
 @dataclass(frozen=True, eq=False)

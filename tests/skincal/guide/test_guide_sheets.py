@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.following.session_guide import costs_of
-from skincal.guide.believed_positions import believed_positions, plan_from_layout
+from skincal.guide.believed_positions import believed_from_measured, measured_positions, plan_from_layout
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import TARGET_MAX_CELL_SHARE, Guide
 from skincal.guide.progress import GuideSettings, count_sheet_pokes_left
@@ -84,10 +84,10 @@ def test_a_sheet_that_slid_around_a_bend_is_believed_on_the_mesh():
         Estimate(channel, Method.SURFACE, State.TOUCHED, 1, position=place + 0.01 * along, covariance=1e-6 * np.eye(3))
         for channel, place in zip(plan.channels.tolist(), plan.places, strict=True)
     ]
-    shifted = believed_positions(replace(plan, carrier=None), known)
+    shifted = believed_from_measured(replace(plan, carrier=None), *measured_positions(known), 0.0)
     off = [
         np.linalg.norm(each - nearest_points(of.surface, each)[0], axis=1).max()
-        for each in (shifted, believed_positions(plan, known))
+        for each in (shifted, believed_from_measured(plan, *measured_positions(known), 0.0))
     ]
     assert off[0] > 0.0005
     assert off[1] < 1e-9
