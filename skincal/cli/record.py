@@ -6,6 +6,7 @@ A command that made no session of use takes its folder away again: with its inpu
 from __future__ import annotations
 
 import contextlib
+import gc
 import math
 import queue
 import signal
@@ -149,7 +150,8 @@ def record(
                 pipeline.act(SetPose(pose), time.monotonic_ns())
             for reader in readers.values():
                 reader.start()
-            _loop(pipeline, items, readers, (seconds, pokes), stop, robot)
+            with skipping_loaded_objects():
+                _loop(pipeline, items, readers, (seconds, pokes), stop, robot)
         finally:
             _record_the_rest(pipeline, items, readers)
             pipeline.close()
@@ -203,6 +205,16 @@ def _asking(targets: str | None) -> Generator[OpenTargets | None]:
     with contextlib.closing(open_targets(targets)) as server:
         say(f"targets: a robot is asked at {server.place}", err=True)
         yield server
+
+
+@contextlib.contextmanager
+def skipping_loaded_objects() -> Generator[None]:
+    """Leave what is loaded now out of Python's garbage collections: it lives as long as a recording."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @contextlib.contextmanager

@@ -97,11 +97,11 @@ class ChannelHealth:
             self._last = skin
             return False
         moved, is_number = skin != self._last, ~np.isnan(skin)
-        self._changed_s[moved] = host_s
-        self._number_s[is_number] = host_s
+        np.copyto(self._changed_s, host_s, where=moved)
+        np.copyto(self._number_s, host_s, where=is_number)
         self._changes += moved
         self._varied |= moved & is_number & ~np.isnan(self._last)  # NaN differs from everything
-        self._near_pokes[moved] = 0
+        np.copyto(self._near_pokes, 0, where=moved)
         self._frames += 1
         self._last = skin
         return host_s - self._judged_s >= 1.0 and self._judge(host_s)

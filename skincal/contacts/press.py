@@ -300,6 +300,8 @@ class Press:
         self.force = np.zeros(3)
         self._length = window_length(settings.still_s, period_s)
         self._window: deque[tuple[Sample, ArmPose]] = deque(maxlen=self._length)
+        self._wrenches, self._end = np.empty((2 * self._length, len(start.wrench))), 0
+        """Wrenches of the newest samples, before row `_end`, as sent: those of the window are one slice."""
 
     @property
     def may_release(self) -> bool:
@@ -337,7 +339,7 @@ class Press:
             self._window.clear()
             return
         self._append(sample, pose)
-        wrench = np.array([item.wrench for item, _ in self._window]) - self.tare.wrench
+        wrench = self._wrenches[self._end - len(self._window) : self._end] - self.tare.wrench
         self.force = wrench[-1, :3]
         self.peak = max(self.peak, length_of(self.force))
         self.still = still_share(wrench[:, :3], self.settings.still_change) / self._length
@@ -346,6 +348,11 @@ class Press:
 
     def _append(self, sample: Sample, pose: ArmPose) -> None:
         self._window.append((sample, pose))
+        if self._end == len(self._wrenches):
+            self._end = self._length - 1
+            self._wrenches[: self._end] = self._wrenches[len(self._wrenches) - self._end :]
+        self._wrenches[self._end] = sample.wrench
+        self._end += 1
         self.in_row = max(self.in_row, len(self._window))
 
     def _rank_window(self, wrench: FloatArray) -> None:

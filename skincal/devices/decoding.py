@@ -135,8 +135,8 @@ class SequenceCounter:
 
     def follows(self, raw: IntArray) -> bool:
         """Whether no number is missing before or among n > 0 successive numbers (n,)."""
-        steps = np.diff(raw, prepend=raw[:1] - 1 if self._raw == NO_SEQ else self._raw)
-        return bool((steps % SEQ_MODULUS == 1).all())
+        is_next = self._raw == NO_SEQ or (int(raw[0]) - self._raw) % SEQ_MODULUS == 1
+        return is_next and bool(((raw[1:] - raw[:-1]) % SEQ_MODULUS == 1).all())
 
     def step_many(self, raw: IntArray, device_s: FloatArray) -> IntArray:
         """Return the unwrapped numbers (n,) of n > 0 records that follow (`follows`), as `step` of each does."""
@@ -183,7 +183,9 @@ class GapCounter:
     def is_continued_by(self, numbers: IntArray) -> bool:
         """Check whether `numbers` (n,) go on in the usual step. The question changes nothing."""
         step, last = self._usual, self._last
-        return bool(step and step == self._step and last is not None and (np.diff(numbers, prepend=last) == step).all())
+        if not step or step != self._step or last is None or (len(numbers) and int(numbers[0]) - last != step):
+            return False
+        return bool((numbers[1:] - numbers[:-1] == step).all())
 
     def missing_among(self, numbers: IntArray) -> int:
         """Count the numbers missing before and among `numbers` (n,)."""

@@ -64,6 +64,7 @@ class Intake:
         """Names of the links on which a stream that always has noise repeats one reading."""
         self.has_new_frames = True
         """Whether a message named a new frame of the wrench; reset by who looks at `wrench_frames`."""
+        self._skin_link = next((link for link in self._links.values() if Stream.SKIN in link.spec.carries), None)
         self._has_one_wrench = sum(not each.carries or Stream.WRENCH in each.carries for each in links) == 1
         self._pairing = Pairing() if expected.has_wrench else PairingWithTool()
         self._now_s = -np.inf
@@ -82,7 +83,7 @@ class Intake:
     @property
     def skin_unit(self) -> str:
         """Unit that the skin's device names; empty for raw values."""
-        return next((link.skin_unit for link in self._links.values() if Stream.SKIN in link.spec.carries), "")
+        return "" if self._skin_link is None else self._skin_link.skin_unit
 
     @property
     def unpaired(self) -> int:
@@ -332,8 +333,7 @@ class LinkIntake:
         arrivals = [host_ns * 1e-9 for host_ns in times_ns]
         stamps = self._stamper.stamp(whole, np.repeat(arrivals, counts))
         self._last_ns = times_ns[-1]
-        for host_ns, count in zip(times_ns, counts, strict=True):
-            self._count_readings(host_ns, count)
+        self._count_readings(zip(times_ns, counts, strict=True))
         frozen = self.monitor.on_run(whole, ends, times_ns)
         return LinkRun(TimestampedBatch(whole, stamps, arrivals[-1]), ends, arrivals, frozen)
 
@@ -403,16 +403,19 @@ class LinkIntake:
         return sum(counts[loss] for loss in LOSSES_THAT_BREAK_COUNTING) if counts else 0
 
     def _count_batches(self, batches: Sequence[tuple[int, Batch]]) -> None:
-        for arrival_ns, batch in batches:
-            self._count_readings(arrival_ns, len(batch.seq))
-            self._numberless += self._expected.count_numberless(batch)
+        self._count_readings((arrival_ns, len(batch.seq)) for arrival_ns, batch in batches)
+        self._numberless += sum(self._expected.count_numberless(batch) for _, batch in batches)
 
-    def _count_readings(self, arrival_ns: int, count: int) -> None:
-        self._readings += count
-        step_ns = arrival_ns - arrival_ns % RATE_COUNTING_STEP_NS
-        if self._rate and self._rate[-1][0] == step_ns:
-            count += self._rate.pop()[1]
-        self._rate.append((step_ns, count))
+    def _count_readings(self, arrived: Iterable[tuple[int, int]]) -> None:
+        """Count readings: when some arrived, ns, and how many."""
+        rate = self._rate
+        for arrival_ns, count in arrived:
+            self._readings += count
+            step_ns = arrival_ns - arrival_ns % RATE_COUNTING_STEP_NS
+            if rate and rate[-1][0] == step_ns:
+                rate[-1] = step_ns, rate[-1][1] + count
+            else:
+                rate.append((step_ns, count))
 
     def health(self, now_ns: int, pairing: Mapping[Loss, int] = MappingProxyType({})) -> LinkHealth:
         """Return the state and figures of the link; `pairing` holds losses of the pairing, which count for the skin's link."""

@@ -312,8 +312,9 @@ class LinkMonitor:
         known = self._wrenches if self._wrenches.shape[1] == values.shape[1] else values[:0]
         rows = np.concatenate([known, values])
         self._wrenches = rows[-2:]
-        step = np.linalg.norm(rows[2:, :3] - rows[1:-1, :3], axis=1)
-        over_two = np.linalg.norm(rows[2:, :3] - rows[:-2, :3], axis=1)
+        offs = (rows[2:, :3] - before[:, :3] for before in (rows[1:-1], rows[:-2]))
+        # As `np.linalg.norm`, in half its time for few rows.
+        step, over_two = (np.sqrt(np.add.reduce(off * off, axis=1)) for off in offs)
         found: list[bool] = (step > np.maximum(ALTERNATION_MIN_RATIO * over_two, ALTERNATION_MIN_FORCE_N)).tolist()
         return found
 

@@ -1,5 +1,6 @@
 """Commands with input that the user can mend: exit code 2, one sentence, nothing left behind that is in the way."""
 
+import gc
 import json
 import os
 import re
@@ -314,6 +315,18 @@ def test_a_second_ctrl_c_ends_the_estimate_of_a_stopped_recording_and_names_the_
     assert f"`skincal solve {folder}` does it later" in err
     assert signal.getsignal(signal.SIGINT) is before
     assert (folder / "segment-0001.mcap").exists()
+
+
+def test_collections_leave_out_what_is_loaded_while_it_records_and_no_longer(run, tmp_path, monkeypatch):
+    from skincal.cli import record
+
+    (tmp_path / "wrench").write_text("0 0 0 0 0 0\n" * 200)
+    (tmp_path / "skin").write_text((" ".join(["5"] * CHANNELS) + "\n") * 200)
+    left_out = []
+    monkeypatch.setattr(record, "_loop", lambda *_: left_out.append(gc.get_freeze_count()))
+    run(*recording(tmp_path / "s", tmp_path / "wrench", tmp_path / "skin", "--seconds", "30"))
+    assert left_out[0] > 10_000
+    assert gc.get_freeze_count() < left_out[0] / 10
 
 
 def test_a_recording_without_a_byte_of_the_wrench_leaves_nothing_and_one_with_bytes_stays(run, tmp_path):
