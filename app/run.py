@@ -19,7 +19,7 @@ from PySide6.QtCore import QMetaObject, QObject, QSettings, QStandardPaths, Qt, 
 from PySide6.QtGui import QFont, QFontDatabase
 from PySide6.QtWidgets import QApplication
 
-from app.scene3d.canvas import best_canvas
+from app.scene3d import canvas
 from app.session.controller import Controller
 from app.session.opening import (
     DEMO_SCENES,
@@ -262,4 +262,4 @@ def start_log_and_open(window: Window, request: OpenRequest) -> None:
     if failure:
         window.tell(Message(failure, error=True))
     # Now the window is idle, since the scene is loading; later this would block it.
-    best_canvas()
+    canvas.get_ready()

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent
 from PySide6.QtWidgets import QWidget
 
-from app.scene3d.drawing_probe import start_egl_probe
+from app.scene3d.drawing_probe import DrawingProbe, start_egl_probe
 from app.scene3d.pyvista_import import import_plotter
 from app.text_size import text_scale
 
@@ -53,6 +53,18 @@ def best_canvas() -> Canvas:
     context.doneCurrent()
     surface.destroy()
     return Canvas.RASTER if any(word in name for word in SOFTWARE_RENDERERS) else Canvas.OPENGL
+
+
+@cache
+def early_egl_probe() -> DrawingProbe | None:
+    """Return the trial of EGL of this program, which the first call starts; `None` if there is nothing to try."""
+    return start_egl_probe()
+
+
+def get_ready() -> None:
+    """Choose the canvas, and start what its first picture waits for; takes as long as `best_canvas`."""
+    if best_canvas() is Canvas.RASTER:
+        early_egl_probe()
 
 
 class RasterCanvas(QWidget):
@@ -139,7 +151,7 @@ def load(
 
         _renderer_class(static)
         return None
-    egl_probe = start_egl_probe()
+    egl_probe = early_egl_probe()
     # Meanwhile the child tries to draw.
     import_plotter()
     from app.scene3d.mesh_actors import window_of

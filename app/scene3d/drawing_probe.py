@@ -62,7 +62,7 @@ def choose_offscreen(egl_probe: DrawingProbe | None = None) -> None:
     Raises InputError: nothing draws here; names the packages.
     """
     egl_probe = egl_probe or start_egl_probe()
-    if egl_probe is None:
+    if egl_probe is None or os.environ.get(WINDOW_CLASS_VARIABLE):
         return
     failures: list[str] = []
     for window_class in (EGL, OSMESA):

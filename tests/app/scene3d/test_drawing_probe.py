@@ -8,8 +8,17 @@ import pytest
 
 from app import headless
 from app.__main__ import main
-from app.scene3d import drawing_probe
-from app.scene3d.drawing_probe import EGL, OSMESA, PLOTTING_VARIABLE, PROBE_OPTION, WINDOW_CLASS_VARIABLE, choose_offscreen
+from app.scene3d import canvas, drawing_probe
+from app.scene3d.canvas import Canvas
+from app.scene3d.drawing_probe import (
+    EGL,
+    OSMESA,
+    PLOTTING_VARIABLE,
+    PROBE_OPTION,
+    WINDOW_CLASS_VARIABLE,
+    DrawingProbe,
+    choose_offscreen,
+)
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
 
@@ -64,6 +73,23 @@ def test_a_choice_of_the_user_is_kept(monkeypatch):
     monkeypatch.setenv(WINDOW_CLASS_VARIABLE, OSMESA)
     choose_offscreen()
     assert os.environ[WINDOW_CLASS_VARIABLE] == OSMESA
+
+
+@pytest.mark.parametrize("drawn_by", list(Canvas))
+def test_the_trial_begins_with_the_window_only_where_software_draws(trials, monkeypatch, drawn_by):
+    trials[EGL] = ""
+    started = []
+    monkeypatch.setattr(canvas, "start_egl_probe", lambda: started.append(DrawingProbe(EGL)) or started[0])
+    monkeypatch.setattr(canvas, "best_canvas", lambda: drawn_by)
+    canvas.early_egl_probe.cache_clear()
+    canvas.get_ready()
+    assert len(started) == (drawn_by is Canvas.RASTER)
+    # The first picture waits for the same trial.
+    probe = canvas.early_egl_probe()
+    assert started == [probe]
+    choose_offscreen(probe)
+    assert os.environ[WINDOW_CLASS_VARIABLE] == EGL
+    canvas.early_egl_probe.cache_clear()
 
 
 @pytest.mark.usefixtures("trials")
