@@ -41,8 +41,6 @@ TOOL_TIP_MAX_SD_M = 0.005
 """m, largest sd of a found tip in any direction with which it is used."""
 MISMATCH_MIN_M = 0.003
 """m. A smaller distance from the scene's tip is never named."""
-USUAL_TIP_DISTANCE_M = 0.2
-"""m, of the tip from a wrist's sensor."""
 TIP_PRIOR_SD_M = 0.5
 """m, of the tip from the sensor: no poking tool is longer."""
 MIN_INFORMATION_OVER_NOISE_SHARE = 3.0
@@ -50,8 +48,6 @@ MIN_INFORMATION_OVER_NOISE_SHARE = 3.0
 NOISE_VARIANCE_SD = 0.25
 """Relative sd of the scene's variance of the force."""
 FIT_STEPS = 20
-CONVERGED_STEP_M, CONVERGED_SHARE = 1e-6, 1e-3
-"""m of the tip, and share of the variance of its axes: smaller changes end a fit."""
 HUBER_THRESHOLD_SDS = 2.5
 
 

@@ -320,7 +320,6 @@ class Pipeline:
             wrench_s=times,
             wrench=wrench,
             skin=detector.responses,
-            skin_s=detector.last_s,
             progress=progress,
             links=self._links(now_ns),
             losses_unpaired=self._intake.unpaired,

@@ -366,8 +366,6 @@ class LiveView:
     """(n, 6) float, N and N m, sensor frame, as the device reports it."""
     skin: FloatArray
     """(channels,) float: the last frame's responses above their baselines, raw units; NaN where unusable."""
-    skin_s: float
-    """Host's monotonic clock of that frame, seconds; 0 before the first."""
     progress: Progress
     links: tuple[LinkHealth, ...]
     losses_unpaired: int
@@ -382,4 +380,4 @@ class LiveView:
         """Make the readings of no device."""
         none, still = np.empty(0), np.zeros(3)
         progress = Progress(PressPhase.READY, still, still, np.empty(0, dtype=np.int64), none, 0.0)
-        return cls(none, np.empty((0, 6)), none, 0.0, progress, (), 0)
+        return cls(none, np.empty((0, 6)), none, progress, (), 0)

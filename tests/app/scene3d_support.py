@@ -111,7 +111,7 @@ def live(at: Sequence[float] | None = None, force: Sequence[float] = (0.0, 0.0, 
         progress = Progress(
             PressPhase.PRESSING, np.array(force, dtype=float), np.array(at, dtype=float), none, np.empty(0), 0.5
         )
-    return LiveView(np.empty(0), np.empty((0, 6)), np.zeros(24), 0.0, progress, (), 0, "low", np.eye(4))
+    return LiveView(np.empty(0), np.empty((0, 6)), np.zeros(24), progress, (), 0, "low", np.eye(4))
 
 
 def tick_of(

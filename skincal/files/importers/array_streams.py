@@ -107,7 +107,6 @@ class StreamRows:
     """Of a row, as the file has it."""
     findings: tuple[str, ...]
     time_unit_assumed: bool
-    time_title: str
 
 
 class ArrayStreams:
@@ -276,9 +275,7 @@ class ArrayStreams:
         shape = self._shape_of_row(arrays, len(stamps), values.shape[1], spec)
         if stream is Stream.SKIN:
             findings.append(self._order_sentence(spec, shape, values.shape[1]))
-        return StreamRows(
-            stamps, values, array.frame, tuple(labels) if all(labels) else (), shape, tuple(findings), assumed, title
-        )
+        return StreamRows(stamps, values, array.frame, tuple(labels) if all(labels) else (), shape, tuple(findings), assumed)
 
     def _part(self, text: str, stream: Stream) -> tuple[NamedArray, slice]:
         """Find an array, and the columns of it that are read."""
@@ -397,7 +394,7 @@ class ArrayStreams:
         labels = tuple(columns[at].last_name if at >= 0 else "" for at in chosen.at)
         names = f"{first.name} to {columns[chosen.at[-1]].name}"
         findings = (f"columns {names}.", *([said] if said else []), *chosen.findings)
-        return StreamRows(stamps, values, "", labels, (len(chosen.at),), findings, assumed, title)
+        return StreamRows(stamps, values, "", labels, (len(chosen.at),), findings, assumed)
 
 
 def _common_begin(names: Sequence[str]) -> str:
