@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 
 from skincal.geometry import IntArray
 
-CHUNK_MAX_BYTES = 16 << 20
-"""A longer chunk ends without a flush: more than the data of half a second."""
+CHUNK_MAX_BYTES = 256 << 10
+"""A longer chunk ends without a flush: it takes 2 ms of the thread that records, which may be the window's."""
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD_BYTES = 9
 """Kind of a record (u8) and its length (u64)."""
