@@ -287,11 +287,13 @@ class _Fit:
         logs = np.array([float(rounded.solve(self.trust, choice).log) for choice in choices])
         kept = np.flatnonzero(logs > logs.max() + np.log(MIN_LIKELIHOOD_RATIO_OF_LANDMARK_ERRORS)).tolist()
         count, at = len(skin[2]), np.arange(len(skin[2]))
-        every, here = self._together(skin, skin), self.shifts(*skin)
+        every = self._together(skin, skin).reshape(count, 3, count, 3)[at, :, at]
+        across, here = self._together(skin, self._parts), self.shifts(*skin)
         total, moments = MP.zero, to_mp(np.zeros((count, 3, 3)))
         for found in (self._last.solve(self.trust, choices[index]) for index in kept):
-            seen, weight = self._together(skin, self._parts)[:, found.counts], MP.exp(found.log - logs.max())
-            known = (every - seen @ solve_positive(found.covariance, seen.T)[0]).reshape(count, 3, count, 3)[at, :, at]
+            seen, weight = across[:, found.counts], MP.exp(found.log - logs.max())
+            solved = solve_positive(found.covariance, seen.T)[0].T.reshape(count, 3, -1)
+            known = every - seen.reshape(count, 3, -1) @ solved.swapaxes(1, 2)
             moved = (seen @ found.pulls).reshape(count, 3) - here
             total, moments = total + weight, moments + weight * (known + moved[:, :, None] * moved[:, None])
         return moments / total

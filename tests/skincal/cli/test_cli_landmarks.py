@@ -79,9 +79,9 @@ class Log:
                 for seq, (sample, angles) in enumerate(zip(script.samples, self.angles, strict=True)):
                     joints = [0.0, 0.0, 0.0, *angles]
                     values = {"wrench": sample.wrench, "skin": sample.skin, "joints": joints}[name]
-                    digits = 1 if name == "skin" else 6
+                    numbers = " ".join(["%.1f" if name == "skin" else "%.6f"] * len(values)) % tuple(values)
                     stamp = EPOCH + sample.host_s - start
-                    file.write(f"{seq} {stamp:.6f} {' '.join(f'{value:.{digits}f}' for value in values)}\n")
+                    file.write(f"{seq} {stamp:.6f} {numbers}\n")
 
     def arguments(self) -> list[str]:
         return [word for name in ("wrench", "skin", "joints") for word in (f"--{name}", str(self.folder / name))]

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
+import pytest
+
+from skincal.mesh.surface import Surface
+from skincal.simulation.example_parts import SHAPE_OF_PART, ExamplePart
 from skincal.simulation.poking_strategies import Conditions
 from skincal.studies import load_study
 from skincal.studies.axes_study import AxesSizes
@@ -19,6 +23,7 @@ from skincal.studies.tool_study import BASE_ALONE, POSE_FOUND, ToolCase, ToolSiz
 from skincal.studies.unmodelled import UnmodelledSizes
 
 FOREARM = "icub-forearm"
+COARSE_TRIANGLES = 2_000
 STABILITY_CASES = (
     "axes within 1e-3 rad", "axes within 1e-9 rad", "one axis, many forces", "one axis, read many times",
     "surface, axes within 1e-9 rad", "module, two pokes", "module on a sheet, 7 arm poses", "module on a sheet, shared errors",
@@ -55,8 +60,18 @@ SIZES: dict[str, Any] = {
 }  # fmt: skip
 
 
+class CoarsePart(ExamplePart):
+    """An example part whose own mesh has few triangles: a general solver takes a programme for each."""
+
+    @cached_property
+    def surface(self) -> Surface:
+        return SHAPE_OF_PART[self.name].mesh(COARSE_TRIANGLES)
+
+
 @cache
 def small(name: str) -> tuple[dict[str, Any], list[str]]:
     """Return a study's result and what it said on the way."""
     said: list[str] = []
-    return replace(load_study(name), in_processes=False).run(True, said.append, SIZES[name]), said
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("skincal.studies.runtime.ExamplePart", CoarsePart)
+        return replace(load_study(name), in_processes=False).run(True, said.append, SIZES[name]), said

@@ -21,7 +21,7 @@ from skincal.studies.harness import check_limits
 from skincal.studies.runtime import SURFACE_SEARCHES, THIS_STUDY, known_positions, main_rows, runtime_limits
 from skincal.taxels.result import Method
 from tests.approved import approved
-from tests.skincal.studies.studies_support import SIZES, small
+from tests.skincal.studies.studies_support import COARSE_TRIANGLES, SIZES, small
 
 
 @lru_cache
@@ -164,7 +164,7 @@ def test_the_ratios_are_those_of_the_table():
 
 def test_growth_holds_two_sizes_and_varies_the_third():
     growth = small("runtime")[0]["growth"]
-    assert {round(point["triangles"], -2) for point in growth["triangles"]} == {300, 1000, 8600}
+    assert {round(point["triangles"], -2) for point in growth["triangles"]} == {300, 1000, COARSE_TRIANGLES}
     assert {point["pokes_per_taxel"] for point in growth["pokes_per_taxel"]} == {1, 2}
     assert {point["taxels"] for point in growth["taxels"]} == {24, 84}
 
