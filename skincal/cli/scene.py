@@ -124,12 +124,8 @@ def new_scene(
     from skincal.part.scene_draft import write_scene
     from skincal.part.tool_draft import Rig
 
-    if sum((layout is not None, bool(grid), bool(paxini))) > 1:
-        raise InputError("--layout, --grid and --paxini exclude each other; keep one.")
-    if paxini_sdk is not None and not paxini:
-        raise InputError("--paxini-sdk says where the points of --paxini are; name the modules by --paxini, or leave it out.")
-    columns = [name.strip() for name in joints.split(",") if name.strip()]
-    _refuse_twice(columns, "--joints")
+    _check_layout_options(layout, grid, paxini, paxini_sdk)
+    columns = _joint_columns(joints)
     modules = _paxini_modules(paxini, paxini_sdk) if paxini else []
     rig = _rig_of(sensor)
     tool = _tool_of(rig, tip, tip_radius, poses)
@@ -160,6 +156,21 @@ def new_scene(
     result = scene_result(part, None)
     lines = [f"wrote {out}{_copy_words(out)}", *points, *_lines(result), *_limit_lines(part.scene)]
     output.print_result(result, lines, as_json)
+
+
+def _check_layout_options(layout: Path | None, grid: str, paxini: str, paxini_sdk: Path | None) -> None:
+    """Refuse two layouts, and the folder of a maker's points without a module."""
+    if sum((layout is not None, bool(grid), bool(paxini))) > 1:
+        raise InputError("--layout, --grid and --paxini exclude each other; keep one.")
+    if paxini_sdk is not None and not paxini:
+        raise InputError("--paxini-sdk says where the points of --paxini are; name the modules by --paxini, or leave it out.")
+
+
+def _joint_columns(joints: str) -> list[str]:
+    """Read `--joints`. Raises InputError: a joint is named twice."""
+    columns = [name.strip() for name in joints.split(",") if name.strip()]
+    _refuse_twice(columns, "--joints")
+    return columns
 
 
 def _skin_unit(unit: str | None, axes: int, *, is_paxini: bool) -> str:

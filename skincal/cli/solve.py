@@ -110,24 +110,16 @@ def solve(
     from skincal.cli import output
     from skincal.files.reference import read_reference
     from skincal.interface.session import Session
-    from skincal.words.frame_words import frame_sentences
     from skincal.words.layout_words import sheet_findings
-    from skincal.words.mistake_words import setup_sentences
 
-    if part is not None and out is None:
-        raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
-    if prefix is not None and out is None:
-        raise InputError("--prefix begins the names of taxels in the files; expected --out FOLDER to write them to.")
+    _check_file_options(out, part, prefix)
     known = None if reference is None else read_reference(reference)
     results = Session.load(session, layout=layout, replayed=replay, correct=correct).results
     pipeline, snapshot = results.pipeline, results.snapshot
     counts = output.poke_counts(snapshot)
     uncompared = output.uncompared_findings(snapshot, known)
     methods = _method_summaries(results, None if uncompared else known, per_pose=per_pose)
-    rig, rig_lines = _rig_result(results)
-    setup = (*frame_sentences(results.session.wrench_frames, snapshot.contacts), *setup_sentences(results.setup))
-    tip, tip_lines = _tip_result(snapshot.tip_frame) if pipeline.scene.tool is None else _tool_result(results)
-    turns, turn_lines = output.turn_result(results)
+    of_rig, rig_lines = _skin_and_rig_result(results)
     leads = None if results.leading is None else results.leading.value
     verdict = None if results.leading is None else output.verdict_words(results.verdict(results.leading))
     unchecked = results.verdict(results.choose_method(None)).unchecked
@@ -144,11 +136,7 @@ def solve(
         "methods": methods,
         "leads": leads,
         "verdict": verdict,
-        "skin": results.skin,
-        "setup": setup,
-        **({"rig": rig} if rig else {}),
-        **({"tip": tip} if tip else {}),
-        **({"turns": turns} if turns else {}),
+        **of_rig,
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
         "distances": [_distance(tried) for tried in snapshot.tried_distances],
         "dead": {str(channel): why for channel, why in snapshot.dead.items()},
@@ -157,23 +145,38 @@ def solve(
         "files": files,
         "findings": findings,
     }
-    text = [
-        *output.poke_lines(counts, pipeline.scene),
-        *output.method_lines(methods, leads),
-        *results.skin,
-        *setup,
-        *rig_lines,
-        *tip_lines,
-        *turn_lines,
-    ]
-    text += [
-        *output.unchecked_lines(results, unchecked),
-        *_session_lines(results),
-        *([] if verdict is None else [f"{verdict}."]),
-    ]
+    text = [*output.poke_lines(counts, pipeline.scene), *output.method_lines(methods, leads), *rig_lines]
+    text += [*output.unchecked_lines(results, unchecked), *_session_lines(results)]
+    text += [] if verdict is None else [f"{verdict}."]
     text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in snapshot.dead.items())]
     text += [*output.loss_lines(totals.links), *findings, *(f"wrote {path}" for path in files)]
     output.print_result(result, text, as_json)
+
+
+def _check_file_options(out: Path | None, part: str | None, prefix: str | None) -> None:
+    """Refuse options of files without a folder for them."""
+    if out is not None:
+        return
+    if part is not None:
+        raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
+    if prefix is not None:
+        raise InputError("--prefix begins the names of taxels in the files; expected --out FOLDER to write them to.")
+
+
+def _skin_and_rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
+    """Describe the skin, the setup, the rig with its tip, and the turns of taxels, as JSON and in lines."""
+    from skincal.cli import output
+    from skincal.words.frame_words import frame_sentences
+    from skincal.words.mistake_words import setup_sentences
+
+    snapshot = results.snapshot
+    setup = (*frame_sentences(results.session.wrench_frames, snapshot.contacts), *setup_sentences(results.setup))
+    rig, rig_lines = _rig_result(results)
+    has_tool = results.pipeline.scene.tool is not None
+    tip, tip_lines = _tool_result(results) if has_tool else _tip_result(snapshot.tip_frame)
+    turns, turn_lines = output.turn_result(results)
+    known = {name: found for name, found in {"rig": rig, "tip": tip, "turns": turns}.items() if found}
+    return {"skin": results.skin, "setup": setup, **known}, [*results.skin, *setup, *rig_lines, *tip_lines, *turn_lines]
 
 
 def _method_summaries(results: SessionResults, known: Mapping[int, FloatArray] | None, *, per_pose: bool) -> dict[str, Any]:
