@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.following.guided_session import GuidedSession
 from skincal.following.robot_dialogue import POKE_DETECTION_TIMEOUT_S, RobotDialogue
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.model.scene import load_scene, resource
+from skincal.part.part import load_part
 from skincal.rig.part_pose import NO_PART_POSE, PartPoseState
 from skincal.robot.target_lines import Answer, AnswerKind, GuidedByHand, Held, Judged, NoTarget, PartPlace, PokeTarget
+from skincal.robot.target_server import RobotChange
 from skincal.session.decisions import Decisions
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
+from skincal.words.robot_words import silent_robot_sentence
 from tests.approved import approved
 
 REACHED, SKIP, FAULT = AnswerKind
@@ -231,6 +235,25 @@ def test_a_robot_that_left_is_not_expected_to_speak(is_there):
     if not is_there:
         course.robot.robot_left()
     assert course.robot.take_silent(9.0) == ("screw" if is_there else "")
+
+
+@pytest.mark.parametrize(("scene", "says"), [("cobot-tip", True), ("flat-patch", False)])
+@pytest.mark.parametrize(
+    "news", [[RobotChange.CAME], [RobotChange.CAME, GuidedByHand(1)], [RobotChange.CAME, RobotChange.LEFT], []]
+)
+def test_the_operator_reads_of_a_silent_robot_where_the_part_of_a_tool_is_touched(scene, says, news):
+    course, guided = Course(), GuidedSession(load_part(resource(f"scenes/{scene}/scene.toml")))
+    guided._robot = course.robot
+    course.asked(1.0, wants(3, target=replace(wants(3).target, channel=None, landmark="screw")))
+    answers = [news, []]
+    server = SimpleNamespace(read_answers=lambda: answers.pop(0))
+    pipeline = SimpleNamespace(scene=guided.part.scene)
+    assert guided.handle_answers(pipeline, server, 1_500_000_000) == []
+    course.pokes.append(poke(1, 2.0, Reason.NO_TAXEL))
+    course.landmarks[1] = "screw"
+    course.at(2.6, wants(4))
+    expected = [silent_robot_sentence("screw")] if says and news == [RobotChange.CAME] else []
+    assert guided.handle_answers(pipeline, server, 9_000_000_000) == expected
 
 
 def test_silence_about_a_taxel_or_without_a_robot_is_usual():
