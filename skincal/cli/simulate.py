@@ -146,7 +146,6 @@ def simulate(
     from skincal.simulation.rig_errors import RigErrors
     from skincal.simulation.rig_of_scene import make_rig
     from skincal.simulation.serve import Server
-    from skincal.simulation.virtual_session import simulate_session
 
     loaded = find_scene(scene)
     if physics is not None:
@@ -169,6 +168,8 @@ def simulate(
     habits = Habits.careful() if careful else Habits()
     habits = (habits if loaded.tool is None else habits.with_tool()).at_pace(pace)
     if out is not None:
+        from skincal.simulation.virtual_session import simulate_session  # served devices need no session
+
         count = pokes or DEFAULT_SESSION_POKES
         _record(
             partial(simulate_session, loaded, surface, out, count, seed, wrong, poses=names, habits=habits), out, count, as_json
