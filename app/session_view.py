@@ -165,7 +165,9 @@ class Workspace(QWidget):
         self.now.show_state(state)
         is_changed = before is None or (before.revision, before.method) != (state.revision, state.method)
         self.card.show_state(state, is_changed=is_changed)
-        self._view_timer.start()
+        # Started again, it would stay behind the ticks of a busy machine.
+        if not self._view_timer.isActive():
+            self._view_timer.start()
         if not state.snapshot.is_placed or not self._was_placed:
             self.view.set_note(unplaced_note(state, tip_in_sensor(state)))
             self._was_placed = state.snapshot.is_placed
