@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # ezc3d 1.7.2: analog samples of a C3D file with ANALOG:FORMAT "UNSIGNED" are read as signed; half of the range is off by 65536.
 #
-# Recorders with converters of 16 bits store force plates, force/torque sensors and pressure this way, with an ANALOG:OFFSET of
-# half the range. The C3D user guide: with this word in ANALOG:FORMAT, samples and offsets are unsigned integers of 16 bits.
+# Some recorders with converters of 16 bits store force plates and other sensors this way, with an ANALOG:OFFSET of half the
+# range. The C3D user guide (c3d.org): with this word in ANALOG:FORMAT, samples and offsets are unsigned integers of 16 bits.
 # Expected: counts 32760 to 32776 less the offset of 32768, thus -8 to 8 (the library c3d reads this). Seen: the offset is read
 # as unsigned, the samples are not. So a load that passes zero jumps by 65536 counts. The word is returned in the parameters.
 # Remedy: where the word is UNSIGNED, add 65536 counts (times the scale) to samples below minus the offset.

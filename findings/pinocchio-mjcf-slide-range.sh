@@ -4,8 +4,7 @@
 # A gripper's finger has a slide joint, <joint type="slide" range="0 0.04"/>. MJCF's angles are in degrees unless <compiler angle>
 # says otherwise; lengths are in metres (XML reference, "joint/range": degrees or radians for hinge and ball joints alone).
 # Expected: an upper limit of 0.04 m, as in MuJoCo. Seen: 0.000698, which is 0.04 degrees in radians. No message. So a solver of
-# inverse kinematics or a planner keeps the finger still. With "ref" the reference is added in metres, and both limits are on one
-# side of it. Positions and masses of the same model are right.
+# inverse kinematics or a planner keeps the finger still. Poses and masses of the same model are right.
 # Remedy: angle="radian" in <compiler>, as MuJoCo's own saved files have it.
 set -euo pipefail
 folder=$(mktemp -d); trap 'rm -rf "$folder"' EXIT; cd "$folder"

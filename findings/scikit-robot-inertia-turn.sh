@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # scikit-robot 0.4.7 ignores the turn of a URDF's inertial frame, so inertia and torques are those of another body.
 #
-# <inertial><origin rpy=...> turns the frame that <inertia> is given in; programs that export principal moments write it for each
-# link ("urdf/XML/link" of the ROS wiki). Here a rod lies along x by rpy="0 1.5708 0", with 1 kg m2 across and 0.1 kg m2 along.
+# <inertial><origin rpy=...> turns the frame that <inertia> is given in ("urdf/XML/link" of the ROS wiki); descriptions of
+# Universal Robots' arms have it. Here a rod lies along x by rpy="0 1.5708 0", with 1 kg m2 across and 0.1 kg m2 along.
 # Expected: 1 N m for 1 rad/s2 about z, as for the same rod written without a turn. Seen: 0.1 N m, by inverse dynamics and in
 # the robot's total inertia. The place of the frame (xyz) is used, the turn is not. No message.
 # Remedy: turn the tensor (R I R^T), and write rpy="0 0 0" into the file.
