@@ -10,8 +10,8 @@ set -euo pipefail
 folder=$(mktemp -d); trap 'rm -rf "$folder"' EXIT; cd "$folder"
 python3 -m venv venv
 venv/bin/pip install -q --disable-pip-version-check --no-deps scikit-robot==0.4.7  # without viewers
-venv/bin/pip install -q --disable-pip-version-check numpy==2.4.6 scipy lxml networkx trimesh==5.2.0 ordered-set cached-property \
-    packaging filelock pyyaml pillow
+venv/bin/pip install -q --disable-pip-version-check numpy==2.4.6 scipy==1.17.1 lxml==6.1.3 networkx==3.6.1 trimesh==5.2.0 \
+    ordered-set==4.1.0 cached-property==2.0.1 packaging==26.4 filelock==4.3.1 pyyaml==6.0.4 pillow==13.0.0
 cat > try.py <<'P'
 import sys
 from importlib.metadata import version
