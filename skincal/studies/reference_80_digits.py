@@ -87,6 +87,13 @@ def rotate(v: Exact, by: Exact) -> Exact:
     return v + _sincs(angle) * once + _sincs(angle / 2) ** 2 / 2 * cross(by, once)
 
 
+def product(rows: Exact, matrix: Exact) -> Exact:
+    """Return rows (..., k) times a matrix (k, n). Each number is rounded once, which takes a third of the time of `@`."""
+    columns = matrix.T.tolist()
+    found = [[MP.fdot(row, column) for column in columns] for row in rows.reshape(-1, len(matrix)).tolist()]
+    return _np.array(found, dtype=object).reshape(*rows.shape[:-1], len(columns))
+
+
 def distance(p: Exact, q: Any = 0) -> float:
     """Return |p - q|; without `q` the length of p."""
     return float(MP.sqrt(dot(p - q, p - q)))
@@ -101,15 +108,24 @@ def solve_positive(matrix: Exact, right: Exact) -> tuple[Exact, Any]:
     """Solve equations with a symmetric positive matrix, in exact numbers or floats. Also return its log determinant."""
     if matrix.dtype == float:
         return _np.linalg.solve(matrix, right), _np.linalg.slogdet(matrix)[1]
-    count, log = len(matrix), MP.zero
-    rows = _np.column_stack([matrix, right])
-    for k in range(count):
-        log += MP.log(rows[k, k])
-        rows[k, k:] = rows[k, k:] / rows[k, k]
-        rows[k + 1 :, k:] = rows[k + 1 :, k:] - rows[k + 1 :, k][:, None] * rows[k, k:]
-    for k in range(count - 1, 0, -1):
-        rows[:k, count:] = rows[:k, count:] - rows[:k, k][:, None] * rows[k, count:]
-    return rows[:, count:].reshape(np.shape(right)), log
+    # Matrix = L D L', by dot products as in `product`.
+    lower, pivots, count = list[list[Any]](), list[Any](), len(matrix)
+    for row in _np.asarray(matrix).tolist():
+        scaled = list[Any]()
+        for k, other in enumerate(lower):
+            scaled.append(row[k] - MP.fdot(scaled, other))
+        lower.append([each / pivot for each, pivot in zip(scaled, pivots, strict=True)])
+        pivots.append(row[len(scaled)] - MP.fdot(scaled, lower[-1]))
+    upper = [[lower[row][column] for row in range(column + 1, count)] for column in range(count)]
+    solved = list[list[Any]]()
+    for column in _np.reshape(right, (count, -1)).T.tolist():
+        found = list[Any]()
+        for k, own in enumerate(lower):
+            found.append(column[k] - MP.fdot(own, found))
+        for k in range(count - 1, -1, -1):
+            found[k] = found[k] / pivots[k] - MP.fdot(upper[k], found[k + 1 :])
+        solved.append(found)
+    return _np.array(solved, dtype=object).T.reshape(np.shape(right)), sum(map(MP.log, pivots), MP.zero)
 
 
 def inverse(matrix: Exact) -> Exact:

@@ -31,6 +31,7 @@ from skincal.studies.reference_80_digits import (
     find_pose,
     inverse,
     pokes_of,
+    product,
     residuals_and_jacobian,
     to_mp,
     true_pose,
@@ -130,15 +131,15 @@ def _axes_of(shared: CovarianceInputs, pokes: ExactPokes, places: Exact) -> tupl
     of_wrench, of_pose = axes_off(wrenches, to_mp(readings.poses)[readings.pose_of], places)
     rows = (pokes.pairs @ of_wrench)[:, :, :, None] * features[:, None, None]
     size, root = 6 * shared.columns, to_mp(shared.root)
-    alike, own = rows.reshape(len(rows), 2, size) @ root[:size], pokes.pairs @ of_pose
+    alike, own = product(rows.reshape(len(rows), 2, size), root[:size]), pokes.pairs @ of_pose
     prior = RigPrior()
     scales, others = to_mp(np.repeat([prior.pose_turn, prior.pose_shift], 3)), list[Exact]()
     for pose in range(len(readings.poses)):
-        here = (readings.pose_of == pose).astype(int)[:, None, None]
+        here = readings.pose_of == pose
         if pose < shared.known:
-            alike = alike + here * (own @ root[size + 6 * pose : size + 6 * pose + 6])
+            alike[here] = alike[here] + product(own[here], root[size + 6 * pose : size + 6 * pose + 6])
         else:
-            others.append(here * own * scales)
+            others.append(here.astype(int)[:, None, None] * own * scales)
     return alike, others
 
 
