@@ -108,24 +108,26 @@ def solve_positive(matrix: Exact, right: Exact) -> tuple[Exact, Any]:
     """Solve equations with a symmetric positive matrix, in exact numbers or floats. Also return its log determinant."""
     if matrix.dtype == float:
         return _np.linalg.solve(matrix, right), _np.linalg.slogdet(matrix)[1]
-    # Matrix = L D L', by dot products as in `product`.
-    lower, pivots, count = list[list[Any]](), list[Any](), len(matrix)
-    for row in _np.asarray(matrix).tolist():
-        scaled = list[Any]()
-        for k, other in enumerate(lower):
-            scaled.append(row[k] - MP.fdot(scaled, other))
-        lower.append([each / pivot for each, pivot in zip(scaled, pivots, strict=True)])
-        pivots.append(row[len(scaled)] - MP.fdot(scaled, lower[-1]))
-    upper = [[lower[row][column] for row in range(column + 1, count)] for column in range(count)]
+    # Rows of L and columns of U, by dot products as in `product`. Both halves of the matrix count.
+    lower, upper, rows = list[list[Any]](), list[list[Any]](), _np.asarray(matrix).tolist()
+    for k, row in enumerate(rows):
+        lower.append([])
+        for number, column in zip(row, upper, strict=False):
+            lower[k].append((number - MP.fdot(lower[k], column)) / column[-1])
+        upper.append([])
+        for each, own in zip(rows, lower, strict=False):
+            upper[k].append(each[k] - MP.fdot(own, upper[k]))
+    after = [[column[k] for column in upper[k + 1 :]] for k in range(len(rows))]
     solved = list[list[Any]]()
-    for column in _np.reshape(right, (count, -1)).T.tolist():
+    for column in _np.reshape(right, (len(rows), -1)).T.tolist():
         found = list[Any]()
-        for k, own in enumerate(lower):
-            found.append(column[k] - MP.fdot(own, found))
-        for k in range(count - 1, -1, -1):
-            found[k] = found[k] / pivots[k] - MP.fdot(upper[k], found[k + 1 :])
+        for number, own in zip(column, lower, strict=True):
+            found.append(number - MP.fdot(own, found))
+        for k in reversed(range(len(rows))):
+            found[k] = (found[k] - MP.fdot(after[k], found[k + 1 :])) / upper[k][k]
         solved.append(found)
-    return _np.array(solved, dtype=object).T.reshape(np.shape(right)), sum(map(MP.log, pivots), MP.zero)
+    log = sum((MP.log(column[-1]) for column in upper), MP.zero)
+    return _np.array(solved, dtype=object).T.reshape(np.shape(right)), log
 
 
 def inverse(matrix: Exact) -> Exact:
