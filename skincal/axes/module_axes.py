@@ -3,16 +3,18 @@
 A maker may report the forces of all taxels in the axes of the module, or each in its own. Both are hypotheses on the same
 pokes: a single turn R, or a turn for each taxel with any of them as likely before. Their odds are
 
-    ln odds = E(all pokes of the module) - sum of E(pokes of a taxel),                                        (4)
+    ln odds = w (E(all pokes of the module) - sum of E(pokes of a taxel)),                                    (4)
 
 with E the logarithm of a fit's evidence (`TurnFit.log_evidence`): the fit that explains no more, with fewer unknowns, wins.
+One poke presses many taxels, and they share its errors: w is the number of pokes over that of readings.
 On a mesh the normals n of the skin are known. A taxel with a turn of its own then has z near n, and any turn about it, so
 
     E(pokes of a taxel) grows by ln(4 pi) + ln N(lean of z from n; 0, cov(z) + tolerance^2).                 (4a)
 
 Without (4a) one turn with a small ratio of gains would explain a dome with a poke on each taxel: such readings are all along z.
 The ratio is a property of the taxels, so modules are fitted with that of the taxels if it is better known.
-Each hypothesis has the noise that it finds, from the misses of modules or of taxels. That of a shared turn has a limit.
+The noise of few pokes is known to a factor of ten, and that of modules and of taxels is found from other misses. So the
+evidence of each hypothesis is averaged over the sizes `NOISE_SIZES`. That of a shared turn has a limit.
 
 Without a mesh, z of the taxels of a module lies near one unknown direction also if each has axes of its own: they are glued
 side by side. So the taxels apart have, for each of the scales t of `TILT_SCALES` and for none with equal weights,
@@ -28,8 +30,6 @@ the error of the module's pose, which few pokes leave large:
 
     score(P) = w E(fit of P's hand) + ln N(turn of R from P; 0, V) + ln prior(P),
     V = cov(R)/w + cov(pose) + tolerance^2.                                                                      (5)
-
-One poke presses many taxels, and they share its errors: w is the number of pokes over that of readings.
 
 The P of the whole skin has the largest sum of scores, each module with at most `MAX_LOG_LOSS` below its own best: a single
 turned module does not speak for the others. It is named if its odds over the scene's axes are certain, and if no other
@@ -65,6 +65,8 @@ LOG_PRIOR_OF_MISTAKE = float(np.log(0.01))
 """A wrong scene is rarer than a right one, by about this much for each kind of mistake."""
 MAX_SHARED_NOISE = 0.12
 """rad, of a reading's direction. Taxels that share a turn scatter less: by 0.05 rad on the simulated skins."""
+NOISE_SIZES = np.geomspace(0.004, MAX_SHARED_NOISE, 9)
+"""rad, of a reading's direction, each as likely."""
 MAX_LOG_LOSS = 15.0
 """Largest part of a module in the loss of a permutation of the whole skin."""
 CLEAR_LOG_ODDS = float(np.log(5.0))
@@ -239,14 +241,22 @@ def module_turn(number: int, turn: Turn, taxels: Mapping[int, Turn], normals: Ma
     """
     single = [taxels[channel] for channel in turn.channels]
     # One hand for all taxels: they are of one kind.
-    together = max(fit.log_evidence for fit in turn.fits)
+    together = max(_average_evidence([fit]) for fit in turn.fits)
     apart = max(_evidence_apart(single, hand, normals) for hand in range(2))
     odds = together - apart if len(single) > 1 else 0.0
     if odds > 0:
         hand = int(turn.log_odds_mirrored > 0)
         margin = SHARED_MARGIN * sum(not each.fits[hand].is_in_plane_known for each in single)
         odds = max(odds - margin, 0.0) if np.exp(turn.fits[hand].log_ratio) > MIN_SHARED_RATIO else 0.0
+    odds *= turn.share / turn.fit.repeats
     return ModuleTurn(number, turn, odds, len(single), _spread(turn, single))
+
+
+def _average_evidence(fits: Sequence[TurnFit]) -> float:
+    """Compute the logarithm of the evidence of turns with the same noise, averaged over `NOISE_SIZES`."""
+    size = float(np.sqrt(np.median(np.concatenate([fit.variances for fit in fits]))))
+    evidences = np.sum([fit.log_evidences(NOISE_SIZES / size) for fit in fits], axis=0)
+    return float(np.logaddexp.reduce(evidences) - np.log(len(NOISE_SIZES)))
 
 
 def _log_factor_of_normal(turn: Turn, hand: int, normals: Mapping[int, FloatArray]) -> float:
@@ -266,7 +276,7 @@ def _log_factor_of_normal(turn: Turn, hand: int, normals: Mapping[int, FloatArra
 def _evidence_apart(single: Sequence[Turn], hand: int, normals: Mapping[int, FloatArray]) -> float:
     """Compute the logarithm of the evidence of one turn for each taxel, with z near the normals (4a) or one direction (4b)."""
     fits = [turn.fits[hand] for turn in single]
-    evidence = sum(fit.log_evidence for fit in fits)
+    evidence = _average_evidence(fits)
     if len(fits) < 2:
         return evidence
     if all(turn.channels[0] in normals for turn in single):
@@ -320,7 +330,7 @@ def _plan_mistakes(modules: Sequence[ModuleTurn], plans: Mapping[int, ModulePlan
         if module.is_separate:
             own = _scores_of_taxels(module, plan, turns)
         else:
-            own = score_permutations(module.turn, plan, share=share_of_own_errors(module.turn.channels, turns.pokes))
+            own = score_permutations(module.turn, plan, share=module.turn.share)
         if own is not None:
             scores[module.id] = own
     if not scores:

@@ -1,9 +1,9 @@
 """The turns of all taxels of a skin, from its contacts: the noise and the ratio of gains they share, and one fit each.
 
-All taxels are of one kind. So the noise of a reading's direction and the usual ratio of gains are found from all of them
-together, and each taxel is then fitted with both. The noise is that of the readings (raw units), or that of their directions
-(rad), whichever makes the misses likelier. Its size is that for which the median miss is the expected one; with few pokes at
-least that for which their sum is.
+All taxels are of one kind. So the noise of a reading's direction and the usual ratio of gains (`usual_ratio.py`) are found from
+all of them together, and each taxel is then fitted with both. The noise is that of the readings (raw units), or that of their
+directions (rad), whichever makes the misses likelier. Its size is that for which the median miss is the expected one; with few
+pokes at least that for which their sum is.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import TypeAlias
 
 import numpy as np
 
+from skincal.axes.reading_steps import find_step
 from skincal.axes.turn_fit import (
-    LOG_RATIO_SD,
     MIN_ANGULAR_NOISE,
     START_ANGULAR_NOISE,
     AxisNoise,
@@ -24,6 +24,7 @@ from skincal.axes.turn_fit import (
     TurnFit,
     fit_both_hands,
 )
+from skincal.axes.usual_ratio import with_usual_ratio
 from skincal.chi_square import CHI2_2DOF_MEDIAN
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
@@ -33,8 +34,6 @@ NOISE_ROUNDS = 3
 MIN_SHARE_OF_STRONGEST = 0.7
 """Of the strongest answer of a poke. By simulation readings of less make the turn worse, and more pokes are lost with a higher
 share (docs/three-axes.md)."""
-LOG_RATIO_MIN_SD = 0.05
-"""Of ln rho between taxels of one kind: gains of one batch differ by some percent."""
 UNKNOWNS_OF_TURN = 4
 """Three of the rotation, and the ratio of gains."""
 CERTAIN_LOG_ODDS = float(np.log(20.0))
@@ -68,6 +67,8 @@ class Turn:
     channels: tuple[int, ...]
     fits: tuple[TurnFit, TurnFit]
     """Right-handed axes, and mirrored ones."""
+    share: float = 1.0
+    """Pokes over readings: the information of a reading if the taxels of a poke share its errors."""
 
     @property
     def fit(self) -> TurnFit:
@@ -87,7 +88,7 @@ class Turn:
     @property
     def log_odds_mirrored(self) -> float:
         """Natural logarithm of the odds of mirrored axes over right-handed ones."""
-        return self.fits[1].log_evidence - self.fits[0].log_evidence
+        return (self.fits[1].log_evidence - self.fits[0].log_evidence) / self.fit.repeats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +164,8 @@ def fit_group(channels: tuple[int, ...], pokes: AxisPokes, noise: AxisNoise) -> 
     """
     right, mirrored = fit_both_hands(pokes, noise)
     readings_per_poke = len(pokes) / len(np.unique(pokes.pokes))
-    return Turn(channels, (_widened(right, readings_per_poke), _widened(mirrored, readings_per_poke)))
+    fits = _widened(right, readings_per_poke), _widened(mirrored, readings_per_poke)
+    return Turn(channels, fits, 1.0 / readings_per_poke)
 
 
 def _widened(fit: TurnFit, factor: float) -> TurnFit:
@@ -178,7 +180,8 @@ def find_noise(groups: Sequence[AxisPokes], force_noise: float) -> AxisNoise:
     if not many:
         # No group has a miss of its own.
         return noise
-    fits: list[TurnFit] = []
+    noise = replace(noise, step=find_step(np.concatenate([pokes.readings[:, 2] for pokes in many])))
+    both: list[tuple[TurnFit, TurnFit]] = []
     starts: list[tuple[TurnFit, TurnFit] | None] = [None] * len(many)
     for _ in range(NOISE_ROUNDS):
         # Mirrored axes, too: else the noise of a mirrored skin would be the size of its mistake.
@@ -186,8 +189,10 @@ def find_noise(groups: Sequence[AxisPokes], force_noise: float) -> AxisNoise:
         starts = [*both]
         fits = [min(each, key=lambda fit: fit.cost) for each in both]
         noise = _likelier_noise(many, fits, noise)
+    # One hand for all groups: they are of one kind. The likelier hand of each would have a correlation by chance.
+    hand = int(sum(mirrored.cost - right.cost for right, mirrored in both) < 0)
     # Last: a fit with this ratio as its prior would confirm it.
-    return _with_usual_ratio(noise, fits)
+    return with_usual_ratio(many, [each[hand] for each in both], noise)
 
 
 def _likelier_noise(groups: Sequence[AxisPokes], fits: Sequence[TurnFit], noise: AxisNoise) -> AxisNoise:
@@ -238,26 +243,3 @@ def _expected_scale(squares: FloatArray, force_part: FloatArray, shape: FloatArr
     log_likelihood = -0.5 * (fitted + freedom * np.log(variances).mean(axis=1))
     weights = np.exp(log_likelihood - log_likelihood.max()) * np.gradient(scales)
     return float(np.sqrt(weights @ scales**2 / weights.sum()))
-
-
-def _with_usual_ratio(noise: AxisNoise, fits: Sequence[TurnFit]) -> AxisNoise:
-    """Set the expected ln rho to the mean of the fits that know it, and its sd to their scatter.
-
-    The scatter beyond their own errors is that of DerSimonian and Laird (1986).
-    """
-    values = np.array([fit.log_ratio for fit in fits])
-    variances = np.array([fit.covariance[3, 3] for fit in fits])
-    # A fit that hardly knows more than its prior repeats it.
-    knows = variances < (0.5 * LOG_RATIO_SD) ** 2
-    if not knows.any():
-        return noise
-    values, variances = values[knows], variances[knows]
-    weights = 1.0 / variances
-    mean = float(weights @ values / weights.sum())
-    between = 0.0
-    if len(values) > 1:
-        excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
-        between = max(0.0, excess / float(weights.sum() - (weights @ weights) / weights.sum()))
-    total = 1.0 / (variances + between)
-    sd = np.sqrt(between + 1.0 / float(total.sum()) + LOG_RATIO_MIN_SD**2)
-    return replace(noise, log_ratio=float(total @ values / total.sum()), log_ratio_sd=float(min(sd, LOG_RATIO_SD)))

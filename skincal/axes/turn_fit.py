@@ -50,6 +50,7 @@ from typing import Any
 
 import numpy as np
 
+from skincal.axes.reading_steps import common_variance
 from skincal.geometry import FloatArray, IntArray, fit_rotation, rotation_by, rotations
 from skincal.solver.tables import (
     FULL_TRUST_SDS,
@@ -120,6 +121,8 @@ class AxisNoise:
     log_ratio: float = 0.0
     """ln rho that is expected."""
     log_ratio_sd: float = LOG_RATIO_SD
+    step: float = 0.0
+    """Raw units, of the values of a device; 0 if it does not matter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +149,8 @@ class TurnFit:
     """(n,) float, rad^2, expected in each of two directions."""
     log_ratio_sd: float
     """Standard deviation of ln rho before these pokes."""
+    repeats: float = 1.0
+    """Readings with the same information as one with an error of its own: more than 1 if steps give all of them one error."""
 
     @property
     def log_evidence(self) -> float:
@@ -158,6 +163,16 @@ class TurnFit:
         prior = np.log(8.0 * np.pi**2) + 0.5 * np.log(2.0 * np.pi * self.log_ratio_sd**2)
         density = -np.log(2.0 * np.pi * self.variances).sum()
         return float(density - 0.5 * self.cost + 0.5 * log_volume - prior)
+
+    def log_evidences(self, factors: FloatArray) -> FloatArray:
+        """Compute `log_evidence` for noise that is larger by each of the factors (n,).
+
+        The covariance of the turn grows as the variances, without a turn in the plane that is unknown.
+        """
+        known = 3 if self.is_in_plane_known else 2
+        squares = float(np.minimum(self.misses**2 / self.variances, ZERO_TRUST_SDS**2).sum())
+        spare = 2 * len(self.misses) - known
+        return self.log_evidence - spare * np.log(factors) - 0.5 * squares * (1.0 / factors**2 - 1.0)
 
     @property
     def axes(self) -> FloatArray:
@@ -213,11 +228,12 @@ def fit_turn(pokes: AxisPokes, noise: AxisNoise, start: TurnFit | None = None) -
         if np.abs(now - trust).max() < 1e-6:
             break
         trust = now
-    covariance, log_det = problem.covariance(rotation, log_ratio, trust)
+    repeats = problem.repeats(rotation, log_ratio, pokes.readings)
+    covariance, log_det = problem.covariance(rotation, log_ratio, trust, repeats)
     if covariance[3, 3] > 0.5 * noise.log_ratio_sd**2:
         held = _Problem(pokes, replace(noise, log_ratio_sd=HELD_LOG_RATIO_SD))
         rotation, log_ratio = held.minimize(rotation, noise.log_ratio, trust)
-        covariance, log_det = problem.covariance(rotation, log_ratio, trust)
+        covariance, log_det = problem.covariance(rotation, log_ratio, trust, repeats)
     squares, variances = problem.squares(rotation, log_ratio)
     return TurnFit(
         rotation=rotation,
@@ -230,6 +246,7 @@ def fit_turn(pokes: AxisPokes, noise: AxisNoise, start: TurnFit | None = None) -
         misses=np.sqrt(squares * variances),
         variances=variances,
         log_ratio_sd=noise.log_ratio_sd,
+        repeats=repeats,
     )
 
 
@@ -369,7 +386,15 @@ class _Problem:
         rows[:, -1] = self.prior(log_ratio + _SMALL_STEPS[:, 3])
         return rows[8], (rows[:4] - rows[4:8]) / (2.0 * SMALL_TURN)
 
-    def covariance(self, rotation: FloatArray, log_ratio: float, trust: FloatArray) -> tuple[FloatArray, float]:
+    def repeats(self, rotation: FloatArray, log_ratio: float, readings: FloatArray) -> float:
+        """Compute `TurnFit.repeats` of readings (n, 3), raw units, see `reading_steps.py`."""
+        if not self.noise.step or len(readings) < 2:
+            return 1.0
+        _, variances = self.squares(rotation, log_ratio)
+        common = common_variance(readings, self.noise.step) * np.mean(1.0 / np.sum(readings**2, axis=1))
+        return 1.0 + (len(readings) - 1) * float(common / variances.mean())
+
+    def covariance(self, rotation: FloatArray, log_ratio: float, trust: FloatArray, repeats: float) -> tuple[FloatArray, float]:
         """Compute the covariance (4, 4) of (omega, ln rho), see the module; and `TurnFit.log_det`."""
         _, slopes = self._linearize(rotation, log_ratio, trust)
         information = slopes @ slopes.T
@@ -379,10 +404,11 @@ class _Problem:
         surplus *= 1.0 + SURPLUS_MARGIN_SDS / np.sqrt(max(float(trust.sum()), 1.0))
         known = 1.0 / self.noise.log_ratio_sd**2
         information[:3, :3] -= np.einsum("n,ni,nj->ij", surplus, x, x)
-        information[3, 3] = max(information[3, 3] - known - float(surplus.sum()), 0.0) + known
-        values, vectors = np.linalg.eigh(information)
+        information[3, 3] = max(information[3, 3] - known - float(surplus.sum()), 0.0)
+        prior = np.diag([0.0, 0.0, 0.0, known])
+        log_det = -float(np.log(np.maximum(np.linalg.eigvalsh(information + prior), UNKNOWN_ANGLE_INFORMATION)).sum())
+        values, vectors = np.linalg.eigh(information / repeats + prior)
         values = np.maximum(values, UNKNOWN_ANGLE_INFORMATION)
-        log_det = -float(np.log(values).sum())
         about = vectors[:3, 0]
         if values[0] >= 1.0 / IN_PLANE_KNOWN_MAX_SD**2 or abs(about[2]) < 0.5:
             return (vectors / values) @ vectors.T, log_det
@@ -390,7 +416,10 @@ class _Problem:
         found: FloatArray = (vectors[:, 1:] / values[1:]) @ vectors[:, 1:].T
         # Its half angle grows as 1/rho, whose mean square exceeds the square of its median by exp(2 var(ln rho)).
         cone = float(1.0 - about[2] ** 2) * 0.5 * (1.0 + float(np.exp(2.0 * min(found[3, 3], LOG_RATIO_SD**2))))
-        found[:2, :2] += cone * np.eye(2)
+        variance = 1.0 / float(values[0]) if values[0] > UNKNOWN_ANGLE_INFORMATION else np.inf
+        towards = about[:2] / max(float(np.linalg.norm(about[:2])), 1e-12)
+        along, total = 0.5 - 0.5 * float(np.exp(-2.0 * variance)), 2.0 - 2.0 * float(np.exp(-0.5 * variance))
+        found[:2, :2] += cone * ((total - along) * np.eye(2) + (2.0 * along - total) * np.outer(towards, towards))
         found[2, :] = found[:, 2] = 0.0
         found[2, 2] = UNKNOWN_ANGLE_SD**2
         return found, log_det

@@ -21,18 +21,25 @@ def random_rotation(rng):
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
-def make_pokes(rng, axes, count, lean_deg, ratio=0.6, is_noisy=True):
-    """Make pokes with leans up to `lean_deg` from the inward z of a taxel with these `axes` (3, 3)."""
+def make_pokes(rng, axes, count, lean_deg, ratio=0.6, is_noisy=True, reading_noise=READING_NOISE, about=None, step=0.0):
+    """Make pokes with leans up to `lean_deg` from the inward z of a taxel with these `axes` (3, 3).
+
+    The leans are about the inward z of `about` (3, 3), in the axes of the taxel; values are rounded to multiples of `step`.
+    """
     cosines = rng.uniform(np.cos(np.radians(lean_deg)), 1.0, count)
     azimuths, sines = rng.uniform(0.0, 2.0 * np.pi, count), np.sqrt(1.0 - cosines**2)
     forces = rng.uniform(4.0, 8.0, count)[:, None] * np.stack(
         [sines * np.cos(azimuths), sines * np.sin(azimuths), -cosines], axis=1
     )
+    if about is not None:
+        forces = forces @ about.T
     readings = rng.uniform(0.25, 0.5, count)[:, None] * forces * np.array([ratio, ratio, 1.0])
     in_link = forces @ axes.T
     if is_noisy:
-        readings = readings + READING_NOISE * rng.normal(size=(count, 3))
+        readings = readings + reading_noise * rng.normal(size=(count, 3))
         in_link = in_link + FORCE_NOISE_N * rng.normal(size=(count, 3))
+    if step:
+        readings = np.rint(readings / step) * step
     return AxisPokes(in_link, readings, np.arange(count))
 
 

@@ -100,7 +100,7 @@ def test_a_plain_mistake_is_named_within_20_pokes(seed, change, kind, axes, dire
 
 
 def test_taxels_that_one_poke_presses_count_as_one():
-    pokes, plans = skin(1, change=EXCHANGED_XY, pokes=3)
+    pokes, plans = skin(1, change=EXCHANGED_XY, pokes=3, lean=7.0)
     turns = find_turns(pokes, FORCE_NOISE_N)
     together = {channel: replace(each, pokes=np.arange(3)) for channel, each in turns.pokes.items()}
     share = share_of_own_errors(plans[0].channels, together)
