@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from skincal.axes.axis_checks import DeadAxis, find_dead_z
-from skincal.axes.module_axes import AxisFindings, ModulePlan, find_axes, share_of_own_errors
+from skincal.axes.module_axes import PUSH_TOLERANCE, AxisFindings, ModulePlan, find_axes, share_of_own_errors
 from skincal.axes.session_turns import SessionTurns, ShownTurn
-from skincal.axes.taxel_frames import FrameState, TaxelFrame, frames_of_taxels
+from skincal.axes.taxel_frames import TaxelFrame, frames_of_taxels, turn_or_reason
 from skincal.axes.turn_fit import AxisPokes
 from skincal.contacts.value_order import OrderOfValues
 from skincal.geometry import FloatArray, cross_matrix, fit_rotation, length_of
@@ -60,9 +60,13 @@ class AxisResults:
 
     def usable_turns(self, method: Method) -> dict[int, ShownTurn]:
         """Give the turn of each taxel that has one; not of a taxel with a dead axis, or with the readings of another taxel."""
-        useless = (FrameState.DEAD_AXIS, FrameState.WRONG_ORDER)
-        frames = self.frames(method)
-        return self.turns.of_channels(channel for channel, frame in frames.items() if frame.state not in useless)
+        is_order_wrong = self.findings(method).is_value_order_wrong
+        dead_z = [each.channel for each in self.dead_z(method)]
+        found = {
+            each.channel: turn_or_reason(self.turns, each.channel, is_order_wrong=is_order_wrong, dead_z=dead_z)
+            for each in self._estimates[method]
+        }
+        return {channel: turn for channel, turn in found.items() if isinstance(turn, ShownTurn)}
 
     def poses(self, method: Method) -> dict[int, FloatArray]:
         """Give the pose (4, 4), metres, in the link, of each taxel whose position and turn are known."""
@@ -127,6 +131,17 @@ def fit_plan(module: Module, places: Mapping[int, tuple[FloatArray, FloatArray]]
     return np.ascontiguousarray(fit_rotation(products).T), flat
 
 
+def _normal_sd(estimate: Estimate) -> float:
+    """Give the standard deviation of a normal, rad.
+
+    The free method has the mean push for a normal, without an error: pokes lean, a hand's all to one side. A triangle's own
+    normal is within the tolerance of the plan, and that of a module's pose has the error of the pose.
+    """
+    if estimate.normal_sd is not None:
+        return estimate.normal_sd
+    return PUSH_TOLERANCE if estimate.method is Method.FREE else 0.0
+
+
 def _turn_covariance(points: FloatArray, estimates: Sequence[Estimate], agreeing: float) -> FloatArray:
     """Compute the covariance (3, 3), rad^2, of the turn of `points` (n + 1, 3), as `fit_plan` gives them, in the link frame.
 
@@ -144,6 +159,6 @@ def _turn_covariance(points: FloatArray, estimates: Sequence[Estimate], agreeing
             covariance = covariance - moved @ moved.T
             shared.append(slope @ moved)
         own += slope @ covariance @ slope.T
-    of_normal = max(estimate.normal_sd or 0.0 for estimate in estimates) * length_of(points[-1]) * slopes[-1]
+    of_normal = max(_normal_sd(estimate) for estimate in estimates) * length_of(points[-1]) * slopes[-1]
     of_shared = np.sum(shared, axis=0) if shared else np.zeros((3, 0))
     return agreeing * own + of_normal @ of_normal.T + of_shared @ of_shared.T

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -112,6 +112,7 @@ class SessionTurns:
 
     @cached_property
     def channels_with_dead_axis(self) -> frozenset[int]:
+        """Channels of taxels whose x or y does not answer."""
         return frozenset(each.channel for each in self.dead_axes)
 
     @cached_property
@@ -126,10 +127,6 @@ class SessionTurns:
             return ShownTurn(module.turn, module, self.is_mirrored)
         own = self.skin.taxels.get(channel)
         return None if own is None else ShownTurn(own, None, self.is_mirrored)
-
-    def of_channels(self, channels: Iterable[int]) -> dict[int, ShownTurn]:
-        """Give the turns of those of the channels that have one."""
-        return {channel: turn for channel in channels if (turn := self.of_channel(channel)) is not None}
 
 
 class TurnSolving:

@@ -187,7 +187,7 @@ def find_noise(groups: Sequence[AxisPokes], force_noise: float) -> AxisNoise:
         # Mirrored axes, too: else the noise of a mirrored skin would be the size of its mistake.
         both = [fit_both_hands(pokes, noise, start) for pokes, start in zip(many, starts, strict=True)]
         starts = [*both]
-        fits = [min(each, key=lambda fit: fit.cost) for each in both]
+        fits: list[TurnFit] = [min(each, key=lambda fit: fit.cost) for each in both]
         noise = _likelier_noise(many, fits, noise)
     # One hand for all groups: they are of one kind. The likelier hand of each would have a correlation by chance.
     hand = int(sum(mirrored.cost - right.cost for right, mirrored in both) < 0)

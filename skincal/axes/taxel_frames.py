@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.axes.module_axes import AxisFindings
-from skincal.axes.session_turns import SessionTurns
+from skincal.axes.session_turns import SessionTurns, ShownTurn
 from skincal.axes.skin_turns import TurnState
 from skincal.geometry import FloatArray
 
@@ -73,6 +73,23 @@ class TaxelFrame:
         return self.rotation.T @ self.covariance @ self.rotation
 
 
+def turn_or_reason(
+    turns: SessionTurns, channel: int, *, is_order_wrong: bool, dead_z: Collection[int] = ()
+) -> ShownTurn | FrameState | None:
+    """Give the turn of a taxel; why its readings show none, if they do not; `None` before a poke shows one.
+
+    Parameters
+    ----------
+    is_order_wrong : whether the values of a frame have another order than the scene
+    dead_z : channels whose z does not answer
+    """
+    if is_order_wrong:
+        return FrameState.WRONG_ORDER
+    turn = turns.of_channel(channel)
+    is_dead = channel in turns.channels_with_dead_axis or channel in dead_z
+    return FrameState.DEAD_AXIS if turn is not None and is_dead else turn
+
+
 def frames_of_taxels(
     turns: SessionTurns, findings: AxisFindings, channels: Iterable[int], dead_z: Collection[int] = ()
 ) -> dict[int, TaxelFrame]:
@@ -80,21 +97,18 @@ def frames_of_taxels(
 
     `dead_z` are the channels whose z does not answer.
     """
-    dead = turns.channels_with_dead_axis.union(dead_z)
     mirrored = {mistake.module for mistake in findings.mistakes if mistake.is_mirrored}
     if turns.is_mirrored:
         mirrored.add(None)
-    is_wrong_order = findings.is_value_order_wrong
 
     def frame(channel: int) -> TaxelFrame:
-        own, turn = turns.skin.taxels.get(channel), turns.of_channel(channel)
+        own = turns.skin.taxels.get(channel)
         pokes = 0 if own is None else own.pokes
-        if is_wrong_order:
-            return TaxelFrame(channel, FrameState.WRONG_ORDER, pokes=pokes)
+        turn = turn_or_reason(turns, channel, is_order_wrong=findings.is_value_order_wrong, dead_z=dead_z)
         if turn is None:
             return TaxelFrame(channel, FrameState.UNKNOWN)
-        if channel in dead:
-            return TaxelFrame(channel, FrameState.DEAD_AXIS, pokes=pokes)
+        if isinstance(turn, FrameState):
+            return TaxelFrame(channel, turn, pokes=pokes)
         if None in mirrored or turns.module_of.get(channel, -1) in mirrored:
             return TaxelFrame(channel, FrameState.MIRRORED, pokes=pokes)
         if not turn.is_in_plane_known:

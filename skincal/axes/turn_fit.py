@@ -391,8 +391,9 @@ class _Problem:
         if not self.noise.step or len(readings) < 2:
             return 1.0
         _, variances = self.squares(rotation, log_ratio)
-        common = common_variance(readings, self.noise.step) * np.mean(1.0 / np.sum(readings**2, axis=1))
-        return 1.0 + (len(readings) - 1) * float(common / variances.mean())
+        lengths: FloatArray = np.linalg.norm(readings, axis=1)
+        common = common_variance(readings, self.noise.step) * float((1.0 / lengths**2).mean())
+        return 1.0 + (len(readings) - 1) * common / float(variances.mean())
 
     def covariance(self, rotation: FloatArray, log_ratio: float, trust: FloatArray, repeats: float) -> tuple[FloatArray, float]:
         """Compute the covariance (4, 4) of (omega, ln rho), see the module; and `TurnFit.log_det`."""

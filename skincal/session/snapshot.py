@@ -158,15 +158,13 @@ class Snapshot:
         return AxisResults(self.turns, layout, self.estimates, self.value_order)
 
     def shown_turn(self, channel: int) -> ShownTurn | FrameState | None:
-        """Give the turn of a taxel; why its readings show none, if they do not; `None` before a poke shows one."""
-        turns, order = self.turns, self.value_order
-        if turns is None:
+        """Give the turn of a taxel, or why it has none, as `turn_or_reason` does; a dead z is not known here."""
+        if self.turns is None:
             return None
-        from skincal.axes.taxel_frames import FrameState  # other skins do without
+        from skincal.axes.taxel_frames import turn_or_reason  # other skins do without
 
-        if order is not None and order.is_wrong:
-            return FrameState.WRONG_ORDER
-        return FrameState.DEAD_AXIS if channel in turns.channels_with_dead_axis else turns.of_channel(channel)
+        is_order_wrong = self.value_order is not None and self.value_order.is_wrong
+        return turn_or_reason(self.turns, channel, is_order_wrong=is_order_wrong)
 
     @property
     def is_placed(self) -> bool:

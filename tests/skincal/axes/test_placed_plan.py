@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from skincal.axes.axis_results import fit_plan, place_plan
+from skincal.axes.module_axes import PUSH_TOLERANCE
 from skincal.axes.turn_fit import AxisPokes
 from skincal.geometry import rotation_by, rotation_vector
 from skincal.model.scene import load_scene, scene_file
@@ -83,3 +84,17 @@ def test_the_error_of_normals_leans_the_plan(placed):
     assert 0.0 < in_plan[0, 0] < 0.1**2
     assert 0.0 < in_plan[1, 1] < 0.1**2
     assert in_plan[2, 2] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_normal_by_pushes_is_as_uncertain_as_pokes_lean(placed):
+    """The free method has no error of its normal; another method has the normal of a pose or a triangle."""
+    module, _, estimates = placed
+
+    def covariance(normal_sd, method):
+        every = {channel: replace(each, normal_sd=normal_sd, method=method) for channel, each in estimates.items()}
+        return place_plan(module, every, OWN_POKES).covariance
+
+    unknown = covariance(None, Method.FREE)
+    assert unknown == pytest.approx(covariance(PUSH_TOLERANCE, Method.FREE))
+    assert np.trace(unknown) > 2.0 * np.trace(covariance(0.0, Method.FREE))
+    assert covariance(None, Method.MODULES) == pytest.approx(covariance(0.0, Method.MODULES))
