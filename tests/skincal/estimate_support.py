@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from skincal.guide.believed_positions import believed_from_measured, measured_positions
 from skincal.methods import estimate_taxels
 from skincal.solver import tables
 from skincal.solver.machine import shared
@@ -16,6 +17,11 @@ def solve(contacts, channels, method, noise, surface, dead=None, model=None):
 def gather(contacts, channels):
     """Return the evidence of those of `channels` that answered in one of `contacts`."""
     return ContactTable(contacts).evidence(list(channels))
+
+
+def believed_positions(plan, estimates, rig=0.0):
+    """Return (n, 3) the believed positions, metres, by estimates in the plan's order."""
+    return believed_from_measured(plan, *measured_positions(estimates), rig)
 
 
 def least_squares(a, b):

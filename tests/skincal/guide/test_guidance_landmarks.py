@@ -7,7 +7,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.guide import guidance as landmarks_module
-from skincal.guide.believed_positions import believed_positions, plan_from_layout
+from skincal.guide.believed_positions import plan_from_layout
 from skincal.guide.guidance import (
     LANDMARK_POKE_MAX_OFFSET_M,
     Guidance,
@@ -24,6 +24,7 @@ from skincal.session.session import Session
 from skincal.simulation.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulation.rig_errors import RigErrors
 from skincal.taxels.result import Method
+from tests.skincal.estimate_support import believed_positions
 from tests.skincal.sim_support import make_rig
 
 FAR, MIDDLE, NEAR = (

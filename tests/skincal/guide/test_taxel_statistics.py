@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.guide import candidates
-from skincal.guide.believed_positions import PlannedPlaces, _add_to_groups, believed_positions
+from skincal.guide.believed_positions import PlannedPlaces, _add_to_groups
 from skincal.guide.progress import GuideSettings
 from skincal.guide.taxel_statistics import TaxelStatistics, axis_diversity
 from skincal.mesh.surface import pairs_within
@@ -15,6 +15,7 @@ from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.noise import offset_square
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.solve import solve
+from tests.skincal.estimate_support import believed_positions
 from tests.skincal.taxels.test_solve_uncertainty import pokes, sensor_pose
 
 NOISE = NoiseSettings(radius=1e9)
