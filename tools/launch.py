@@ -30,7 +30,10 @@ WINDOW_PARTS = tuple(
     f"tests/app/{room}" for room in ("builder", "dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
 )
 """Tests of the window that take as long as those of whole windows."""
-OTHER_CORE_TESTS = ("tests", *(f"--ignore={tests}" for tests in ("tests/app", *SESSION_TESTS, *SLOW_CORE_TESTS, *READER_TESTS)))
+ESTIMATE_TESTS = tuple(f"tests/skincal/{room}" for room in ("axes", "contacts", "modules", "rig", "solver", "taxels"))
+"""Tests of what is computed from pokes."""
+_OTHER_GROUPS = ("tests/app", *SESSION_TESTS, *SLOW_CORE_TESTS, *READER_TESTS, *ESTIMATE_TESTS)
+OTHER_CORE_TESTS = ("tests", *(f"--ignore={tests}" for tests in _OTHER_GROUPS))
 CHECK_ARGUMENTS = {
     "ruff check": ("-m", "ruff", "check"),
     "ruff format --check": ("-m", "ruff", "format", "--check"),
@@ -38,11 +41,12 @@ CHECK_ARGUMENTS = {
         f"pytest of {name}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *arguments)
         for name, arguments in {
             "the window": ("tests/app", *(f"--ignore={folder}" for folder in WINDOW_PARTS)),
-            "the core": OTHER_CORE_TESTS,
             " ".join(SLOW_CORE_TESTS): SLOW_CORE_TESTS,
             "the readers": READER_TESTS,
-            "the window's parts": WINDOW_PARTS,
             "sessions": SESSION_TESTS,
+            "the window's parts": WINDOW_PARTS,
+            "the core": OTHER_CORE_TESTS,
+            "estimates": ESTIMATE_TESTS,
         }.items()
     },
     "pyright": ("-m", "pyright"),

@@ -1,5 +1,7 @@
 """The ratio of gains that taxels share: its likelihood by another route, truth, and turns by pokes that hardly lean."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.stats import chi2, multivariate_normal
@@ -24,6 +26,13 @@ def skin(seed, lean, count, reading_noise, step=0.0):
         made = make_pokes(rng, axes[channel], count, lean, reading_noise=reading_noise, about=about, step=step)
         pokes[channel] = AxisPokes(made.forces, made.readings, made.pokes + 1000 * channel)
     return axes, pokes
+
+
+@cache
+def true_and_found(seed, lean, reading_noise, step=0.0):
+    """The axes of a skin by channel, and its turns by 20 pokes a taxel."""
+    axes, pokes = skin(seed, lean, 20, reading_noise, step)
+    return axes, find_turns(pokes, FORCE_NOISE_N)
 
 
 def test_the_likelihood_is_that_of_normal_leans_with_any_turn_about_z():
@@ -59,7 +68,7 @@ def test_the_likelihood_is_that_of_normal_leans_with_any_turn_about_z():
 
 def test_pokes_that_lean_by_the_noise_of_the_force_give_the_true_ratio():
     """A mean of the taxels' own ratios, weighted by their expected errors, is too large by 0.09."""
-    noises = [find_turns(skin(seed, 2.0, 20, 0.03)[1], FORCE_NOISE_N).noise for seed in range(6)]
+    noises = [true_and_found(10 + seed, 2.0, 0.03)[1].noise for seed in range(6)]
     off = np.array([noise.log_ratio - TRUE_LOG_RATIO for noise in noises])
     sds = np.array([noise.log_ratio_sd for noise in noises])
     assert abs(off.mean()) < 0.06
@@ -84,8 +93,7 @@ def test_one_taxel_has_no_ratio_of_others():
 def test_true_turns_are_inside_the_95_percent_regions_of_a_skin(lean, reading_noise, step, seeds):
     inside, errors, expected = [], [], []
     for seed in range(seeds):
-        axes, pokes = skin(10 + seed, lean, 20, reading_noise, step)
-        turns = find_turns(pokes, FORCE_NOISE_N)
+        axes, turns = true_and_found(10 + seed, lean, reading_noise, step)
         for channel, turn in turns.taxels.items():
             fit = turn.fit
             z = fit.rotation.T @ axes[channel][:, 2]
