@@ -100,8 +100,19 @@ def _check_length(address: str) -> None:
 def parse_address(address: str) -> DeviceAddress:
     """Read an address. Nothing is opened.
 
-    Raises InputError: the address is empty, too long, or not valid.
+    Raises InputError: the address is empty, too long, or not valid, or neither a port nor a file can be there.
     """
+    device = _read_address(address)
+    if device.route is SERIAL_ROUTE and address.startswith("/") and not _may_be_path(device.path):
+        raise InputError(
+            f"{address}: there is no such port or file. A topic of ROS 2 begins with ros2: (type ros2:{address}), or is "
+            f"behind a rosbridge server (rosbridge://HOST:PORT{address})."
+        )
+    return device
+
+
+def _read_address(address: str) -> DeviceAddress:
+    """Read an address, as `parse_address`, also of a port or file that was there while a session was recorded."""
     if not address:
         raise InputError(f"The address is empty. Expected {ADDRESS_HELP}.")
     _check_length(address)
@@ -120,11 +131,6 @@ def parse_address(address: str) -> DeviceAddress:
     scheme = UNKNOWN_SCHEME_RE.match(address)
     if scheme is not None:
         raise InputError(f"{address}: skincal cannot open addresses that begin with {scheme[1]}:. Expected {ADDRESS_HELP}.")
-    if address.startswith("/") and not _may_be_path(path):
-        raise InputError(
-            f"{address}: there is no such port or file. A topic of ROS 2 begins with ros2: (type ros2:{address}), or is "
-            f"behind a rosbridge server (rosbridge://HOST:PORT{address})."
-        )
     device = DeviceAddress(address, SERIAL_ROUTE, path=path, baud=baud, options=options)
     _part_of(device)
     return device
@@ -148,7 +154,7 @@ def _part_of(address: DeviceAddress) -> BoardPart | None:
 def make_link_decoder(address: str, format_name: str, channels: int | None, carries: tuple[Stream, ...]) -> LinkDecoder:
     """Make the decoder of a link: of a part of a board if its address names one. A recorded command names none."""
     try:
-        part = _part_of(parse_address(address)) if "channels=" in address else None
+        part = _part_of(_read_address(address)) if "channels=" in address else None
     except InputError:
         part = None
     if part is None:

@@ -410,6 +410,15 @@ def test_part_of_a_board_is_read(place, of, clock):
     assert parse_address(f"{place}?channels=4-6,1{of}").path == place.partition("@")[0] or "://" in place
 
 
+@pytest.mark.parametrize("place", ["{}/pty", "file:{}/log.csv", "{}/log.csv"])
+def test_a_session_is_read_by_its_part_where_its_port_or_file_is_gone(tmp_path, place):
+    place = place.format(tmp_path / "of another machine")
+    frames = [[200 + (7 * k + n) % 40 for n in range(8)] for k in range(80)]
+    rows, _ = feed_lines(f"{place}?channels=4-6,1", [",".join(map(str, frame)) + "\n" for frame in frames], 4)
+    assert rows == [[*frame[4:7], frame[1]] for frame in frames[-len(rows) :]]
+    assert len(rows) > 70
+
+
 def test_a_part_that_does_not_fit_gives_no_reading_and_says_why():
     lines = [f"{7 * k % 9},2,3,4\n" for k in range(80)]
     for query, channels in (("channels=0-7", 8), ("channels=0-1", 3)):
