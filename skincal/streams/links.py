@@ -220,7 +220,7 @@ def open_link(spec: LinkSpec, is_cancelled: Callable[[], bool] = lambda: False) 
     is_cancelled : whether to give up; asked from any thread while opening takes seconds
     """
     try:
-        address = parse_address(spec.address)
+        address = _read_address(spec.address)
     except InputError as error:
         raise LinkError(FailureKind.ADDRESS, str(error)) from error
     # Imported now: a program that opens no link needs no transport.

@@ -17,6 +17,7 @@ import pytest
 
 from skincal.devices.datagrams import OTHER_SENDER_KIND, READING_KIND, DatagramDecoder, write_head
 from skincal.devices.decoding import pack
+from skincal.devices.link import FailureKind, LinkError
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Loss, Stream
 from skincal.streams.expected_readings import ExpectedReadings
@@ -408,6 +409,12 @@ def test_part_of_a_board_is_read(place, of, clock):
     assert rows == [[*frame[4:7], frame[1]] for frame in frames[1:]]
     assert intake.health(10**9 + 80 * 20_000_000).verdict.answer is LinkAnswer.GOOD
     assert parse_address(f"{place}?channels=4-6,1{of}").path == place.partition("@")[0] or "://" in place
+
+
+def test_a_reader_goes_on_trying_a_port_whose_folder_went_away(tmp_path):
+    with pytest.raises(LinkError) as failed:
+        open_link(LinkSpec("skin", f"{tmp_path}/gone/pty", SKIN))
+    assert failed.value.kind is FailureKind.ABSENT
 
 
 @pytest.mark.parametrize("place", ["{}/pty", "file:{}/log.csv", "{}/log.csv"])
