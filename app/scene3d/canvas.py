@@ -18,6 +18,7 @@ from PySide6.QtWidgets import QWidget
 from app.scene3d.drawing_probe import DrawingProbe, start_egl_probe
 from app.scene3d.pyvista_import import import_plotter
 from app.text_size import text_scale
+from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     import pyvista as pv
@@ -157,7 +158,12 @@ def load(
     from app.scene3d.mesh_actors import window_of
     from app.scene3d.offscreen import choose_offscreen, make_plotter
 
-    choose_offscreen(egl_probe)
+    try:
+        choose_offscreen(egl_probe)
+    except InputError:
+        # The next scene tries again: the operator may install what is missing.
+        early_egl_probe.cache_clear()
+        raise
     # Only EGL and OSMesa are not bound to a thread: elsewhere the window's thread draws the first picture.
     if not sys.platform.startswith("linux"):
         return None

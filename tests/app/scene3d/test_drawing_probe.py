@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -19,6 +20,7 @@ from app.scene3d.drawing_probe import (
     DrawingProbe,
     choose_offscreen,
 )
+from app.scene3d.scene_state import DARK
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
 
@@ -88,6 +90,17 @@ def test_the_trial_begins_with_the_window_only_where_software_draws(trials, monk
     probe = canvas.early_egl_probe()
     assert started == [probe]
     choose_offscreen(probe)
+    assert os.environ[WINDOW_CLASS_VARIABLE] == EGL
+    canvas.early_egl_probe.cache_clear()
+
+
+def test_a_trial_that_failed_is_made_again_for_the_next_scene(trials):
+    """The operator may have installed what was missing."""
+    canvas.early_egl_probe.cache_clear()
+    with pytest.raises(InputError, match="apt-get install"):
+        canvas.load(Canvas.RASTER, SimpleNamespace(surface=None), DARK, (1, 1), None)
+    trials[EGL] = ""
+    choose_offscreen(canvas.early_egl_probe())
     assert os.environ[WINDOW_CLASS_VARIABLE] == EGL
     canvas.early_egl_probe.cache_clear()
 
