@@ -48,7 +48,7 @@ def find_step(pushes: FloatArray) -> float:
     if not is_step.any():
         return 0.0
     first = int(is_step.argmax())
-    # The top of this peak, which is about two tried steps wide.
+    # The top of this peak, which is about two steps of the span wide.
     top = first + int(resultants[first : first + 2 * STEPS_TRIED].argmax())
     return span / float(steps_of_span[top])
 

@@ -38,9 +38,12 @@ but their measured forces lean by the noise, so J'J pretends to know it. With f 
     2 (sigma/|F|)^2 rho^2/(m.m) x x' / s^2                                                                    (4)
 
 to the information on omega in the mean, and as much to that on ln rho. (4) is taken away, with `SURPLUS_MARGIN_SDS` standard
-deviations of its own chance. No angle is less known than a uniform one, whose variance is pi^2/3. If the turn about the push
-itself is unknown, z lies anywhere on a cone about it. Its half angle c gives z the variance
-sin^2 c (1 + exp(2 var(ln rho)))/2 in each direction. The ratio is held at its prior if pokes say less.
+deviations of its own chance. No angle is less known than a uniform one, whose variance is pi^2/3.
+
+If the turn d about the push itself is unknown, z lies on a cone about it. With the half angle c of the cone, z is off by
+sin c sin d along the cone and by sin c (1 - cos d) across it. d is normal, or uniform if nothing is known. The mean squares
+E sin^2 d and E (1 - cos d)^2 are at most 1/2 and 3/2 for a uniform d, times sin^2 c (1 + exp(2 var(ln rho)))/2. The ratio is
+held at its prior if pokes say less.
 """
 
 from __future__ import annotations

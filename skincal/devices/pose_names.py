@@ -30,15 +30,16 @@ _PLACE_WORDS = frozenset(["p", "t", "pos", "position", "trans", "translation", "
 _ROTATION_WORDS = frozenset(
     (
         *("r", "w", "o", "q", "quat", "quaternion", "rot", "rotation", "rv", "rotvec", "rvec", "orientation", "orient", "ori"),
-        *("axis", "axisangle", "aa", "angle", "angles", "ang", "theta", "euler", "rpy", "att", "attitude"),
+        *("axis", "axisangle", "aa", "angle", "angles", "ang", "theta", "euler", "eul", "rpy", "att", "attitude"),
         *("roll", "pitch", "yaw"),
     )
 )
 _QUATERNION_WORDS = frozenset(["q", "quat", "quaternion"])
-_KIND_SUFFIX_RE = re.compile("(.+?)(pos|position|translation|rot|rotation|rotvec|orientation|quat|quaternion|euler|angle)")
+_KIND_SUFFIX_RE = re.compile("(.+?)(pos|position|translation|rot|rotation|rotvec|orientation|quat|quaternion|euler|angles?)")
 """A word that ends with the kind of its number, as `handrot`."""
 _OWN_AXIS_RE = re.compile(rf"({'|'.join(sorted(_PLACE_WORDS | _ROTATION_WORDS))}|)([xyzw])(\d*)")
 """A word that is an axis, such as `x`, `rx`, `quatw` or `x1`."""
+_QUATERNION_NUMBER_RE = re.compile("q[0-9]")
 _ENDING_AXIS_RE = re.compile(r"(.*?)([xyzw])(\d*)")
 _AXES_OF_MATRIX = tuple(map(frozenset, ("noa", "nsa", "xyz", "uvw", "ijk")))
 """Last letters of the columns of a rotation matrix."""
@@ -107,8 +108,8 @@ class _Column:
             kind = re.sub("(?<=..)[0-9]+$", "", word)
             thing += [] if ended is None else [ended[1]]
             kind = kind if ended is None else ended[2]
-            if kind in _ROTATION_WORDS:
-                kinds.add(kind)
+            if kind in _ROTATION_WORDS or _QUATERNION_NUMBER_RE.fullmatch(kind):
+                kinds.add(kind[0] if kind[-1].isdigit() else kind)
             elif ended is None and kind not in _PLACE_WORDS:
                 thing.append(word)
         if found is None and words and words[-1] in ("a", "b", "c"):
@@ -177,9 +178,15 @@ NO_POSE_NAMES = PoseNames()
 
 
 def axis_letters(names: Sequence[str]) -> list[str]:
-    """Return x, y, z or w that each of some columns names; empty texts without one, and for a numbered vector `x0 x1 x2`."""
+    """Return x, y, z or w that each of some columns names; empty texts without one, and for a numbered vector `x0 x1 x2`.
+
+    `q0` next to `qx qy qz` is w: so NDI names a quaternion.
+    """
     letters = [_Column.parse(name).letter for name in names]
-    return [""] * len(letters) if len(letters) > 1 and len({*letters}) == 1 else letters
+    if len(letters) > 1 and len({*letters}) == 1:
+        return [""] * len(letters)
+    ends = [words[-1] if (words := _WORD_RE.findall(name)) else "" for name in names]
+    return ["w" if end == "q0" and {"qx", "qy", "qz"} <= {*ends} else has for has, end in zip(letters, ends, strict=True)]
 
 
 def clash_in_scene(clash: Clash, scene: str) -> str:

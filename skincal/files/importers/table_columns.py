@@ -53,6 +53,8 @@ _POSE_COLUMN_RE = re.compile(
     rf"|roll|pitch|yaw|w|[abc](?=[ _]*[\[(]?(?:deg|rad|\u00b0))){POSE_UNIT}"
 )
 """Columns of a position, a quaternion, a rotation vector, or three angles; a, b and c alone may be anything."""
+_QUATERNION_0_RE = re.compile(r"(.*[./_ ])?q0")
+"""w of NDI's quaternion `q0 qx qy qz`, or the first joint of a robot."""
 _PRESSURE_CENTRE_RE = re.compile(r"(?:.*[./_ ])?(?:a|cop|cop_|cop |p|cp)[xy](?:[ _]*[\[(].*)?")
 
 
@@ -322,9 +324,17 @@ class TableColumns:
 
     @property
     def named_pose(self) -> list[int]:
-        """Columns whose names are those of a pose."""
-        known = (*self.time.columns, self.number, *self.texts, *self.wrench)
-        return [k for k, name in enumerate(self.names) if k not in known and _POSE_COLUMN_RE.fullmatch(name)]
+        """Columns whose names are those of a pose; without a force, `tx ty tz` are a place and no torque."""
+        has_force = any(axis.startswith("f") for axis, _ in filter(None, (axis_of(self.names[k]) for k in self.wrench)))
+        known = (*self.time.columns, self.number, *self.texts, *(self.wrench if has_force else ()))
+        return [k for k, name in enumerate(self.names) if k not in known and self._is_of_pose(name)]
+
+    def _is_of_pose(self, name: str) -> bool:
+        q0 = _QUATERNION_0_RE.fullmatch(name)
+        if q0 is None:
+            return _POSE_COLUMN_RE.fullmatch(name) is not None
+        before = q0[1] or ""
+        return f"{before}qx" in self.names and f"{before}qw" not in self.names
 
     def _pose_columns(self, columns: Sequence[int]) -> ValueColumns:
         """Choose the columns of a pose: x y z first, then those of the rotation, all in the order of the table."""

@@ -59,6 +59,9 @@ def test_the_place_of_one_thing_and_the_rotation_of_another_are_no_pose(names):
         ("x y z qx qy qz", PoseMistake.QUATERNION_WITHOUT_W),
         ("rot_x rot_y rot_z pos_x pos_y pos_z", PoseMistake.ROTATION_FIRST),
         ("qw qx qy qz x y z", PoseMistake.ROTATION_FIRST),
+        ("q0 qx qy qz tx ty tz", PoseMistake.ROTATION_FIRST),
+        ("q1 q2 q3 q4 x y z", PoseMistake.ROTATION_FIRST),
+        ("x y z q1 q2 q3", PoseMistake.QUATERNION_WITHOUT_W),
         ("x_pos x_rot y_pos y_rot z_pos z_rot", PoseMistake.PLACE_NOT_FIRST),
         ("z y x rz ry rx", PoseMistake.PLACE_NOT_FIRST),
     ],
@@ -88,6 +91,11 @@ def test_a_part_that_is_missing_or_elsewhere_is_named(names, mistake):
         "posx posy posz rotx roty rotz",
         "handposx handposy handposz handrotx handroty handrotz",
         "ee.x ee.y ee.z ee.wx ee.wy ee.wz",
+        "position.x position.y position.z eulerangles.x eulerangles.y eulerangles.z",
+        "x y z eul_x eul_y eul_z",
+        "tx ty tz q0 qx qy qz",
+        "trans.x trans.y trans.z rot.q1 rot.q2 rot.q3 rot.q4",
+        "q1 q2 q3 q4 q5 q6",
         "r_hand_x r_hand_y r_hand_z r_hand_rx r_hand_ry r_hand_rz",
         "x1 y1 z1 rx1 ry1 rz1",
         "e_x e_y e_z q_x q_y q_z q_w",
@@ -113,3 +121,12 @@ def test_the_usual_names_of_one_pose_are_taken(names):
 def test_letters_are_found_at_the_end_in_front_and_before_a_number():
     assert axis_letters(["tcp_x", "y_pos", "z1", "quat_w_[m]", "xaxis_z", "speed"]) == ["x", "y", "z", "w", "z", ""]
     assert axis_letters(["x0", "x1", "x2"]) == ["", "", ""], "a vector that is called x"
+
+
+@pytest.mark.parametrize(
+    ("names", "order"),
+    [("tx ty tz q0 qx qy qz", "wxyz"), ("x y z qx qy qz qw", "xyzw"), ("x y z q0 q1 q2 q3", "")],
+)
+def test_the_order_of_a_quaternion_is_read_from_its_letters(names, order):
+    """NDI's q0 is w; of four numbers w is the first or the last one."""
+    assert PoseNames.read(names.split()).quaternion_order == order

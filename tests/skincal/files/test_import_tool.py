@@ -259,6 +259,10 @@ def test_columns_that_name_another_order_of_the_quaternion_than_the_scene_are_re
         ("x y z roll_rad pitch_rad yaw_rad", "rpy", "m", "true", "the angles in rad, and scene.toml has degrees = true"),
         ("x_[mm] y_[mm] z_[mm] a_[deg] b_[deg] c_[deg]", "abc", "mm", "true", ""),
         ("x_m y_m z_m qx qy qz qw", "xyzw", "m", "", ""),
+        ("tx ty tz qx qy qz qw", "xyzw", "m", "", ""),
+        ("tx ty tz q0 qx qy qz", "xyzw", "m", "", 'the quaternion in the order w x y z, and scene.toml has rotation = "xyzw"'),
+        ("tx ty tz q0 qx qy qz", "wxyz", "m", "", ""),
+        ("q0 qx qy qz tx ty tz", "wxyz", "m", "", "the rotation before the place"),
     ],
 )
 def test_column_names_that_contradict_the_form_of_the_poses_are_refused(tmp_path, capsys, names, rotation, unit, degrees, says):
