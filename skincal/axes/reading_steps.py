@@ -4,7 +4,10 @@ Noise larger than a step makes the mean of many frames right. Else a mean readin
 pokes of a taxel that lean alike have the same error. More of them do not make it smaller.
 
 **Step.** The mean of exp(2 pi i r/q) over many readings is near 0 for continuous ones. It is large if they lie near multiples
-of q (Kendall's quantogram, 1974). The largest such q is the step.
+of q (Kendall's quantogram, 1974). The largest such q is the step. A robot that pushes always alike gives one reading of each
+taxel, again and again: a few of them lie near multiples of many q by chance. So readings of a taxel that scatter by less than
+a share of q count as one. Of m readings by chance the mean exceeds R with the probability (1 - R^2)^(m - 2), since the outer
+two fit each q that is tried.
 
 **Common error.** The error of rounding is a periodic function of the true value, with the Fourier coefficients q/(pi j). Let
 the readings of a taxel scatter by the standard deviation w. Then its errors have a part that is constant, and one that grows
@@ -19,6 +22,8 @@ smaller. That is not counted, so predicted errors are then up to twice too large
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from skincal.geometry import FloatArray
@@ -31,26 +36,37 @@ STEPS_TRIED = 4
 MIN_RESULTANT = 0.4
 """Of readings near multiples: noise of 0.2 steps. With more of it (1) is small."""
 MIN_SIGNIFICANCE = 15.0
-"""Number of readings times the squared resultant: 1,200 steps are tried, and chance exceeds it with exp(-15)."""
+"""Of -ln of the chance: 1,200 steps are tried."""
+MIN_SCATTER_OVER_STEP = 0.4
+"""Of the readings of a taxel that count one by one. Normal ones have a mean of exp(-(2 pi 0.4)^2/2) = 0.04."""
+MIN_SHARE_OF_BEST = 0.9
+"""Of the largest resultant of steps down to half as long."""
 MAX_READINGS = 800
 
 
-def find_step(pushes: FloatArray) -> float:
-    """Find the step of readings from those of z (n,), raw units, which differ by many steps; 0 if none matters."""
-    pushes = pushes[:: 1 + len(pushes) // MAX_READINGS]
-    span = float(np.ptp(pushes))
+def find_step(pushes: Sequence[FloatArray]) -> float:
+    """Find the step of readings that differ by many steps; 0 if none matters. `pushes` (n,), raw units, are z of each taxel."""
+    pushes = [own[:: 1 + sum(map(len, pushes)) // MAX_READINGS] for own in pushes if len(own)]
+    every = np.concatenate([*pushes, np.empty(0)])
+    span = float(np.ptp(every)) if len(every) else 0.0
     if not span:
         return 0.0
     steps_of_span = np.arange(MIN_STEPS_OF_RANGE, MAX_STEPS_OF_RANGE, 1.0 / STEPS_TRIED)
-    resultants = np.abs(np.exp(2j * np.pi * steps_of_span[:, None] * pushes / span).mean(axis=1))
-    least = max(MIN_RESULTANT, float(np.sqrt(MIN_SIGNIFICANCE / len(pushes))))
-    is_step = resultants > least
-    if not is_step.any():
-        return 0.0
-    first = int(is_step.argmax())
-    # The top of this peak, which is about two steps of the span wide.
-    top = first + int(resultants[first : first + 2 * STEPS_TRIED].argmax())
-    return span / float(steps_of_span[top])
+    turned = np.stack([np.exp(2j * np.pi * steps_of_span[:, None] * own / span).mean(axis=1) for own in pushes], axis=1)
+    is_wide = np.array([own.std() for own in pushes]) * steps_of_span[:, None] > MIN_SCATTER_OVER_STEP * span
+    counts = np.where(is_wide, [len(own) for own in pushes], 1.0)
+    number = counts.sum(axis=1)
+    resultants = np.abs((counts * turned).sum(axis=1)) / number
+    significance = -(number - 2.0) * np.log1p(-(np.minimum(resultants, 1.0 - 1e-9) ** 2))
+    is_step = (resultants > MIN_RESULTANT) & (significance > MIN_SIGNIFICANCE)
+    for first in np.flatnonzero(is_step).tolist():
+        # The top of this peak, which is about two steps of the span wide.
+        top = first + int(resultants[first : first + 2 * STEPS_TRIED].argmax())
+        # Few readings lie near multiples of another step by chance, and nearer to those of their own.
+        near = resultants[first : first + int(0.5 * STEPS_TRIED * steps_of_span[first])]
+        if resultants[top] > MIN_SHARE_OF_BEST * near.max():
+            return span / float(steps_of_span[top])
+    return 0.0
 
 
 def common_variance(readings: FloatArray, step: float) -> float:

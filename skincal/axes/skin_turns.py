@@ -180,7 +180,7 @@ def find_noise(groups: Sequence[AxisPokes], force_noise: float) -> AxisNoise:
     if not many:
         # No group has a miss of its own.
         return noise
-    noise = replace(noise, step=find_step(np.concatenate([pokes.readings[:, 2] for pokes in many])))
+    noise = replace(noise, step=find_step([pokes.readings[:, 2] for pokes in many]))
     both: list[tuple[TurnFit, TurnFit]] = []
     starts: list[tuple[TurnFit, TurnFit] | None] = [None] * len(many)
     for _ in range(NOISE_ROUNDS):
