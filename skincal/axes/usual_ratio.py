@@ -16,8 +16,8 @@ their sums of squares X and Y about the mean, Z = |sum x* y| as complex numbers,
     ln L = -(n - 1) ln D - ((rho^2 v + k) X + (v + s) Y)/(2 D) + ln I0(rho v Z/D).                                (2)
 
 I0 is the Bessel function: the integral over theta. (2) is averaged over v, each ln v as likely, and k is known to a factor.
-Pokes without a lean have v = 0, and say nothing about rho. This is the structural model with known noise (Fuller, Measurement
-Error Models, 1987, 1.3).
+Pokes without a lean have v = 0, and say nothing about rho; only an exact k would show that, so all ratios are as likely if x
+scatters by hardly more than s. This is the structural model with known noise (Fuller, Measurement Error Models, 1987, 1.3).
 
 **Taxels.** ln rho of a taxel is normal about that of the skin, mu, with a standard deviation tau: (2) is averaged over it, and
 the sum of the logarithms over all taxels gives the posterior of mu and tau. Its prediction for one taxel is the result. A
@@ -32,7 +32,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skincal.axes.turn_fit import LOG_RATIO_SD, AxisNoise, AxisPokes, TurnFit
+from skincal.axes.turn_fit import LOG_RATIO_SD, MIN_ANGULAR_NOISE, SURPLUS_MARGIN_SDS, AxisNoise, AxisPokes, TurnFit
 from skincal.geometry import FloatArray, mean_rows
 
 LOG_RATIOS = np.linspace(-2.4, 2.4, 81)
@@ -88,16 +88,20 @@ def log_likelihood_of_ratio(pokes: AxisPokes, fit: TurnFit, noise: AxisNoise) ->
     size, force_size = np.linalg.norm(reading, axis=1), np.linalg.norm(force, axis=1)
     steep = np.minimum(np.abs(force[:, 2]) / force_size, np.abs(reading[:, 2]) / size) > MIN_SHARE_OF_Z
     count = float(fit.trust[steep].sum())
+    nothing = np.zeros((len(READING_NOISE_FACTORS), len(LOG_RATIOS)))
     if count <= 1.0:
-        return np.zeros((len(READING_NOISE_FACTORS), len(LOG_RATIOS)))
+        return nothing
     trust, size, force_size = fit.trust[steep], size[steep], force_size[steep]
     x, y = (each[steep, :2] / each[steep, 2:] for each in (force, reading))
     # A slope has a larger error than the angle: by 1 + slope^2 along the lean, and by its square root across it.
     of_force, of_reading = (1.0 + np.sum(each**2, axis=1) for each in (x, y))
-    s = (noise.force / force_size) ** 2 * 0.5 * (of_force**2 + of_force)
-    k = ((noise.reading / size) ** 2 + noise.angle**2) * 0.5 * (of_reading**2 + of_reading)
+    s = (noise.force / force_size) ** 2 * 0.5 * (of_force**2 + of_force) + MIN_ANGULAR_NOISE**2
+    k = ((noise.reading / size) ** 2 + noise.angle**2) * 0.5 * (of_reading**2 + of_reading) + MIN_ANGULAR_NOISE**2
     weight = trust / (k + np.exp(2.0 * fit.log_ratio) * s)
     x, y = (each - mean_rows(each * weight[:, None]) / weight.mean() for each in (x, y))
+    scatter = float(trust @ (np.sum(x**2, axis=1) / s)) / (2.0 * (count - 1.0))
+    if scatter < 1.0 + SURPLUS_MARGIN_SDS / np.sqrt(count - 1.0):
+        return nothing
     rho, v = np.exp(LOG_RATIOS)[:, None, None], LEAN_SDS[:, None] ** 2
     k = k * READING_NOISE_FACTORS[:, None, None, None] ** 2
     across = v * k + s * rho**2 * v + s * k
