@@ -243,7 +243,9 @@ def module_turn(number: int, turn: Turn, taxels: Mapping[int, Turn], normals: Ma
     # One hand for all taxels: they are of one kind.
     together = max(_average_evidence([fit]) for fit in turn.fits)
     apart = max(_evidence_apart(single, hand, normals) for hand in range(2))
-    odds = together - apart if len(single) > 1 else 0.0
+    # Readings that scatter more than those of any skin with a shared turn decide nothing.
+    scatter = np.sqrt(np.median(np.concatenate([fit.variances for each in single for fit in each.fits])))
+    odds = together - apart if len(single) > 1 and scatter < MAX_SHARED_NOISE else 0.0
     if odds > 0:
         hand = int(turn.log_odds_mirrored > 0)
         margin = SHARED_MARGIN * sum(not each.fits[hand].is_in_plane_known for each in single)

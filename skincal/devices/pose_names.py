@@ -34,6 +34,14 @@ _ROTATION_WORDS = frozenset(
         *("roll", "pitch", "yaw"),
     )
 )
+_AXIS_OF_ANGLE = {"roll": "x", "pitch": "y", "yaw": "z"}
+_ORDER_OF_FORM = {
+    RotationForm.ROTATION_VECTOR: "xyz",
+    RotationForm.RPY: "xyz",
+    RotationForm.MOVING_XYZ: "xyz",
+    RotationForm.ABC: "zyx",
+}
+"""Axes of the three numbers of a rotation, where each has its own."""
 _QUATERNION_WORDS = frozenset(["q", "quat", "quaternion"])
 _KIND_SUFFIX_RE = re.compile("(.+?)(pos|position|translation|rot|rotation|rotvec|orientation|quat|quaternion|euler|angles?)")
 """A word that ends with the kind of its number, as `handrot`."""
@@ -63,6 +71,11 @@ class PoseMistake(Enum):
         "the place of one thing and the rotation of another",
         "place and rotation of one tool",
         "choose the columns of one, or name both alike",
+    )
+    QUATERNION_ON_EITHER_SIDE = (
+        "a quaternion x y z w and then a place, or a place and then a quaternion w x y z",
+        "names that tell them apart, such as x y z qx qy qz qw",
+        "rename the columns",
     )
     QUATERNION_WITHOUT_W = (
         "a quaternion without its w",
@@ -98,7 +111,8 @@ class _Column:
         words = _WORD_RE.findall(_UNIT_END_RE.sub("", name))
         own = [(k, each) for k, word in enumerate(words) if (each := _OWN_AXIS_RE.fullmatch(word))]
         at, found = next((each for each in reversed(own) if each[1][2] != "w"), own[-1] if own else (-1, None))
-        if found is None and words and (found := _ENDING_AXIS_RE.fullmatch(words[-1])) is not None:
+        is_word = bool(words) and words[-1] in _ROTATION_WORDS  # such as yaw
+        if found is None and words and not is_word and (found := _ENDING_AXIS_RE.fullmatch(words[-1])) is not None:
             at = len(words) - 1
         if found is not None:
             words[at : at + 1] = [word for word in (found[1], found[3]) if word]
@@ -129,6 +143,8 @@ class PoseNames:
     """Such as `wxyz`."""
     length_unit: str = ""
     angle_unit: str = ""
+    angle_order: str = ""
+    """Axes of three angles, such as `zyx` for yaw, pitch and roll."""
     mistake: PoseMistake | None = None
     """Why the columns are no pose in any form; `None` if they may be one."""
 
@@ -150,6 +166,7 @@ class PoseNames:
             order if is_quaternion and "".join(sorted(order)) == QUATERNION_LETTERS else "",
             _unit_of(names[:3]),
             _unit_of(names[3:]),
+            _angle_order(columns[3:]),
         )
 
     def clash(self, form: PoseForm | None, metres_per_unit: float) -> Clash | None:
@@ -167,6 +184,9 @@ class PoseNames:
             return None
         if self.quaternion_order and form.rotation in QUATERNION_FORMS and form.rotation.value != self.quaternion_order:
             return f"the quaternion in the order {' '.join(self.quaternion_order)}", "rotation", form.rotation.value
+        expected = _ORDER_OF_FORM.get(form.rotation, "")
+        if expected and self.angle_order and self.angle_order != expected:
+            return f"the angles in the order {' '.join(self.angle_order)}", "rotation", form.rotation.value
         has_angles = form.rotation.has_angles or form.rotation is RotationForm.AXIS_ANGLE
         if has_angles and self.angle_unit and self.angle_unit != ("deg" if form.degrees else "rad"):
             return f"the angles in {self.angle_unit}", "degrees", "true" if form.degrees else "false"
@@ -204,6 +224,15 @@ def _unit_of(names: Sequence[str]) -> str:
     return " and ".join(dict.fromkeys(short))
 
 
+def _angle_order(rotation: Sequence[_Column]) -> str:
+    """Return the axes of the angles about x, y and z in the order of their columns; empty if the names do not tell all."""
+    order = "".join(
+        next((axis for word, axis in _AXIS_OF_ANGLE.items() if word in each.kinds), each.letter if each.kinds else "")
+        for each in rotation
+    )
+    return order if _are_axes(order) and len(rotation) == len(order) else ""
+
+
 def _mistake_of(columns: Sequence[_Column], letters: Sequence[str]) -> PoseMistake | None:
     """Find why 6 or 7 columns are no pose."""
     place, rotation = columns[:3], columns[3:]
@@ -213,6 +242,8 @@ def _mistake_of(columns: Sequence[_Column], letters: Sequence[str]) -> PoseMista
         and _are_axes(letters[-3:])
     ):
         return PoseMistake.ROTATION_FIRST
+    if "".join(letters) == "xyzwxyz" and not any(each.kinds for each in columns):
+        return PoseMistake.QUATERNION_ON_EITHER_SIDE
     is_axis_angle = rotation[-1].is_rotation and not letters[-1]
     if "w" not in letters and not is_axis_angle and _count_places(columns, letters) > 1:
         return PoseMistake.SEVERAL_PLACES

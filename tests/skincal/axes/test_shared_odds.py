@@ -12,7 +12,7 @@ TAXELS = 12
 SEEDS = 3
 
 
-def press(rng, own_axes, count, together, lean_deg, common):
+def press(rng, own_axes, count, together, lean_deg, common, reading_noise=READING_NOISE):
     """Make pokes on `together` taxels in a row, with the measured forces; `common` (rad) turns all readings of a poke alike."""
     module = random_rotation(rng)
     axes = []
@@ -29,15 +29,15 @@ def press(rng, own_axes, count, together, lean_deg, common):
         felt = force + common * np.linalg.norm(force) * rng.normal(size=3)
         for channel in (rng.integers(TAXELS) + np.arange(together)) % TAXELS:
             gains = rng.uniform(0.25, 0.5) * np.array([0.6, 0.6, 1.0])
-            reading = gains * (axes[channel].T @ felt) + READING_NOISE * rng.normal(size=3)
+            reading = gains * (axes[channel].T @ felt) + reading_noise * rng.normal(size=3)
             rows.setdefault(int(channel), []).append((measured, reading, poke))
     return {channel: as_pokes(own) for channel, own in sorted(rows.items())}, module[:, 2]
 
 
-def log_odds(seed, own_axes, count, together, lean_deg, common, with_normals):
+def log_odds(seed, own_axes, count, together, lean_deg, common, with_normals, reading_noise=READING_NOISE):
     """Log odds of the truth."""
     rng = np.random.default_rng([seed, own_axes, count, together, int(lean_deg)])
-    pokes, normal = press(rng, own_axes, count, together, lean_deg, common)
+    pokes, normal = press(rng, own_axes, count, together, lean_deg, common, reading_noise)
     turns, every = find_turns(pokes, FORCE_NOISE_N), joined(list(pokes.values()))
     turn = fit_group(tuple(pokes), every, find_module_noise([every], turns.noise))
     normals = dict.fromkeys(pokes, normal) if with_normals else {}
@@ -61,6 +61,13 @@ def test_certain_odds_are_right_in_19_of_20_sessions(own_axes, common):
 def test_ten_leaning_pokes_on_four_taxels_each_decide(own_axes):
     for seed in range(SEEDS):
         assert log_odds(seed, own_axes, 10, 4, 15.0, 0.0, False) > np.log(20.0)
+
+
+@pytest.mark.parametrize("own_axes", [False, True])
+@pytest.mark.parametrize("reading_noise", [0.3, 0.6, 1.0])
+def test_readings_as_noisy_as_large_decide_nothing_wrongly(own_axes, reading_noise):
+    odds = [log_odds(seed, own_axes, 10, 4, 15.0, 0.0, seed % 2 == 0, reading_noise) for seed in range(SEEDS)]
+    assert min(odds) > -np.log(20.0)
 
 
 def test_taxels_of_one_poke_count_once():

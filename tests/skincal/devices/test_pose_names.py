@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from skincal.devices.pose_names import PoseMistake, PoseNames, axis_letters
+from skincal.model.pose_form import PoseForm, RotationForm
 
 
 @pytest.mark.parametrize(
@@ -62,6 +63,8 @@ def test_the_place_of_one_thing_and_the_rotation_of_another_are_no_pose(names):
         ("q0 qx qy qz tx ty tz", PoseMistake.ROTATION_FIRST),
         ("q1 q2 q3 q4 x y z", PoseMistake.ROTATION_FIRST),
         ("x y z q1 q2 q3", PoseMistake.QUATERNION_WITHOUT_W),
+        ("x y z w x y z", PoseMistake.QUATERNION_ON_EITHER_SIDE),
+        ("x y z w x.1 y.1 z.1", PoseMistake.QUATERNION_ON_EITHER_SIDE),
         ("x_pos x_rot y_pos y_rot z_pos z_rot", PoseMistake.PLACE_NOT_FIRST),
         ("z y x rz ry rx", PoseMistake.PLACE_NOT_FIRST),
     ],
@@ -100,7 +103,6 @@ def test_a_part_that_is_missing_or_elsewhere_is_named(names, mistake):
         "x1 y1 z1 rx1 ry1 rz1",
         "e_x e_y e_z q_x q_y q_z q_w",
         "p_x p_y p_z o_x o_y o_z o_w",
-        "x y z w x y z",
         "x y z ax ay az theta",
         "x y z a b c d",
         "x0 x1 x2 x3 x4 x5",
@@ -130,3 +132,22 @@ def test_letters_are_found_at_the_end_in_front_and_before_a_number():
 def test_the_order_of_a_quaternion_is_read_from_its_letters(names, order):
     """NDI's q0 is w; of four numbers w is the first or the last one."""
     assert PoseNames.read(names.split()).quaternion_order == order
+
+
+@pytest.mark.parametrize(
+    ("names", "order", "right", "wrong"),
+    [
+        ("x y z roll pitch yaw", "xyz", RotationForm.RPY, RotationForm.ABC),
+        ("x y z yaw pitch roll", "zyx", RotationForm.ABC, RotationForm.RPY),
+        ("tx ty tz rz ry rx", "zyx", RotationForm.ABC, RotationForm.ROTATION_VECTOR),
+        ("tcp_x tcp_y tcp_z tcp_rx tcp_ry tcp_rz", "xyz", RotationForm.ROTATION_VECTOR, RotationForm.ABC),
+        ("x y z a b c", "", RotationForm.ABC, None),
+    ],
+)
+def test_the_order_of_angles_is_compared(names, order, right, wrong):
+    found = PoseNames.read(names.split())
+    assert found.angle_order == order
+    assert found.clash(PoseForm(right, degrees=False), 1.0) is None
+    if wrong is not None:
+        clash = (f"the angles in the order {' '.join(order)}", "rotation", wrong.value)
+        assert found.clash(PoseForm(wrong, degrees=False), 1.0) == clash
