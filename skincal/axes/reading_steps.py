@@ -29,10 +29,10 @@ import numpy as np
 from skincal.geometry import FloatArray
 
 MAX_STEPS_OF_RANGE = 300
-"""Steps of the largest reading. More of them round a direction by less than 0.1 degrees."""
+"""Steps between the smallest and the largest reading. More of them round a direction by less than 0.1 degrees."""
 MIN_STEPS_OF_RANGE = 5
 STEPS_TRIED = 4
-"""For each step of the largest reading."""
+"""For each step between the smallest and the largest reading."""
 MIN_RESULTANT = 0.4
 """Of readings near multiples: noise of 0.2 steps. With more of it (1) is small."""
 MIN_SIGNIFICANCE = 15.0

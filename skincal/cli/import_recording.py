@@ -6,7 +6,6 @@ A command that made no session of use takes its folder away again: with its inpu
 from __future__ import annotations
 
 import contextlib
-import gc
 import inspect
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skincal.cli.record import OutOption, SceneOption, check_pose, find_scene, finish, stopping, warn
+from skincal.cli.record import OutOption, SceneOption, check_pose, find_scene, finish, skipping_loaded_objects, stopping, warn
 from skincal.cli.solve import Json
 from skincal.cli.terminal import ProgressLine
 from skincal.files.importers.registry import RECORDING_IMPORTERS, Importer, RecordedPlace, importer_of
@@ -176,8 +175,7 @@ def _import(importer: Importer, places: Mapping[Stream, RecordedPlace], wanted: 
             None if others and importer.asks_if_tied else importer,
         )
         # Modules live as long as the command: looking through them for garbage takes a tenth of the time.
-        gc.freeze()
-        with new_session(out, scene, recording.links, warn, copy=True) as pipeline:
+        with skipping_loaded_objects(), new_session(out, scene, recording.links, warn, copy=True) as pipeline:
             play_recording(pipeline, recording, wanted.pose, lambda share: go_on(read_share + (1 - read_share) * share))
             finish(pipeline, out, wanted.as_json, (*findings, *recording.findings), imported=True)
 

@@ -20,7 +20,7 @@ from skincal.model.scene import Scene
 DEAD_IF_NO_VALUE_FOR_S = 2.0
 """s. A channel without a number for this time is dead: a hundred frames at 50 Hz."""
 STUCK_AT_END_AFTER_S = TARE_AGE_MAX_S
-"""s. A channel that stays at the pressed end of its range for this time is stuck: longer than any poke that counts."""
+"""s, longer than an accepted poke. A channel that stays at the pressed end of its range for this time is stuck."""
 STUCK_IF_CONSTANT_FOR_S = 60.0
 """s. A channel that keeps one exact value for this time is stuck, on a skin with noise."""
 NOISY_SKIN_MIN_CHANGED_FRAME_SHARE = 0.75
