@@ -63,13 +63,13 @@ def set_log_scales(axes: Axes, x: Mapping[float, str] | None = None, y: Mapping[
     axes.grid(visible=True)
 
 
-def label_twos_and_fives(axis: Any) -> None:
+def label_twos_and_fives(axis: Any, write: Callable[[float], str] = "{:g}".format) -> None:
     """Label a logarithmic axis at 1, 2 and 5 times each power of ten, without exponents."""
 
     def label(value: float, _: int) -> str:
-        return f"{value:g}" if f"{value:.0e}"[0] in "25" else ""
+        return write(value) if f"{value:.0e}"[0] in "125" else ""
 
-    axis.set_major_formatter("{x:g}")
+    axis.set_major_formatter(label)
     axis.set_minor_formatter(label)
 
 

@@ -57,6 +57,8 @@ AS_SHIPPED = (
 )
 LIVE_WARMUP_POKES, LIVE_TIMED_POKES = 10, 40
 """Pokes of a guided session before the clock runs, and pokes that are timed."""
+LIVE_POKES = (100, 1_000, 10_000, 50_000)
+"""Pokes of a guided session before one more is timed."""
 SOLVE_ALL_TAXELS_MAX_MS = 125.0
 """ms of both threads: 105 to 111 were measured. The limit for one thread was 70 ms, its time 59 to 64."""
 NUMPY_TIME_MS = 16.7
@@ -131,7 +133,7 @@ class RuntimeSizes:
     """No further size begins after this time."""
     live_pokes: int = 200
     live_per_taxel: tuple[int, ...] = (12, 100)
-    session_pokes: tuple[tuple[int, ...], tuple[int, ...]] = ((100, 1_000, 10_000), (100, 1_000, 10_000, 50_000))
+    session_pokes: tuple[tuple[int, ...], tuple[int, ...]] = (LIVE_POKES, LIVE_POKES)
     """Pokes of a session before one more is timed, on the small and on the large part."""
 
 
@@ -646,6 +648,11 @@ def _size(row: Row) -> tuple[Any, ...]:
 
 PART_LABELS = {"icub-forearm": "forearm", "whole-body": "whole body"}
 GROWTH_AXES = {"triangles": "triangles of the mesh", "taxels": "taxels", "pokes_per_taxel": "pokes per taxel"}
+ROUND_TIMES_S = {
+    1e-3: "1 ms", 1e-2: "10 ms", 0.1: "100 ms", 1.0: "1 s", 10.0: "10 s", 60.0: "1 min", 600.0: "10 min", 3_600.0: "1 h",
+    36_000.0: "10 h",
+}  # fmt: skip
+"""Ticks of an axis from milliseconds to hours."""
 FIGURE_KEY = (
     "Stars: as shipped. Hollow: extrapolated from a sample. Bars: quartiles. Lower row: forearm dashed, whole body solid."
 )
@@ -676,7 +683,8 @@ def _draw_errors(axes: Axes, rows: Sequence[Row]) -> None:
             markersize=16 if mark == "*" else 8, markerfacecolor="white" if row["extrapolated_from"] is not None else colour,
         )  # fmt: skip
     set_log_scales(axes)
-    axes.xaxis.set_major_formatter(_seconds_tick)
+    low, high = axes.get_xlim()
+    set_log_scales(axes, {seconds: label for seconds, label in ROUND_TIMES_S.items() if low <= seconds <= high})
     label_twos_and_fives(axes.yaxis)
     part = PART_LABELS.get(rows[0]["part"], rows[0]["part"])
     size = "{taxels:,} taxels, {triangles:,} triangles, {pokes_per_taxel} pokes a taxel".format_map(rows[0])
@@ -691,7 +699,7 @@ def _error_bars(spreads: Sequence[Mapping[str, float]], unit: float = 1.0) -> tu
     return medians, [low, high]
 
 
-def _seconds_tick(seconds: float, _: int) -> str:
+def _seconds_tick(seconds: float) -> str:
     return time_words(1e3 * seconds) if seconds >= 1e-3 else f"{1e6 * seconds:g} \N{MICRO SIGN}s"
 
 
@@ -708,10 +716,19 @@ def _draw_growth(axes: Axes, points: Sequence[Mapping[str, Any]], name: str, lab
                 linewidth=1.4, capsize=2, linestyle="--" if part == "icub-forearm" else "-",
             )  # fmt: skip
     set_log_scales(axes)
-    axes.yaxis.set_major_formatter(_seconds_tick)
+    _show_a_decade(axes)
+    label_twos_and_fives(axes.yaxis, _seconds_tick)
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.set(xlabel=label, ylabel="processor time per taxel")
-    axes.set_title(f"Cost of a taxel against {label}", fontsize=10)
+    axes.set_title("Cost of a taxel", fontsize=10)
+
+
+def _show_a_decade(axes: Axes) -> None:
+    """Let a logarithmic y axis show a decade at least: small differences look small, and some ticks have labels."""
+    low, high = axes.get_ylim()
+    if high < 10.0 * low:
+        middle = (low * high) ** 0.5
+        axes.set_ylim(middle / 10.0**0.5, middle * 10.0**0.5)
 
 
 def _draw_live(axes: Axes, rows: Sequence[Row]) -> None:
@@ -725,7 +742,7 @@ def _draw_live(axes: Axes, rows: Sequence[Row]) -> None:
                 capsize=2, linestyle="--" if is_small else "-", label=f"{label}, {points[0]['taxels']:,} taxels",
             )  # fmt: skip
     set_log_scales(axes)
-    axes.yaxis.set_major_formatter(_seconds_tick)
+    label_twos_and_fives(axes.yaxis, _seconds_tick)
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.set(xlabel="pokes of the session", ylabel="processor time of one more poke")
     axes.set_title("Live cost of a poke", fontsize=10)

@@ -210,6 +210,37 @@ def test_the_figure_is_drawn_with_a_name_for_every_method():
     assert sum("SLSQP" in name for name in names) >= 1
 
 
+def test_the_figure_shows_the_live_cost_of_a_poke_against_pokes_and_taxels():
+    """On logarithmic axes, with times at its ticks instead of powers of ten."""
+    spreads = {
+        ("icub-forearm", 84): {100: (1.0, 2.0), 50_000: (45.0, 14.0)},
+        ("whole-body", 4_200): {100: (2.0, 3.0), 50_000: (4.0, 6.0)},
+    }
+    rows = [
+        {
+            "part": part, "taxels": taxels, "pokes": pokes,
+            **{key: quartiles([ms]) for key, ms in zip(("snapshot_ms", "guide_ms"), both, strict=True)},
+        }
+        for (part, taxels), course in spreads.items()
+        for pokes, both in course.items()
+    ]  # fmt: skip
+    figure = matplotlib.figure.Figure(layout="constrained")
+    runtime.draw({**small("runtime")[0], "live": rows}, figure)
+    live = figure.subfigs[1].axes[-1]
+    drawn = {bars.get_label(): bars[0].get_xydata().tolist() for bars in live.containers}
+    assert drawn == {
+        "snapshot, 84 taxels": [[100, 0.001], [50_000, 0.045]],
+        "guide, 84 taxels": [[100, 0.002], [50_000, 0.014]],
+        "snapshot, 4,200 taxels": [[100, 0.002], [50_000, 0.004]],
+        "guide, 4,200 taxels": [[100, 0.003], [50_000, 0.006]],
+    }
+    assert (live.get_xscale(), live.get_yscale()) == ("log", "log")
+    figure.draw_without_rendering()
+    ticks = {label.get_text() for label in (*live.get_yticklabels(), *live.get_yticklabels(minor=True))}
+    assert ticks >= {"1 ms", "2 ms", "5 ms", "10 ms", "20 ms", "50 ms"}
+    assert not any("times" in tick for tick in ticks)
+
+
 def test_a_sample_stops_when_its_time_is_spent_and_never_before_its_first_piece():
     done = []
     works = [partial(lambda k: (done.append(k), time.sleep(0.02)), k) for k in range(100)]
