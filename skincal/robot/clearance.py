@@ -6,6 +6,7 @@ hull's section from start to goal, and leaves out those between which the straig
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import pairwise
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry import FloatArray, length_of, orthonormal_pair
+from skincal.geometry import FloatArray, IntArray, length_of, orthonormal_pair
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 
@@ -29,6 +30,10 @@ OUTSIDE_HULL_TOLERANCE_M = 0.003
 """m. A tip so far inside the enlarged hull counts as outside: an arm does not arrive to the last micrometre."""
 HULL_ENLARGED_BY_M = 1e-4
 """m. The hull is larger on every side by this."""
+MIN_CHORD_M = 1e-4
+"""m. A straight way that is inside the enlarged hull for less is free."""
+SECTION_MIN_ROOM_M = 1e-9
+"""m. The middle of a section counts as at least so far inside each face: the dual of a line through it would be infinite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,15 +81,16 @@ class Clearance:
 
     def ways(self, start: FloatArray, goal: FloatArray) -> list[list[ViaPoint]]:
         """List ways between two points outside, the shortest first; a straight one has no point between them."""
-        inside = self._chord(start, goal)
-        if inside is None:
+        inside = float(self._chords(start, goal[None])[0])
+        if np.isnan(inside):
             return [[]]
         middle, along = start + inside * (goal - start), (goal - start) / length_of(goal - start)
         found: list[tuple[float, list[ViaPoint]]] = []
         first, second = orthonormal_pair(along[None])[0]
         for turn in 2.0 * np.pi * np.arange(DETOUR_HALF_PLANES_TRIED) / DETOUR_HALF_PLANES_TRIED:
             aside = np.cos(turn) * first + np.sin(turn) * second
-            way = self._cut_corners(start, self._outline(middle, along, aside), goal)
+            faces = self._faces_around(middle, along, aside)
+            way = self._cut_corners(start, self._outline(middle, along, aside), goal, faces)
             corners = [start, *(each.position for each in way), goal]
             found.append((sum(length_of(b - a) for a, b in pairwise(corners)), way))
         return [way for _, way in sorted(found, key=lambda item: item[0])]
@@ -121,28 +127,48 @@ class Clearance:
             return 0.0
         return max(0.0, float(((self._offsets - self._normals @ place)[leaving] / slopes[leaving]).min()))
 
-    def _chord(self, start: FloatArray, goal: FloatArray) -> float | None:
-        """Find the middle of the straight way's part inside the enlarged hull, as a share; `None` if it stays outside."""
-        if not len(self._offsets):
-            return None
-        from_start, slopes = self._offsets - OUTSIDE_HULL_TOLERANCE_M - self._normals @ start, self._normals @ (goal - start)
-        parallel = np.abs(slopes) < 1e-12
-        if (parallel & (from_start < 0.0)).any():
-            return None
-        shares = from_start[~parallel] / slopes[~parallel]
-        enters = max(0.0, float(np.max(shares[slopes[~parallel] < 0], initial=0.0)))
-        leaves = min(1.0, float(np.min(shares[slopes[~parallel] > 0], initial=1.0)))
-        return (enters + leaves) / 2.0 if (leaves - enters) * length_of(goal - start) > 1e-4 else None
+    def _chords(self, start: FloatArray, goals: FloatArray, faces: IntArray | None = None) -> FloatArray:
+        """Find the middle of the part inside the enlarged hull of each straight way from `start` (3,) to `goals` (n, 3).
 
-    def _outline(self, middle: FloatArray, along: FloatArray, aside: FloatArray) -> list[ViaPoint]:
-        """List the corners where a half plane cuts the enlarged hull, ordered along the direction `along`.
+        `faces` are the ones that count; `None` for all of them.
+
+        Returns
+        -------
+        (n,) float: as a share of the way; NaN if it stays outside
+        """
+        if not len(self._offsets):
+            return np.full(len(goals), np.nan)
+        normals, offsets = (self._normals, self._offsets) if faces is None else (self._normals[faces], self._offsets[faces])
+        ways = goals - start
+        room, slopes = offsets - OUTSIDE_HULL_TOLERANCE_M - normals @ start, ways @ normals.T
+        parallel = np.abs(slopes) < 1e-12
+        shares = room / np.where(parallel, 1.0, slopes)
+        enters = np.where(~parallel & (slopes < 0), shares, 0.0).max(axis=1, initial=0.0)
+        leaves = np.where(~parallel & (slopes > 0), shares, 1.0).min(axis=1, initial=1.0)
+        inside = (leaves - enters) * np.linalg.norm(ways, axis=1) > MIN_CHORD_M
+        return np.where(inside & ~(parallel & (room < 0.0)).any(axis=1), (enters + leaves) / 2.0, np.nan)
+
+    def _dual_section(self, middle: FloatArray, along: FloatArray, aside: FloatArray, inset: float) -> tuple[FloatArray, Any]:
+        """Cut the enlarged hull, smaller by `inset` metres, with a plane.
 
         With the origin inside, the lines a x = 1 around a convex polygon are the corners of its dual polygon.
+
+        Returns
+        -------
+        (faces, 2) float, a of each face's line; the convex hull of these
         """
         spatial: Any = import_module("scipy.spatial")
-        room = self._offsets - self._normals @ middle
+        room = np.maximum(self._offsets - inset - self._normals @ middle, SECTION_MIN_ROOM_M)
         duals = np.stack([self._normals @ along, self._normals @ aside], axis=1) / room[:, None]
-        hull = spatial.ConvexHull(duals)
+        return duals, spatial.ConvexHull(duals)
+
+    def _faces_around(self, middle: FloatArray, along: FloatArray, aside: FloatArray) -> IntArray:
+        """List the faces that bound the section inside which a way in this plane is not free; the others lie outside it."""
+        return np.asarray(self._dual_section(middle, along, aside, OUTSIDE_HULL_TOLERANCE_M)[1].vertices, dtype=np.int64)
+
+    def _outline(self, middle: FloatArray, along: FloatArray, aside: FloatArray) -> list[ViaPoint]:
+        """List the corners where a half plane cuts the enlarged hull, ordered along the direction `along`."""
+        duals, hull = self._dual_section(middle, along, aside, inset=0.0)
         corners = np.linalg.solve(duals[hull.simplices], np.ones((len(hull.simplices), 2, 1)))[:, :, 0]
         above = corners[corners[:, 1] > 0.0]
         found = list[ViaPoint]()
@@ -151,12 +177,15 @@ class Clearance:
             found.append(ViaPoint(middle + out, -out / length_of(out)))
         return found
 
-    def _cut_corners(self, start: FloatArray, outline: list[ViaPoint], goal: FloatArray) -> list[ViaPoint]:
+    def _cut_corners(self, start: FloatArray, outline: Sequence[ViaPoint], goal: FloatArray, faces: IntArray) -> list[ViaPoint]:
         """Leave out points between which the straight line stays outside."""
         kept, at, place = list[ViaPoint](), 0, start
-        while self._chord(place, goal) is not None and at < len(outline):
-            free = [n for n in range(at, len(outline)) if self._chord(place, outline[n].position) is None]
-            at = free[-1] if free else at
+        places = np.stack([*(corner.position for corner in outline), goal])
+        while at < len(outline):
+            free = np.flatnonzero(np.isnan(self._chords(place, places[at:], faces))).tolist()
+            if free and at + free[-1] == len(outline):
+                break
+            at += free[-1] if free else 0
             kept.append(outline[at])
             place, at = outline[at].position, at + 1
         return kept

@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.robot.aim_correction import AimCorrection
-from skincal.robot.clearance import Clearance
 from skincal.robot.poking_client import (
     FORCE_ABOVE_LIMIT,
     MEASURE_AGAIN,
@@ -299,14 +298,3 @@ def test_another_target_replaces_one_that_is_pressed():
     bench.ask(target(2, (0.0, -0.02, 0.02))).run(answered)
     assert bench.answers == [Answer(AnswerKind.REACHED, 2)]
     np.testing.assert_allclose(bench.arm.position, [0.0, -0.02, 0.034], atol=2e-3)
-
-
-def test_a_way_around_a_box_is_hardly_longer_than_the_shortest():
-    clearance, margin = Clearance(BOX, 0.03), 0.03
-    top = np.array([0.0, 0.0, HALF[2] + margin])
-    way = clearance.ways(top, -top)[0]
-    corners = np.array([top, *(each.position for each in way), -top])
-    length = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
-    shortest = 2.0 * (HALF[0] + HALF[2]) + np.pi * margin
-    assert shortest < length < 1.05 * shortest
-    assert clearance.ways(top, top + 0.05 * np.eye(3)[0]) == [[]]
