@@ -13,6 +13,7 @@ from skincal.model.pose_form import PoseForm, RotationForm
 from skincal.model.scene import Scene
 from skincal.model.wrench_frames import WrenchFrame
 from skincal.rig.correction import FRAME, rigid_motion
+from skincal.rig.push_side import find_side_mistake
 from skincal.rig.scene_mistakes import Mistake, MistakeKind
 from skincal.rig.setup_check import SetupDiagnosis, check_setup
 from skincal.rig.touch_mistakes import (
@@ -42,6 +43,9 @@ def check_tool_setup(
     found = None
     if snapshot.is_placed:
         found = check_setup(snapshot.contacts, snapshot.placed_scene(scene), laid, surface, frames)
+        side = find_side_mistake(snapshot.contacts, scene, laid, is_pose_found=snapshot.part_pose is not None)
+        if side is not None and (found is None or not found.mistakes or found.mistakes[0].is_reaction):
+            return SetupDiagnosis(len(snapshot.contacts), 0.0, (side,), of_touches=True)
     is_named = found is not None and any(each.kind is not MistakeKind.TOOL_UNEXPLAINED for each in found.mistakes)
     if scene.tool is None or is_named:
         return found
