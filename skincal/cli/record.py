@@ -294,10 +294,9 @@ def check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
     """Refuse a pose that the scene does not have, or an arm without one, before anything is made."""
     known = [] if scene.arm is None else list(scene.arm.poses)
     if scene.arm is not None and pose is None and not streamed:
-        raise InputError(
-            f"{scene.name} has an arm, and no pose of it was given; "
-            f"add --joints, or --pose with one of {', '.join(known) or 'none'}."
-        )
+        table = "arm" if scene.robot is None else "robot"
+        named = f"--pose with one of {', '.join(known)}" if known else f"name one in [{table}.poses] of the scene for --pose"
+        raise InputError(f"{scene.name} has an arm, and no pose of it was given; add --joints, or {named}.")
     if pose is not None and pose not in known:
         raise InputError(f"--pose is {pose!r}; the scene has {', '.join(known) or 'no named poses'}.")
 

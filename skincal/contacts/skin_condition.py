@@ -138,6 +138,7 @@ class SkinWatch:
         self._highest: float = math.nan
         self._mean = self._sd = math.nan
         self._same_mean, self._holder = 0, -1
+        self._newest = b""
         self._levels: set[float] = set()
         self._answers: list[tuple[float, float, float]] = []
         self._still_pokes = 0
@@ -151,6 +152,10 @@ class SkinWatch:
     def on_frame(self, skin: FloatArray) -> None:
         """Process the watched values of one skin frame (channels,)."""
         values = skin[self._candidates]
+        newest = values.tobytes()
+        if newest == self._newest:  # held for several rows of a log: nothing was measured
+            return
+        self._newest = newest
         lowest, highest = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
         if not lowest < highest:  # also NaN
             return

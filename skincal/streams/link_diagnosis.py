@@ -414,7 +414,7 @@ class LinkMonitor:
     def _wrong_width(self, wanted: Stream, decoded_as: Stream, width: int) -> LinkVerdict:
         """Name the stream that sends lines of this width; lines without names were decoded as a skin of any width."""
         found = Stream.WRENCH if decoded_as is Stream.WRENCH else Stream.SKIN if self._is_skin(width, wanted) else wanted
-        if found is not wanted:
+        if found is not wanted and found not in self._carries:
             return LinkVerdict(LinkAnswer.OTHER_STREAM, wanted, found, width)
         return LinkVerdict(LinkAnswer.OTHER_WIDTH, wanted, width=width, expected=self._widths.get(wanted, 0))
 

@@ -303,6 +303,9 @@ class TextDecoder(FrameDecoder):
             return self._end_part(None, numbers[1::2]) if self._pair_lines > 1 else None
         self._pair_lines = 0
         self._problem = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
+        widths = [width for width in map(self._width, self._carries) if width is not None]
+        if 1 < len(widths) == len(self._carries) and 0 <= len(numbers) - sum(widths) <= RISING_COLUMNS_MAX:
+            self._problem += f"; send {' and '.join(each.value for each in self._carries)} on lines of their own"
         return Loss.BAD_WIDTH
 
     def _without_rising(self, numbers: list[float]) -> tuple[Stream | None, list[float] | None]:

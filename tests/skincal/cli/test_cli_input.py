@@ -9,13 +9,14 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import MAX_REQUESTED_POKES, OrderLine, _follow_order, find_scene
+from skincal.cli.record import MAX_REQUESTED_POKES, OrderLine, _follow_order, check_pose, find_scene
 from skincal.files.importers.registry import RECORDING_IMPORTERS
 from skincal.journal import writer
 from skincal.model.errors import InputError
@@ -246,6 +247,14 @@ def test_a_file_that_ends_as_another_format_is_remarked_on(run, tmp_path, sessio
     assert (code, file.exists()) == (0, True)
     said = approved("export.other_ending", name=name, ending=file.suffix, format="json", right=".json", other="csv")
     assert json.loads(out)["findings"].count(said) == remarked
+
+
+@pytest.mark.parametrize(("poses", "words"), [({}, "name one in [arm.poses] of the scene"), ({"1": np.zeros(2)}, "one of 1.")])
+def test_an_arm_without_a_pose_asks_for_one_that_the_scene_names(poses, words):
+    scene = find_scene(Path("icub-forearm"))
+    assert scene.arm is not None
+    with pytest.raises(InputError, match=re.escape(words)):
+        check_pose(replace(scene, arm=replace(scene.arm, poses=poses)), None, streamed=False)
 
 
 @pytest.mark.parametrize("line", [b"[" * 100_000, b'{"do": "exclude", "poke": NaN}', b"7"])

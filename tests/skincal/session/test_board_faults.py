@@ -109,6 +109,19 @@ def test_frames_that_a_program_normalised_one_by_one_are_named(frames, tmp_path,
     assert words in capsys.readouterr().out
 
 
+def test_a_skin_that_is_held_in_the_rows_of_a_faster_sensor_is_not_taken_for_normalised_frames(frames, tmp_path, capsys):
+    """A table with a row for each wrench repeats the last frame of the skin."""
+    rows, step = 25, np.diff(frames.times).min()
+    held = with_fields(
+        frames,
+        times=(frames.times[:, None] + step * np.arange(rows) / rows).ravel(),
+        wrench=frames.wrench.repeat(rows, axis=0) + np.random.default_rng(2).normal(0.0, 1e-3, (rows * len(frames.times), 6)),
+    )
+    snapshot = import_board(tmp_path, held, frames.plain.repeat(rows, axis=0))
+    assert len(snapshot.contacts) == 25
+    assert "skin: every frame has" not in capsys.readouterr().out
+
+
 def test_noise_as_large_as_the_answers_is_named(tmp_path, capsys):
     noisy = poke(Board(rows=5, columns=5, pokes_each=1, noise=150.0))
     import_board(tmp_path, noisy, noisy.plain)

@@ -36,6 +36,15 @@ def test_separators_are_found(line, end):
     assert not decoder.counts
 
 
+@pytest.mark.parametrize(("width", "is_both"), [(9, True), (10, True), (8, False), (4, False)])
+def test_wrench_and_skin_on_one_line_are_asked_for_on_lines_of_their_own(width, is_both):
+    """A board with a clock has one value more."""
+    decoder = TextDecoder(3, (Stream.WRENCH, Stream.SKIN))
+    decoder.feed(b"".join(b",".join(b"%d" % (7 * each) for each in range(width)) + b"\n" for _ in range(3)))
+    assert f"Lines of {width} values arrive where 6 or 3 are expected" in decoder.device_message
+    assert ("send wrench and skin on lines of their own" in decoder.device_message) == is_both
+
+
 def test_words_are_passed_over_and_wrong_counts_are_counted():
     decoder = TextDecoder(3, SKIN)
     raw = b"\nTactile board v2 ready\nCFG,8,8\nflag\n1,2,3\n1,2\n4,5,6\n1,2,3,4\n1,,3\n1,x,3\n7,8,9\n\x80\x00\xff\xfe12,\x07\n"

@@ -130,6 +130,12 @@ def test_a_board_that_sends_one_of_two_streams_is_not_good():
     assert (both.found.width, both.found.expected) == (20, CHANNELS)
 
 
+def test_a_board_with_both_streams_on_a_line_is_no_exchanged_address():
+    both = Played(Stream.WRENCH, Stream.SKIN)
+    verdict = both.send(noise(6 + CHANNELS)).found
+    assert (verdict.answer, verdict.width) == (LinkAnswer.OTHER_WIDTH, 6 + CHANNELS)
+
+
 def test_a_wrench_that_repeats_itself_after_noise_froze_and_lives_again_with_one_bit():
     played = Played(Stream.WRENCH).send(noise(6))
     assert played.send(still(6), 0.9).answer is LinkAnswer.GOOD
