@@ -22,14 +22,15 @@ def channel_orders(layout: Layout) -> Iterator[tuple[str, str, IntArray]]:
 
     The order (width,) says for each channel whose planned place it has.
     """
-    seen = {tuple(range(layout.width))}
+    seen = {np.arange(layout.width).tobytes()}
     for what, how, order in (*_blocks(layout), *_lines(layout)):
-        if (key := tuple(order.tolist())) not in seen:
+        if (key := order.tobytes()) not in seen:
             seen.add(key)
             yield what, how, order
 
 
-def _exchanged(layout: Layout, one: IntArray, other: IntArray) -> IntArray:
+def exchanged_order(layout: Layout, one: IntArray, other: IntArray) -> IntArray:
+    """Return the order (width,) that exchanges the places of channels `one` and `other`, both (k,)."""
     order = np.arange(layout.width)
     order[one], order[other] = other, one
     return order
@@ -48,7 +49,7 @@ def _blocks(layout: Layout) -> Iterator[tuple[str, str, IntArray]]:
             yield (
                 what,
                 f"exchange their connectors, or the places of these channels in the layout{_pads(layout, one, other)}",
-                (_exchanged(layout, one, other)),
+                (exchanged_order(layout, one, other)),
             )
 
 
@@ -63,14 +64,14 @@ def _lines(layout: Layout) -> Iterator[tuple[str, str, IntArray]]:
             how = (
                 f"exchange their wires, or the places of these channels in the layout{_pads(layout, lines[one], lines[other])}"
             )
-            yield f"{what}{_list(lines[other])})", how, _exchanged(layout, lines[one], lines[other])
+            yield f"{what}{_list(lines[other])})", how, exchanged_order(layout, lines[one], lines[other])
         if len(lines) % 2 == 0:
             one, other = (np.concatenate(half) for half in (lines[: len(lines) // 2], lines[len(lines) // 2 :]))
             what = f"the halves of the layout's {name}s are exchanged, {name}s 1 to {len(lines) // 2} and the others"
             yield (
                 what,
                 "exchange their connectors, or the places of their channels in the layout",
-                _exchanged(layout, one, other),
+                exchanged_order(layout, one, other),
             )
         for first in (0, 1):
             order = np.arange(layout.width)
@@ -104,8 +105,9 @@ def _list(channels: IntArray) -> str:
 
 def _pads(layout: Layout, one: IntArray, other: IntArray) -> str:
     """Name the entries of the layout file that place these channels: lines of pads_mm, or first_channel of modules."""
-    owners = {int(layout.module_of[channel]) for channel in (*one.tolist(), *other.tolist())}
-    if len(owners) == 1:
+    count = len(layout.modules)
+    exchanged = np.bincount(layout.module_of[np.concatenate([one, other])], minlength=count)
+    if np.count_nonzero(exchanged) == 1:
         return " (exchange these lines of its pads_mm)"
-    whole = all(set(layout.modules[owner].channels.tolist()) <= {*one.tolist(), *other.tolist()} for owner in owners)
-    return " (exchange the first_channel of their modules)" if whole else ""
+    is_whole = exchanged == np.bincount(layout.module_of[layout.channels], minlength=count)
+    return " (exchange the first_channel of their modules)" if is_whole[exchanged > 0].all() else ""

@@ -31,7 +31,7 @@ from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf_chain import UrdfChain
 from skincal.model.wrench_frames import FrameKind, WrenchFrame, rigid_points
 from skincal.pokes import Pokes
-from skincal.rig.channel_order import channel_orders
+from skincal.rig.channel_order import channel_orders, exchanged_order
 from skincal.rig.scene_mistakes import Mistake, MistakeKind, sensor_mistakes
 
 SETUP_CHECK_MIN_POKES = 6
@@ -155,11 +155,12 @@ def check_setup(
     limit = described.cost - NAME_MISTAKE_IF_COST_FALLS_BY
     found: list[tuple[float, Mistake]] = []
     if described.cost > SCENE_FITS_BELOW_COST_PER_POKE * count:
-        hypotheses = [*_hypotheses(asked, used, scene, laid), *_wrench_frames(asked, scene, frames)]
+        exchange = _ChannelExchange(asked, used, laid)
+        hypotheses = [*_hypotheses(asked, used, scene, exchange), *_wrench_frames(asked, scene, frames)]
         # To lay the layout takes up to a second.
         if described.cost > LAYOUT_FITS_BELOW_COST_PER_POKE * count:
             hypotheses += _layouts(asked, used, layout, scene.skin.anchor, surface)
-        hypotheses += [(prior, mistake, _at_places(asked, used, laid, order)) for prior, mistake, order in _orders(layout)]
+        hypotheses += [(prior, mistake, exchange.in_order(order)) for prior, mistake, order in _orders(layout)]
         priors, mistakes, pokes = zip(*hypotheses, strict=True)
         found = [
             (prior + judged.cost, replace(mistake, miss=float(np.median(judged.misses)), shift=judged.shift))
@@ -187,10 +188,22 @@ def _orders(layout: Layout) -> list[tuple[float, Mistake, IntArray]]:
     return [(_prior(len(found)), Mistake(MistakeKind.CHANNELS, names=(what, how)), order) for what, how, order in found]
 
 
-def _at_places(asked: _TaxelEvidence, used: Sequence[Contact], laid: PlacedLayout, order: IntArray) -> _TaxelEvidence:
-    """Give each channel the planned place of channel `order` (channels,)."""
-    places, normals = _planned(used, replace(laid, places=laid.places[order], normals=laid.normals[order]))
-    return replace(asked, places=places, normals=normals)
+class _ChannelExchange:
+    """The planned places of pokes under other orders of the channels. A poke keeps its place if its channels keep theirs."""
+
+    def __init__(self, asked: _TaxelEvidence, used: Sequence[Contact], laid: PlacedLayout) -> None:
+        self._asked, self._used, self._laid = asked, used, laid
+        self._channels = np.concatenate([each.channels for each in used])
+        self._row_of = np.repeat(np.arange(len(used)), [len(each.channels) for each in used])
+
+    def in_order(self, order: IntArray) -> _TaxelEvidence:
+        """Give each channel the planned place of channel `order` (channels,)."""
+        rows: list[int] = np.unique(self._row_of[order[self._channels] != self._channels]).tolist()
+        if not rows:
+            return self._asked
+        places, normals = self._asked.places.copy(), self._asked.normals.copy()
+        places[rows], normals[rows] = _planned([self._used[row] for row in rows], self._laid, order)
+        return replace(self._asked, places=places, normals=normals)
 
 
 def _explains(mistake: Mistake, judged: _Judged, used: Sequence[Contact], scene: Scene) -> bool:
@@ -227,13 +240,18 @@ def _as_described(used: Sequence[Contact], laid: PlacedLayout) -> _TaxelEvidence
     return _TaxelEvidence(Pokes.collect(used), places, normals)
 
 
-def _planned(used: Sequence[Contact], laid: PlacedLayout) -> tuple[FloatArray, FloatArray]:
-    """Compute the planned centre (n, 3) of the taxels that answered each poke, and the normal (n, 3) of the strongest one."""
+def _planned(used: Sequence[Contact], laid: PlacedLayout, order: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Compute the planned centre (n, 3) of the taxels that answered each poke, and the normal (n, 3) of the strongest one.
+
+    Each channel has the planned place of channel `order` (channels,); `None` for its own.
+    """
+    order = np.arange(len(laid.places)) if order is None else order
     places: list[FloatArray] = []
     for each in used:
-        known = np.isfinite(laid.places[each.channels]).all(axis=1)
-        places.append(np.average(laid.places[each.channels[known]], axis=0, weights=each.responses[known]))
-    return np.array(places), np.array([laid.normals[each.strongest_channel] for each in used])
+        answered = laid.places[order[each.channels]]
+        known = np.isfinite(answered).all(axis=1)
+        places.append(np.average(answered[known], axis=0, weights=each.responses[known]))
+    return np.array(places), laid.normals[order[[each.strongest_channel for each in used]]]
 
 
 def _judge(every: Sequence[_TaxelEvidence]) -> list[_Judged]:
@@ -288,7 +306,7 @@ def _prior(choices: int) -> float:
     return 2.0 * math.log(choices)
 
 
-def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, laid: PlacedLayout) -> _Hypotheses:
+def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, exchange: _ChannelExchange) -> _Hypotheses:
     assert scene.skin.layout is not None
     yield from _sensors(asked, scene)
     part_pose = () if scene.tool is None else ("base_from_link of [tool]",)
@@ -302,7 +320,7 @@ def _hypotheses(asked: _TaxelEvidence, used: Sequence[Contact], scene: Scene, la
         yield from _joints(asked, angles, scene.arm.arm)
         if scene.robot is not None:
             yield from _robots(asked, angles, scene.robot, scene.link)
-    yield from _modules(asked, used, scene.skin.layout, laid)
+    yield from _modules(used, scene.skin.layout, exchange)
 
 
 def _sensors(asked: _TaxelEvidence, scene: Scene) -> _Hypotheses:
@@ -474,7 +492,7 @@ def other_side(name: str) -> str:
     return "" if other == name else other
 
 
-def _modules(asked: _TaxelEvidence, used: Sequence[Contact], layout: Layout, laid: PlacedLayout) -> _Hypotheses:
+def _modules(used: Sequence[Contact], layout: Layout, exchange: _ChannelExchange) -> _Hypotheses:
     """Try to exchange two modules with the same taxels, both of them touched."""
     touched = {int(layout.module_of[each.strongest_channel]) for each in used}
     pairs = [
@@ -484,12 +502,8 @@ def _modules(asked: _TaxelEvidence, used: Sequence[Contact], layout: Layout, lai
     ]
     for one, other in pairs:
         first, second = (layout.modules[index] for index in (one, other))
-        places, normals = laid.places.copy(), laid.normals.copy()
-        for here, there in ((first, second), (second, first)):
-            places[here.channels], normals[here.channels] = laid.places[there.channels], laid.normals[there.channels]
-        centres, sides = _planned(used, replace(laid, places=places, normals=normals))
         mistake = Mistake(MistakeKind.MODULES, names=(str(first.id), str(second.id)))
-        yield _prior(len(pairs)), mistake, replace(asked, places=centres, normals=sides)
+        yield _prior(len(pairs)), mistake, exchange.in_order(exchanged_order(layout, first.channels, second.channels))
 
 
 def _layouts(

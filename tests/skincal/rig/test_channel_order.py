@@ -9,6 +9,8 @@ import pytest
 
 from skincal.following.results import SessionResults
 from skincal.part.part import load_part
+from skincal.rig import setup_check
+from skincal.rig.channel_order import channel_orders, exchanged_order
 from skincal.rig.setup_check import check_setup
 from skincal.session.replay import load
 from skincal.taxels.result import Method
@@ -104,3 +106,24 @@ def test_a_right_order_is_not_doubted(right):
     snapshot, said = right
     assert said == ()
     assert errors(snapshot, BOARD)[:, 0].mean() < 0.0008
+
+
+def test_an_exchange_places_again_only_the_pokes_on_exchanged_channels(right, frames, tmp_path, monkeypatch):
+    contacts, plan = right[0].contacts, setup_check._planned
+    one = replace(frames, times=frames.times[:1], wrench=frames.wrench[:1])
+    part = load_part(write_rig(tmp_path, one, frames.plain[:1], layout=True)[0])
+    exchange = setup_check._ChannelExchange(setup_check._as_described(contacts, part.laid), contacts, part.laid)
+    placed = []
+    monkeypatch.setattr(setup_check, "_planned", lambda used, laid, order: placed.append(used) or plan(used, laid, order))
+    layout = part.scene.skin.layout
+    two_taxels = exchanged_order(layout, np.array([0, 1]), np.array([46, 47]))
+    for order in (ALL, two_taxels, *(order for _, _, order in channel_orders(layout))):
+        placed.clear()
+        found, (places, normals) = exchange.in_order(order), plan(contacts, part.laid, order)
+        assert found.places.tobytes() == places.tobytes()
+        assert found.normals.tobytes() == normals.tobytes()
+        of_exchanged = [each for each in contacts if (order != ALL)[each.channels].any()]
+        assert [each.poke for used in placed for each in used] == [each.poke for each in of_exchanged]
+    placed.clear()
+    exchange.in_order(two_taxels)
+    assert 0 < len(placed[0]) < len(contacts) / 2
