@@ -115,13 +115,18 @@ class UrdfChain:
         """Compute the (len(joints),) angles in the middle of the limits, radians; 0 for a joint without limits."""
         return np.array([0.0 if joint.limits is None else sum(joint.limits) / 2.0 for joint in self.moving])
 
-    def limit_warning(self, angles: FloatArray) -> str | None:
-        """Describe the first angle (rad) outside its joint's limits, with the likely mistake; `None` if all lie inside."""
+    def limit_warning(self, angles: FloatArray, unnamed: str = "") -> str | None:
+        """Describe the first angle (rad) outside its joint's limits, with the likely mistake; `None` if all lie inside.
+
+        Parameters
+        ----------
+        unnamed : advice on columns that the scene does not name; empty without such
+        """
         for joint, angle, column in zip(self.moving, np.asarray(angles, dtype=float), self.joints, strict=True):
             if _fits(joint, angle):
                 continue
             low, high = np.degrees(_limits(joint))
-            advice = self._limit_advice(np.asarray(angles, dtype=float))
+            advice = self._limit_advice(np.asarray(angles, dtype=float), unnamed)
             limits = (
                 f"its limits are {low:.0f} to {high:.0f}"
                 if joint.limits
@@ -145,12 +150,14 @@ class UrdfChain:
             "to degrees."
         )
 
-    def _limit_advice(self, angles: FloatArray) -> str:
+    def _limit_advice(self, angles: FloatArray, unnamed: str) -> str:
         """Name a mistake that would explain angles (rad) outside the limits."""
         if self._fit(np.degrees(angles)):
             return "if the stream is in radians, convert it to degrees (the values fit as radians)"
         if np.abs(angles).max() > 2.0 * np.pi and self._fit(np.radians(angles)):
             return "if the values are in degrees, do not read them as radians (they fit as degrees)"
+        if unnamed:
+            return unnamed
         for one, other in combinations(range(len(angles)), 2):
             swapped = angles.copy()
             swapped[[one, other]] = angles[[other, one]]

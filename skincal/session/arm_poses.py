@@ -28,6 +28,7 @@ class ArmPoses:
 
     def __init__(self, scene: Scene) -> None:
         self._arm, self._fixed, self._tool = scene.arm, scene.sensor_pose, scene.tool
+        self._named = () if scene.robot is None else scene.robot.columns
         self._joints = np.array([] if scene.arm is None else scene.arm.arm.joints, np.int64)
         self.are_grouped = True
         """Nearly equal streamed poses share a name; in sessions of old formats each is named by its rounded angles."""
@@ -78,11 +79,11 @@ class ArmPoses:
 
     def _pose_at(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> CurrentPose:
         if angles is not None:
-            angles = angles.take(self._joints)
+            width, angles = len(angles), angles.take(self._joints)
             if self._angles is None or angles.tolist() != self._angles.tolist():
                 # Kept while the arm stands: kinematics cost, and the same object tells others that nothing changed.
                 self._angles = angles
-                self.limit_warning = "" if isinstance(arm.arm, Arm) else self._warn(arm.arm, angles)
+                self.limit_warning = "" if isinstance(arm.arm, Arm) else self._warn(arm.arm, angles, width)
                 sensor = arm.arm.link_from_sensor(angles)
                 self._streamed = self._name_of(arm, angles, sensor), sensor
         if not chosen and self._streamed is not None:
@@ -92,11 +93,22 @@ class ArmPoses:
             self._chosen[name] = arm.arm.link_from_sensor(arm.poses[name])
         return name, self._chosen.get(name)
 
-    def _warn(self, chain: UrdfChain, angles: FloatArray) -> str:
-        """Judge the streamed angles by their limits and by the range of all angles so far."""
+    def _warn(self, chain: UrdfChain, angles: FloatArray, width: int) -> str:
+        """Judge the streamed angles by their limits, the range of all angles so far, and the `width` of the stream."""
         lowest, highest = self._range or (angles, angles)
         self._range = np.minimum(lowest, angles), np.maximum(highest, angles)
-        return chain.limit_warning(angles) or chain.unit_warning(*self._range) or ""
+        unnamed = self._unnamed(chain, width)
+        return chain.limit_warning(angles, unnamed) or chain.unit_warning(*self._range) or (f"{unnamed}." if unnamed else "")
+
+    def _unnamed(self, chain: UrdfChain, width: int) -> str:
+        """Doubt the first columns of a wider stream; empty if the scene names others than those of the chain, or all."""
+        named = ", ".join(self._named)
+        if not width > len(self._named) == len(chain.joints):
+            return ""
+        return (
+            f"the stream has {width} values, and the scene names the first {len(self._named)}: {named}. If other joints come "
+            "before, name them, too, in joints of the scene"
+        )
 
     def _name_of(self, arm: ArmSpec, angles: FloatArray, sensor: FloatArray) -> str:
         for name, named in arm.poses.items():

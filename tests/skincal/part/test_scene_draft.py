@@ -144,6 +144,15 @@ def test_a_streamed_angle_outside_its_limits_is_named(tmp_path, urdf):
         assert (poses.limit_warning == "") if not words else (words in poses.limit_warning)
 
 
+@pytest.mark.parametrize("first", [(60, 10), (5, 70)])
+def test_a_stream_with_more_columns_than_the_scene_names_is_doubted(tmp_path, urdf, first):
+    """A state port of a whole arm begins with the shoulder: its angles may lie inside the limits, or fit if exchanged."""
+    poses = ArmPoses(write(tmp_path, urdf))
+    poses.at("", np.radians([*first, 30.0, 0.0, 0.0]))
+    assert "the stream has 5 values, and the scene names the first 2: elbow, " in poses.limit_warning
+    assert "exchanged" not in poses.limit_warning
+
+
 @pytest.mark.parametrize(
     ("poses", "words"),
     [
