@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from skincal.files.reference import truth_as_json
-from skincal.geometry import Arm, FloatArray, IntArray, inverse_pose, rotation_by
+from skincal.geometry import Arm, FloatArray, IntArray, crossed, inverse_pose, rotation_by
 from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
@@ -219,7 +219,7 @@ class Rig:
         sensor_from_link = inverse_pose(arm_pose.true)
         f = forces @ sensor_from_link[:3, :3].T
         c = points @ sensor_from_link[:3, :3].T + sensor_from_link[:3, 3]
-        return np.concatenate([f, np.cross(c, f)], axis=-1)
+        return np.concatenate([f, crossed(c, f)], axis=-1)
 
     def read_wrenches(self, wrenches: FloatArray) -> FloatArray:
         """Apply the sensor's matrix, (I + E) w, to wrenches (..., 6)."""
