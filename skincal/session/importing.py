@@ -18,6 +18,7 @@ from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
+from skincal.model.skin_axes import AXES_PER_TAXEL
 from skincal.part.part import anchor_findings, load_scene_surface
 from skincal.session.landmark_pokes import can_be_at_landmark
 from skincal.session.pipeline import Pipeline
@@ -113,13 +114,14 @@ def play_recording(
     pose : name of the arm pose, if joints were not recorded
     go_on : gets the finished share, 0 to 1, and says whether to continue; if not, a `StoppedError` follows
 
-    Raises InputError: the names of the columns of the poses contradict the scene.
+    Raises InputError: the names of the columns of the poses, or of a skin of three axes, contradict the scene.
     """
     from skincal.files.importers.registry import StoppedError
     from skincal.files.importers.timeline import SESSION_START_TIME_NS
 
     try:
         _check_pose_names(pipeline.scene, recording)
+        _check_value_order(pipeline.scene, recording)
         if pose:
             pipeline.act(SetPose(pose), SESSION_START_TIME_NS)
         span_ns = max(recording.span_ns, 1)
@@ -138,6 +140,21 @@ def _check_pose_names(scene: Scene, recording: OpenRecording) -> None:
     clash = None if given is None else recording.pose_names.clash(*given)
     if clash is not None:
         raise InputError(f"The columns of the tool's poses name {clash_in_scene(clash, scene.path.name)}.")
+
+
+def _check_value_order(scene: Scene, recording: OpenRecording) -> None:
+    """Compare the axes that the columns of the skin name with `[skin]`. Raises InputError: they differ."""
+    named, axes, file = recording.value_order, scene.skin.axes, scene.path.name
+    if named is None or (axes is not None and axes.order is named):
+        return
+    if axes is None:
+        taxels = scene.skin.frame_width // AXES_PER_TAXEL
+        right = f'axes = 3, channels = {taxels} and order = "{named.value}"'
+        raise InputError(f"The columns of the skin are x, y and z of {taxels} taxels; write {right} into [skin] of {file}.")
+    raise InputError(
+        f'The columns of the skin have the order "{named.value}", and the scene "{axes.order.value}"; write '
+        f'order = "{named.value}" into [skin] of {file}.'
+    )
 
 
 def stream_findings(pipeline: Pipeline) -> list[str]:

@@ -114,7 +114,7 @@ class _Table:
             self._time, self._number = _unnamed_time(form), None
             values, has_others = _unnamed_values(form, self._time, stream, channels), False
         self.values = values.at
-        self.pose_names = values.pose_names
+        self.pose_names, self.value_order = values.pose_names, values.value_order
         self._empty_words = EMPTY_WORDS if has_others else frozenset(("",))
         self._uses = form.number_uses()
         self._has_gaps = form.has_gaps()
@@ -278,6 +278,7 @@ def open_recording(places: Mapping[Stream, RecordedPlace], channels: int = 0) ->
         tuple(table.lines for table in tables),
         tuple(findings),
         pose_names=next((table.pose_names for table in tables if table.stream is Stream.TOOL), NO_POSE_NAMES),
+        value_order=next((table.value_order for table in tables if table.stream is Stream.SKIN), None),
     )
 
 

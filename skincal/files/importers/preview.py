@@ -166,6 +166,7 @@ def open_places(
         ),
         next((one.frame_shape for one in opened if one.frame_shape), ()),
         next((one.pose_names for one in opened if one.pose_names != NO_POSE_NAMES), NO_POSE_NAMES),
+        next((one.value_order for one in opened if one.value_order is not None), None),
     )
 
 

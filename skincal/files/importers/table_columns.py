@@ -30,6 +30,7 @@ from skincal.files.importers.table_values import is_date, is_time_of_day, to_flo
 from skincal.model.errors import InputError, plural
 from skincal.model.pose_form import POSE_WIDTHS
 from skincal.model.readings import Stream
+from skincal.model.skin_axes import AXIS_NAMES, ValueOrder
 
 UNIX_NS = (1e18, 5e18)
 """Nanoseconds since 1970 of the years 2001 to 2128; as seconds they would be no time of any clock."""
@@ -44,6 +45,11 @@ _GRID_COLUMN_RE = re.compile(r"((?:.*[./])?\D*?)(\d+)(\D+)(\d+)([\])]?)")
 """Row and column of a taxel in a mat: `r0c0`, `t_0_1`, `skin/0/1`."""
 _NUMBER_WITHIN_RE = re.compile(r"(\D*)(\d+)(\D+)")
 """A number with a word behind it: `t0_raw`."""
+_VECTOR_COLUMN_RES = (
+    re.compile(r"(?P<base>\D*)(?P<number>\d+)[ ._/\])-]*(?:f|b)?(?P<axis>[xyz])(?:[ _]*[\[(]\D*[\])])?"),
+    re.compile(r"(?P<base>\D*?)(?P<axis>[xyz])[ ._/\[(-]*(?P<number>\d+)[\])]?(?:[ _]*[\[(]\D*[\])])?"),
+)
+"""A value of a taxel of three axes: `s1_x`, `t0.fz [n]`; `x1`, `fz_12`."""
 _HEX_NUMBER_RE = re.compile("[0-9a-f]{1,4}")
 _JOINT_COLUMN_RE = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
 _JOINT_NAME_RE = re.compile(r".+[ _\[(](?:deg|rad)[\])]?")
@@ -82,6 +88,8 @@ class ValueColumns:
     findings: tuple[str, ...] = ()
     pose_names: PoseNames = NO_POSE_NAMES
     """What the names state on the numbers of a pose."""
+    value_order: ValueOrder | None = None
+    """Order of the values of taxels of three axes by their names; `None` if these name no axes."""
 
 
 @dataclass(slots=True)
@@ -206,7 +214,11 @@ class TableColumns:
             case Stream.TOOL:
                 return self._pose_columns([k for k in range(len(self.names)) if self.names[k].startswith(within)])
             case _:
-                return self._skin_columns([k for k in self.others if self.names[k].startswith(within)], channels)
+                # Forces of taxels, `s1_fx`, have the names of a sensor's.
+                columns = [k for k in self.others or self.wrench if self.names[k].startswith(within)]
+                return self._vector_columns(columns, channels) or self._skin_columns(
+                    [k for k in columns if k in self.others], channels
+                )
 
     def _list_names(self, columns: Sequence[int]) -> str:
         return ", ".join(repr(name) if "," in name else name for name in (self.names[k] for k in columns[:NAMES_SHOWN_MAX]))
@@ -468,6 +480,22 @@ class TableColumns:
             *([f"columns {self._list_names(left)}{more} are not read; the taxels are {chosen}."] if left else []),
         ]
         return ValueColumns(found.at, found.factors, tuple(findings))
+
+    def _vector_columns(self, columns: Sequence[int], channels: int) -> ValueColumns | None:
+        """Find taxels of three axes by names of a number and an axis; `None` unless these are the whole skin in an order."""
+        for pattern in _VECTOR_COLUMN_RES:
+            named = {k: found for k in columns if (found := pattern.fullmatch(self.names[k])) is not None}
+            by_taxel = [(int(found["number"]), found["axis"]) for found in named.values()]
+            numbers = sorted({number for number, _ in by_taxel})
+            every = [(number, axis) for number in numbers for axis in AXIS_NAMES]
+            by_axis = sorted(every, key=lambda each: each[1])
+            one_base = len({found["base"] for found in named.values()}) == 1
+            is_whole = len(numbers) > 1 and numbers[-1] - numbers[0] < len(numbers) and one_base
+            if is_whole and by_taxel in (every, by_axis) and channels in (0, len(named)):
+                finding = f"its columns are x, y and z of {len(numbers)} taxels, {numbers[0]} to {numbers[-1]}."
+                order = ValueOrder.BY_TAXEL if by_taxel == every else ValueOrder.BY_AXIS
+                return ValueColumns(tuple(named), (1.0,) * len(named), (finding,), value_order=order)
+        return None
 
     def _check_grid(self, grid: _Family) -> None:
         """Raise InputError: the columns of a mat are not in the order of its rows, so that two numberings are possible."""

@@ -27,6 +27,7 @@ from skincal.files.importers.tape import BLOCK_NUMBERS, NumberFile
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import SESSION_START_TIME_NS, Chunk, Stream
+from skincal.model.skin_axes import ValueOrder
 from skincal.streams.links import LinkSpec
 
 MAX_TIME_STEP_BACK_S = 0.5
@@ -377,6 +378,8 @@ class OpenRecording:
     """Rows and columns of a frame of the skin; empty if the recording does not state them."""
     pose_names: PoseNames = NO_POSE_NAMES
     """What the recording states on the numbers of the tool's poses."""
+    value_order: ValueOrder | None = None
+    """Order of the values of taxels of three axes that the recording states; `None` if it does not."""
 
     @property
     def span_ns(self) -> int:

@@ -1,10 +1,15 @@
 import re
+from itertools import chain
 
 import numpy as np
 import pytest
 
+from skincal.cli import main
+from skincal.files.importers.csv_log import open_recording
+from skincal.files.importers.registry import RecordedPlace
 from skincal.model.errors import InputError
-from skincal.model.readings import Loss
+from skincal.model.readings import Loss, Stream
+from skincal.model.skin_axes import ValueOrder
 from skincal.streams.decoders.auto_detect import make_decoder
 from tests.approved import approved, approved_pattern
 from tests.skincal.import_support import read_recording
@@ -327,3 +332,56 @@ def test_bytes_that_are_no_text_are_said_and_not_shown(read):
         read(wrench="\x07\x1b[31m,\x00\x01\n1,2\n")
     with pytest.raises(InputError, match=approved_pattern("csv_log.no_plausible_time")):
         read(wrench=table(["t", "fx", "fy", "fz", "mx", "my", "mz"], with_time(WRENCH, 1e20)))
+
+
+TAXELS = range(1, 4)
+BY_TAXEL = [(number, axis) for number in TAXELS for axis in "xyz"]
+BY_AXIS = [(number, axis) for axis in "xyz" for number in TAXELS]
+VECTORS = np.arange(36.0).reshape(4, 9)
+
+
+def write_vectors(folder, names):
+    """Write tables of a wrench and of a skin of three axes; return both."""
+    (folder / "ft.csv").write_text(WRENCH_TEXT, encoding="utf-8")
+    (folder / "skin.csv").write_text(table(["t_s", *names], with_time(VECTORS)), encoding="utf-8")
+    return folder / "ft.csv", folder / "skin.csv"
+
+
+@pytest.mark.parametrize(
+    "form", ["S{0}_{1}", "S{0}_b{1}", "taxel_{0}.f{1}", "{1}{0}", "Force_{1}_{0}", "skin[{0}].{1} [N]", "t{0}{1}"]
+)
+@pytest.mark.parametrize("order", [BY_TAXEL, BY_AXIS])
+@pytest.mark.parametrize("channels", [0, 9])
+def test_columns_of_a_number_and_an_axis_are_taxels_of_three_axes(tmp_path, form, order, channels):
+    places = zip((Stream.WRENCH, Stream.SKIN), write_vectors(tmp_path, [form.format(*each) for each in order]), strict=True)
+    found = open_recording({stream: RecordedPlace(path) for stream, path in places}, channels)
+    assert "skin: its columns are x, y and z of 3 taxels, 1 to 3." in found.findings
+    assert found.value_order is (ValueOrder.BY_TAXEL if order is BY_TAXEL else ValueOrder.BY_AXIS)
+
+
+def import_vectors(folder, names, scene_skin):
+    """Import both tables into a scene with this `[skin]`; return the exit code."""
+    scene = folder / "scene.toml"
+    scene.write_text(f'name = "pad"\nlink = "pad"\n[skin]\n{scene_skin}\n', encoding="utf-8")
+    options = zip(("--wrench", "--skin"), map(str, write_vectors(folder, names)), strict=True)
+    return main(["import", "csv", *chain(*options), "--scene", str(scene), "--out", str(folder / "s")])
+
+
+@pytest.mark.parametrize(
+    ("scene_skin", "words"),
+    [
+        ('channels = 3\naxes = 3\norder = "xxyyzz"', 'write order = "xyzxyz" into [skin] of scene.toml'),
+        ("channels = 9", 'write axes = 3, channels = 3 and order = "xyzxyz" into [skin] of scene.toml'),
+    ],
+)
+def test_names_of_three_axes_that_contradict_the_scene_are_refused(tmp_path, capsys, scene_skin, words):
+    names = [f"s{number}_{axis}" for number, axis in BY_TAXEL]
+    assert import_vectors(tmp_path, names, scene_skin) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
+def test_names_of_three_axes_in_no_order_are_refused(tmp_path, capsys):
+    names = [f"s{number}_{axis}" for number in TAXELS for axis in "zxy"]
+    assert import_vectors(tmp_path, names, "channels = 3\naxes = 3") == 2
+    assert "do not rise in the order of the file" in capsys.readouterr().err
