@@ -1,4 +1,4 @@
-"""`scene`: write the scene of a new part from a URDF or a mesh, and show what a scene says."""
+"""`scene`: write the scene of a new part from a URDF, a mesh or neither, and show what a scene says."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def add_to(app: typer.Typer) -> None:
     of_mesh = "skincal scene new --mesh part.stl --unit mm --grid 6x8@9mm --out part/scene.toml"
     of_tip = "skincal scene new --mesh tip.stl --paxini PXSR-STDDP03D --out tip/scene.toml"
     of_tool = "skincal scene new --urdf robot.urdf --link hand --sensor none --tip 0,0,120 --grid 6x8@9mm --out hand/scene.toml"
-    _scenes.command("new", epilog=f"Examples: {of_robot}; {of_mesh}; {of_tip}; {of_tool}")(new_scene)
+    of_pad = "skincal scene new --channels 16 --out pad/scene.toml"
+    _scenes.command("new", epilog=f"Examples: {of_robot}; {of_mesh}; {of_pad}; {of_tip}; {of_tool}")(new_scene)
     _scenes.command("show", epilog="Example: skincal scene show part/scene.toml --joints 94,0")(show_scene)
     app.add_typer(_scenes, name="scene")
 

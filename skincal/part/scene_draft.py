@@ -14,6 +14,7 @@ from skincal.geometry import FloatArray
 from skincal.mesh.lay import ANCHOR_TO_SURFACE_MAX_M
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, load_scene
+from skincal.model.tool_rig import BASE_LINK
 from skincal.model.urdf import Robot, read_urdf
 from skincal.part.draft_preview import PartPreview, PartPreviewer, completed_draft, propose_anchor
 from skincal.part.layout_placing import anchor_at
@@ -40,8 +41,7 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
     InputError
         A file cannot be read or written, a file is there already, or a name is missing or not in the URDF.
     """
-    if draft.urdf is None and draft.mesh is None:
-        raise InputError(f"{out}: name the robot's URDF (--urdf) or the part's mesh (--mesh).")
+    _check_sources(draft, out)
     robot = None if draft.urdf is None else read_urdf(draft.urdf)
     if robot is None and not draft.unit and draft.mesh is not None:
         draft = replace(draft, unit=unit_without_option(draft.mesh))
@@ -57,6 +57,13 @@ def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None
         raise InputError(preview.problems["skin"])
     if not is_below and "sensor" in preview.problems:
         raise InputError(f"{out}: {preview.problems['sensor']}")
+    if not (
+        is_below or draft.link == BASE_LINK or preview.surface is not None or (draft.layout_text and anchor_mm is not None)
+    ):
+        raise InputError(
+            f"{out}: nothing shows the pose of the part; name its mesh (--mesh) or the place of the layout (--anchor-mm), or "
+            f"write --link {BASE_LINK} for positions in the base of the tool's poses."
+        )
     part, comments = completed_draft(preview), dict[tuple[str, ...], str]()
     if robot is not None and is_below:
         fixed = {name: float(np.radians(degrees)) for name, degrees in part.fixed}
@@ -88,6 +95,16 @@ def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:
             "the mesh's unit."
         )
     return AnchorDraft.from_anchor(anchor)
+
+
+def _check_sources(draft: PartDraft, out: Path) -> None:
+    """Raise InputError: an option needs a URDF or a mesh that is not named."""
+    of_urdf = {"--sensor": draft.sensor, "--joints": draft.joints, "--fixed": draft.fixed, "--package": draft.packages}
+    given = next((option for option, value in of_urdf.items() if value and draft.urdf is None), None)
+    if given is not None:
+        raise InputError(f"{out}: {given} is of a robot's URDF; name it by --urdf, or leave {given} out.")
+    if draft.unit and draft.urdf is None and draft.mesh is None:
+        raise InputError(f"{out}: --unit is of a mesh; name it by --mesh, or leave --unit out.")
 
 
 def _check_skin_and_tip(draft: PartDraft, out: Path) -> None:

@@ -181,7 +181,8 @@ def test_radians_inside_wide_limits_are_noticed(tmp_path, urdf, poses, words):
         ({"sensor": ""}, "it has wrist_ft"),
         ({"joints": ("elbow",)}, "joint wrist moves"),
         ({"layout_text": ""}, "--channels"),
-        ({"urdf": None}, "name the robot's URDF"),
+        ({"urdf": None}, "--sensor is of a robot's URDF; name it by --urdf, or leave --sensor out"),
+        ({"urdf": None, "sensor": "", "joints": ("elbow",)}, "--joints is of a robot's URDF"),
     ],
 )
 def test_what_cannot_be_a_scene_is_refused_and_leaves_nothing(tmp_path, urdf, values, words):
@@ -189,6 +190,33 @@ def test_what_cannot_be_a_scene_is_refused_and_leaves_nothing(tmp_path, urdf, va
         write(tmp_path, **{"urdf": urdf, **values})
     assert words in str(refused.value)
     assert not list(tmp_path.rglob("*.toml"))
+
+
+def test_a_skin_without_mesh_and_urdf_has_a_scene(tmp_path, capsys):
+    """No CAD model: the frame of the positions is that of the sensor."""
+    out = tmp_path / "pad/scene.toml"
+    assert main(["scene", "new", "--channels", "16", "--polarity", "down", "--out", str(out)]) == 0
+    assert "the sensor is taken at the origin of the link" in capsys.readouterr().out
+    scene = load_scene(out)
+    assert (scene.skin.channels, scene.skin.polarity, scene.surface, scene.robot) == (16, -1, None, None)
+    np.testing.assert_array_equal(scene.sensor_pose, np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--unit", "mm"], "--unit is of a mesh"),
+        (["--sensor", "tool"], "name its mesh (--mesh) or the place of the layout (--anchor-mm)"),
+        (["--sensor", "none", "--tip", "0,0,100"], "write --link base"),
+        (["--sensor", "arm_ft"], "name it by --urdf"),
+        (["--joints", "elbow"], "name it by --urdf"),
+    ],
+)
+def test_options_that_need_a_file_without_one_are_refused_by_their_names(tmp_path, capsys, options, words):
+    out = tmp_path / "pad/scene.toml"
+    assert main(["scene", "new", "--grid", "4x4@8mm", *options, "--out", str(out)]) == 2
+    assert words in capsys.readouterr().err
+    assert not out.parent.exists()
 
 
 @pytest.mark.parametrize("text", ["6x8", "6x8@", "0x8@9mm", "6x8@9000mm", "axb@9mm", "6x8x2@9mm", ""])
