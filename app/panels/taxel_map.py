@@ -262,6 +262,8 @@ class TaxelMap(pg.GraphicsView):
         self._modules = ModulesItem(self._plan)
         self._numbers = [QGraphicsSimpleTextItem(label, self._modules) for label in self._plan.labels]
         self._halos, self._states, self._wedges, self._rings = (pg.ScatterPlotItem(antialias=True) for _ in range(4))
+        self._no_pen, self._brushes = pg.mkPen(None), dict[tuple[str, float], QBrush]()
+        """Kept: pyqtgraph keeps a symbol's pixels by the objects of its pen and its brush."""
         self._name = pg.TextItem()
         self._box = pg.ViewBox(enableMouse=False, enableMenu=False, defaultPadding=0.0)
         self._box.disableAutoRange()
@@ -506,7 +508,7 @@ class TaxelMap(pg.GraphicsView):
             self._states.updateSpots()
         else:
             symbols, brushes = self._look_of(range(len(values)), colours, radius)
-            self._states.setData(pos=self._plan.places, size=2.0 * radius, pen=None, symbol=symbols, brush=brushes)
+            self._states.setData(pos=self._plan.places, size=2.0 * radius, pen=self._no_pen, symbol=symbols, brush=brushes)
         # A wedge at the upper right of each taxel that may as well lie elsewhere.
         rivals = self._plan.places[np.isin(self._plan.channels, list(self._rivals))] + 0.9 * radius / self._scale
         self._wedges.setData(
@@ -519,20 +521,25 @@ class TaxelMap(pg.GraphicsView):
         values, brushes = self._marks[self._plan.channels].tolist(), dict[tuple[int, str], QBrush]()
         keys = [(values[row], self._hues[row]) for row in rows]
         for value, hue in {*keys}:
-            colour = QColor(colours.muted if value == Mark.DEAD.value else hue or colours.muted)
-            colour.setAlphaF(MARK_OPACITY.get(Mark(value), 1.0) if radius < SMALL_TAXEL_MARK_RADIUS_PX else 1.0)
-            brushes[value, hue] = QBrush(colour)
+            colour = colours.muted if value == Mark.DEAD.value else hue or colours.muted
+            opacity = MARK_OPACITY.get(Mark(value), 1.0) if radius < SMALL_TAXEL_MARK_RADIUS_PX else 1.0
+            brushes[value, hue] = self._brush(colour, opacity)
         return [self._symbols[value] for value, _ in keys], [brushes[key] for key in keys]
 
+    def _brush(self, colour: str, opacity: float) -> QBrush:
+        """Return the brush of a colour, the same object each time."""
+        if (colour, opacity) not in self._brushes:
+            shown = QColor(colour)
+            shown.setAlphaF(opacity)
+            self._brushes[colour, opacity] = QBrush(shown)
+        return self._brushes[colour, opacity]
+
     def _draw_halos(self) -> None:
-        levels, colour = self._levels[self._plan.channels], QColor(theme_colours().text)
+        levels, colour = self._levels[self._plan.channels], theme_colours().text
         rows = np.flatnonzero(levels > 0)
-        brushes: list[QBrush] = []
-        for level in levels[rows].tolist():
-            colour.setAlphaF(0.15 + 0.75 * level)
-            brushes.append(QBrush(colour))
+        brushes = [self._brush(colour, 0.15 + 0.75 * level) for level in levels[rows].tolist()]
         size = 2.0 * self._radius() * (1.3 + 0.5 * levels[rows])
-        self._halos.setData(pos=self._plan.places[rows], size=size, pen=None, brush=brushes)
+        self._halos.setData(pos=self._plan.places[rows], size=size, pen=self._no_pen, brush=brushes)
 
     def _draw_rings(self) -> None:
         """Draw rings around the selected taxel and, white in black, the target, and write the target's name."""

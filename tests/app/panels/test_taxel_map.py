@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pyqtgraph.graphicsItems import ScatterPlotItem
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QTransform, QWheelEvent
 from PySide6.QtTest import QTest
@@ -15,6 +16,7 @@ from app.panels.taxel_map import MapCard, ModulesItem, TaxelMap, lay_out_map, ma
 from app.scene3d.camera import first_axes
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark
+from app.state.view_state import ViewState
 from app.theme import MODULE_HUES
 from skincal.contacts.outcome import Reason
 from skincal.contacts.poke_counts import PokeCounts
@@ -162,6 +164,28 @@ def test_a_poke_gives_the_marks_that_it_changes_their_pixels_and_no_others(qtbot
     at_once = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
     at_once.show_state(states[-1])
     assert changed(pixels(changing), pixels(at_once)) == 0
+
+
+def test_an_answer_and_a_mark_that_return_are_not_drawn_again(qtbot, monkeypatch):
+    render, rendered = ScatterPlotItem.renderSymbol, []
+    monkeypatch.setattr(ScatterPlotItem, "renderSymbol", lambda *of, **options: rendered.append(of) or render(*of, **options))
+
+    def answer(level: float, known: int) -> ViewState:
+        responses = np.where(np.isin(np.arange(24), (3, 4)), level, 0.0)
+        return frame(session(1 + known, {c: estimate(c, (0, 0, 0)) for c in range(known)}), reading(skin=responses))
+
+    states = [answer(level, known) for known in (0, 3) for level in (40.0, 80.0)]
+    view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
+    for state in states:
+        view.show_state(state)
+    assert rendered
+    for state in states:
+        rendered.clear()
+        view.show_state(state)
+        assert rendered == []
+        new = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
+        new.show_state(state)
+        assert changed(pixels(view), pixels(new)) == 0
 
 
 def test_answers_are_drawn_between_kept_pixels_of_the_modules(qtbot, monkeypatch):
