@@ -1,8 +1,9 @@
 """The drawn part is kept while the camera stands still: a picture draws only the region where something changed in it.
 
 While a tool presses, only its force axis and its contact move. On software OpenGL the part costs two thirds of a picture, and
-the labels a fifth. So three pictures are kept: of renderer `PART` with its depth, of `PART` and `WITHIN`, and of all. A later
-picture copies the last one. In the region where something changed it copies one of the others, and draws the rest.
+the labels a fifth. So two pictures are kept: of renderer `PART` with its depth, and of `PART` and `WITHIN`. The window's
+framebuffer keeps the whole picture: VTK does not clear it if `PART` is not drawn. In the region where something changed, a
+later picture copies one of the kept ones, and draws the rest.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ PROBE_DEPTH, PROBE_TOLERANCE = 0.375, 1e-3  # Copied once to see if copies work;
 
 
 class KeptPart:
-    """Pixels of the renderers of one window without multisampling: of `PART`, with `WITHIN`, and with `FRONT`."""
+    """Pixels of the renderers of one window without multisampling: of `PART`, and with `WITHIN`."""
 
     def __init__(self, window: vtkRenderWindow, part: pv.Renderer, within: pv.Renderer, front: pv.Renderer) -> None:
         assert isinstance(window, vtkOpenGLRenderWindow), "every window that VTK makes here"
@@ -49,7 +50,7 @@ class KeptPart:
         self._are_buffers_made = False
         """The buffers have size `_size`, and a copy from them works."""
         self._is_copy_proven = False
-        self._opaque, self._whole, self._picture = (vtkOpenGLFramebufferObject() for _ in range(3))
+        self._opaque, self._whole = vtkOpenGLFramebufferObject(), vtkOpenGLFramebufferObject()
         self._viewpoint: Viewpoint | None = None
         self._key: object = None
         self._labels_key: object = None
@@ -107,7 +108,7 @@ class KeptPart:
             renderer.RemoveObserver(observer)
         if self._size != (0, 0):
             self.window.MakeCurrent()
-            for buffer in (self._opaque, self._whole, self._picture):
+            for buffer in (self._opaque, self._whole):
                 buffer.ReleaseGraphicsResources(self.window)
 
     def _changed(self, moving: Sequence[MeshActor], viewpoint: Viewpoint) -> tuple[Region, Region]:
@@ -130,7 +131,7 @@ class KeptPart:
             return self._are_buffers_made
         self._size, self._is_copy_proven = size, False
         made = True
-        for buffer in (self._opaque, self._whole, self._picture):
+        for buffer in (self._opaque, self._whole):
             buffer.SetContext(self.window)
             self.window.GetState().PushFramebufferBindings()
             has_depth = buffer is self._opaque
@@ -171,9 +172,8 @@ class KeptPart:
     def _before_within(self, *_: object) -> None:
         if self._is_new:
             return
-        frame = self.window.GetRenderFramebuffer()
-        self._copy(self._whole, frame, self._full(), GL_COLOR_BUFFER_BIT)
-        self._copy(self._opaque, frame, self._region, GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT)
+        planes = GL_COLOR_BUFFER_BIT | GL_DEPTH_BUFFER_BIT
+        self._copy(self._opaque, self.window.GetRenderFramebuffer(), self._region, planes)
         self._draw_only(self._region)
 
     def _after_within(self, *_: object) -> None:
@@ -183,19 +183,15 @@ class KeptPart:
             self._copy(self.window.GetRenderFramebuffer(), self._whole, region, GL_COLOR_BUFFER_BIT)
 
     def _before_front(self, *_: object) -> None:
-        frame = self.window.GetRenderFramebuffer()
+        if self._is_new:
+            return
+        region = self._full() if self._is_front_new else self._front_region
+        self._copy(self._whole, self.window.GetRenderFramebuffer(), region, GL_COLOR_BUFFER_BIT)
         if not self._is_front_new:
-            self._copy(self._picture, frame, self._full(), GL_COLOR_BUFFER_BIT)
-            self._copy(self._whole, frame, self._front_region, GL_COLOR_BUFFER_BIT)
-            self._draw_only(self._front_region)
-        elif not (self._is_new or self.within.GetDraw()):
-            self._copy(self._whole, frame, self._full(), GL_COLOR_BUFFER_BIT)
+            self._draw_only(region)
 
     def _after_front(self, *_: object) -> None:
         self._camera.SetUseScissor(False)
-        if self._is_kept:
-            region = self._full() if self._is_front_new else self._front_region
-            self._copy(self.window.GetRenderFramebuffer(), self._picture, region, GL_COLOR_BUFFER_BIT)
 
     def _draw_only(self, region: Region) -> None:
         left, bottom, right, top = region
