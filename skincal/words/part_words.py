@@ -55,7 +55,8 @@ def _open_words(pose: PartPose) -> str:
     if pose.ratio > MISFIT_MIN_RATIO:
         return _misfit_words(pose)
     named = [open_motion_words(motion) for motion in pose.open_motions[:MOST_OPEN_MOTIONS_NAMED]]
-    return f"The part {', and '.join(named)}: touch one landmark." if named else ""
+    landmark = "one more landmark, from another side" if pose.landmark_places else "one landmark"
+    return f"The part {', and '.join(named)}: touch {landmark}." if named else ""
 
 
 def _misfit_words(pose: PartPose) -> str:

@@ -142,6 +142,13 @@ def test_the_sentence_names_the_open_directions_and_the_landmark_that_closes_the
     assert said.endswith("touch one landmark.")
 
 
+def test_a_direction_that_touched_landmarks_leave_open_needs_a_push_from_another_side(tmp_path, outcomes):
+    """The axes of pushes onto one face of the part measure nothing along them."""
+    pose = session_of(tmp_path, outcomes).snapshot().part_pose
+    said = part_pose_sentence(replace(pose, landmarks=4, landmark_places=4))
+    assert said.endswith("touch one more landmark, from another side.")
+
+
 @pytest.mark.parametrize("has_landmarks", [True, False])
 def test_a_scene_without_landmarks_is_told_to_add_one(tmp_path, outcomes, has_landmarks):
     session = session_of(tmp_path, outcomes, lambda text: without_pose(text).replace("" if has_landmarks else MARKS, ""))
