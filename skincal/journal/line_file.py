@@ -54,6 +54,9 @@ class LineWriter:
         if sync:
             os.fsync(self._file.fileno())
 
+    def fileno(self) -> int:
+        return self._file.fileno()
+
     def close(self, items: int) -> None:
         """Write the closing line, and close the file."""
         self._write(b"%d,%s" % (items, _CLOSED_MARK))

@@ -9,9 +9,9 @@ The MCAP file holds the inputs: chunks of bytes as read (`/raw/LINK`) and events
 `/joints`, `/temperature`), which skincal does not read. The line file holds events and results: see `line_file`.
 
 The buffer is written every 0.5 s and at every event and result: first the MCAP chunk, then the line that confirms it. Contacts
-also force both files onto the disk. A crash loses at most 0.5 s of bytes, and every confirmed item is in the MCAP file. A
-session that is imported from another program's recording can be imported again: it is written every 2 s, forced onto the disk
-only at the end, and has no decoded readings.
+also force both files onto the disk; for a window a thread does (`disk_sync`). A crash loses at most 0.5 s of bytes, and every
+confirmed item is in the MCAP file. A session that is imported from another program's recording can be imported again: it is
+written every 2 s, forced onto the disk only at the end, and has no decoded readings.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.journal import ros_messages
+from skincal.journal.disk_sync import DiskSync
 from skincal.journal.documents import (
     JOURNAL_FORMAT_VERSION,
     Item,
@@ -168,6 +169,7 @@ def _stops_on_disk_error(
         if self.failed:
             return
         try:
+            self.disk.raise_error()
             work(self, *args, **options)
         except OSError as error:
             self.stop_recording(error)
@@ -204,6 +206,7 @@ class JournalWriter:
         self._monotonic_ns, self._unix_ns = time.monotonic_ns(), time.time_ns()
         self._flushed_ns: int | None = None
         self._watched_ns = 0
+        self.disk = DiskSync()
         self._lock = lock
         self._holds_lock = True
         self._copy, self._flush_ns = copy, IMPORT_FLUSH_PERIOD_NS if copy else FLUSH_PERIOD_NS
@@ -291,6 +294,13 @@ class JournalWriter:
         """Force everything onto the disk, unless the session can be imported again."""
         if not self._copy:
             self._flush(sync=True)
+
+    @_stops_on_disk_error
+    def sync_in_background(self) -> None:
+        """Hand everything to the system, and force it onto the disk in a thread; its error stops the recording later."""
+        if not self._copy:
+            self._flush()
+            self.disk.request(self._file.fileno(), self._lines.fileno())
 
     def close(self) -> None:
         """Finish the segment, with its index, and release the lock."""
@@ -405,6 +415,8 @@ class JournalWriter:
 
     @_stops_on_disk_error
     def _close_segment(self) -> None:
+        self.disk.wait()
+        self.disk.raise_error()
         self._flush()
         self._mcap.finish()
         self._file.flush()
@@ -422,6 +434,7 @@ class JournalWriter:
 
     def _abandon(self) -> None:
         """Close the files without an end; errors of the last write are ignored."""
+        self.disk.wait()
         with contextlib.suppress(OSError):
             self._file.close()
         with contextlib.suppress(OSError, AttributeError):
