@@ -62,6 +62,9 @@ class SceneRenderer:
         self.camera = self.renderer.camera
         plotter.link_views()
         self.layers = self.build_layers()
+        self._actors = [actor for layer in self.layers for own in layer.parts().values() for actor in own]
+        # pyvista looks at each name that is asked of an object, and a picture would ask for hundreds.
+        self._bounds_of = [renderer.ComputeVisiblePropBounds for renderer in (self.renderer, within, front)]
         self.labels = Labels(plotter)
         self._labels_key: list[tuple[str, bytes, float]] | None = None
         self._hidden: frozenset[str] = frozenset()
@@ -163,12 +166,11 @@ class SceneRenderer:
 
     def compile_shaders(self) -> None:
         """Draw a picture with something of every kind in it, so that no later one waits for a shader to be compiled."""
-        actors = [actor for layer in self.layers for own in layer.parts().values() for actor in own]
-        for actor in actors:
+        for actor in self._actors:
             actor.actor.visibility = True
         self.fit()
         self.window.Render()
-        for actor in actors:
+        for actor in self._actors:
             actor.update_visibility()
 
     def pick(self, x: float, y: float) -> int | None:
@@ -216,10 +218,8 @@ class SceneRenderer:
             self._scales = scales
             window.SetDPI(round(FONT_POINTS_PER_INCH * scales[0]))
             self.labels.set_font_scale(scales[1])
-            for layer in self.layers:
-                for actors in layer.parts().values():
-                    for actor in actors:
-                        actor.set_pixel_ratio(scales[0])
+            for actor in self._actors:
+                actor.set_pixel_ratio(scales[0])
         viewpoint = Viewpoint(pose_of(self.camera), window.GetSize(), scales[0])
         if not viewpoint.is_same(self._viewpoint):
             self._viewpoint = viewpoint
@@ -234,13 +234,12 @@ class SceneRenderer:
             self.labels.show(labels, obstacles, viewpoint)
         self._set_depth_range()
         if self.kept_part is not None:
-            actors = [actor for layer in self.layers for own in layer.parts().values() for actor in own]
-            self.kept_part.prepare(viewpoint, actors, self.labels.version, self.camera.GetClippingRange())
+            self.kept_part.prepare(viewpoint, self._actors, self.labels.version, self.camera.GetClippingRange())
             self.labels.set_drawn(self.kept_part.has_labels_to_draw(self.labels.boxes(viewpoint)))
 
     def _set_depth_range(self) -> None:
         """Set the depths between which the camera sees: a force axis that turns at the part does not change them."""
-        bounds = np.array([renderer.ComputeVisiblePropBounds() for renderer in self.plotter.renderers[:3]]).reshape(3, 3, 2)
+        bounds = np.array([bounds() for bounds in self._bounds_of]).reshape(3, 3, 2)
         ends = bounds * (1.0, -1.0)  # Of both ends the lower one is further out
         seen = np.minimum(ends[PART] - 2.0 * DEPTH_STEP_M, (np.floor(ends[WITHIN:] / DEPTH_STEP_M) * DEPTH_STEP_M).min(axis=0))
         self.renderer.ResetCameraClippingRange(*(seen * (1.0, -1.0)).ravel())
