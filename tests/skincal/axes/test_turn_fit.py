@@ -187,6 +187,28 @@ def test_leaning_pokes_tell_mirrored_axes_and_straight_ones_do_not(is_mirrored):
             assert abs(log_odds) < 1.0
 
 
+@pytest.mark.parametrize("lean", [2.0, 15.0])
+def test_the_coarse_search_before_pokes_are_judged_leads_to_the_same_turn(lean, monkeypatch):
+    """Three of 20 pokes press another place."""
+    rng = rng_of(17)
+    skin = []
+    for _ in range(8):
+        made = make_pokes(rng, random_rotation(rng), 20, lean)
+        made.readings[:3] = made.readings[:3] @ random_rotation(rng)
+        skin.append(made)
+    coarse = [fit_turn(pokes, NOISE) for pokes in skin]
+    monkeypatch.setattr("skincal.axes.turn_fit.SMALLEST_GAIN_BEFORE_TRUST", 0.0)
+    full = [fit_turn(pokes, NOISE) for pokes in skin]
+    assert sum((fit.trust < 0.5).any() for fit in full) >= 6
+    for found, expected in zip(coarse, full, strict=True):
+        off = turn_between(expected.rotation, found.rotation)
+        if not expected.is_in_plane_known:
+            z = expected.rotation.T @ found.rotation[:, 2]
+            off = np.array([-z[1], z[0]])
+        covariance = expected.covariance[: len(off), : len(off)]
+        assert off @ np.linalg.solve(covariance, off) < 0.1**2, "a tenth of its standard deviation"
+
+
 def test_a_force_or_a_reading_of_zero_is_refused():
     pokes = make_pokes(rng_of(70), np.eye(3), 3, 10.0)
     for forces, readings in ((0.0 * pokes.forces, pokes.readings), (pokes.forces, np.nan * pokes.readings)):
