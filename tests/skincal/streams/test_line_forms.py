@@ -249,32 +249,28 @@ def wrench_line(row):
 
 @pytest.mark.parametrize("name", FORMS)
 def test_the_frames_of_a_poked_skin_are_read_in_each_form(name):
-    frames = readings()[1][::5]
+    frames = readings()[1][::12]
     decoder = LinkDecoder("auto", WIDTH, SKIN)
     sent = ((FORMS[name](k, frame).encode(), k * 10**9 // RATE_HZ) for k, frame in enumerate(frames))
     found = values(batch for raw, host_ns in sent for _, batch in decoder.feed(raw, host_ns))
     assert_same(found, frames, name)
 
 
-@pytest.mark.parametrize("name", ["plain", "labels in any order", "decimal comma", "rows, title"])
-def test_a_skin_whose_frames_are_read_is_placed(scene, name):
-    wrench, skin = readings()
-    placed = place_taxels(scene, map(wrench_line, wrench), (FORMS[name](k, row) for k, row in enumerate(skin)))
-    found = errors(placed)
-    assert len(found) == WIDTH
-    assert max(found.values()) < MAX_ERROR_M
-
-
-def test_a_labelled_wrench_with_units_places_the_same(scene):
-    wrench, skin = readings()
+def labelled_wrench_line(row):
     units = ("N", "N", "kN", "Nm", "N m", "Nmm")
     sizes = (1, 1, 1e-3, 1, 1, 1e3)
-    lines = (
-        ", ".join(f"{axis}: {value * size:.9f} {unit}" for axis, value, size, unit in zip(AXES, row, sizes, units, strict=True))
-        + "\n"
-        for row in wrench
-    )
-    found = errors(place_taxels(scene, lines, (FORMS["plain"](k, row) for k, row in enumerate(skin))))
+    parts = (f"{axis}: {value * size:.9f} {unit}" for axis, value, size, unit in zip(AXES, row, sizes, units, strict=True))
+    return ", ".join(parts) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "write_wrench"),
+    [("labels in any order", wrench_line), ("decimal comma", labelled_wrench_line), ("rows, title", wrench_line)],
+)
+def test_a_skin_whose_frames_are_read_is_placed(scene, name, write_wrench):
+    wrench, skin = readings()
+    placed = place_taxels(scene, map(write_wrench, wrench), (FORMS[name](k, row) for k, row in enumerate(skin)))
+    found = errors(placed)
     assert len(found) == WIDTH
     assert max(found.values()) < MAX_ERROR_M
 
