@@ -44,6 +44,7 @@ from skincal.contacts.outcome import CROWDED_REASONS, BeforePokes, Contact, Outc
 from skincal.contacts.press import ArmPose, FinishedPress, Press, arm_turn_between
 from skincal.contacts.skin_condition import SkinCondition, SkinWatch
 from skincal.contacts.skin_drift import SkinDrift
+from skincal.contacts.stream_offset import StreamOffsetWatch
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
 from skincal.contacts.value_order import ValueOrderCounts
 from skincal.geometry import FloatArray, IntArray, axis_point, length_of, move_wrench
@@ -91,6 +92,7 @@ class ContactDetector:
         self._health = ChannelHealth(scene, self._candidates, dead)
         self._drift = SkinDrift(self._candidates, scene.skin.frame_width, self._answers)
         self._watch = SkinWatch(scene, self._candidates, self._answers, range_end)
+        self._offset = StreamOffsetWatch()
         self._at_top: dict[int, Contact] = {}
         """Contacts with taxels that may be at the end of the range."""
         self._ignored: Set[int] | None = None
@@ -128,7 +130,7 @@ class ContactDetector:
     @property
     def condition(self) -> SkinCondition:
         """Condition of the skin so far."""
-        return self._watch.condition(self._drift)
+        return self._watch.condition(self._drift, self._offset.offset_s)
 
     @property
     def value_order(self) -> ValueOrderCounts | None:
@@ -171,6 +173,7 @@ class ContactDetector:
             sample = replace(sample, wrench=np.zeros(6), saturated=True)
         watched = self._answers.watched(sample.skin)
         self._watch.on_frame(watched)
+        self._offset.add(sample.host_s, sample.wrench[:3], watched)
         arm_pose = self._arm_pose = self._pose_now(sample, link_from_sensor, pose)
         gap_s = self._gap_before(sample)
         self._last = sample

@@ -68,6 +68,8 @@ class SkinCondition:
     """Those of them with several taxels at that value."""
     value_order: ValueOrderCounts | None = field(default=None, metadata=OPTIONAL_FIELD)
     """Order of the values as the pokes show it; `None` for a skin of one axis, and before the first poke on the skin."""
+    offset_s: float | None = field(default=None, metadata=OPTIONAL_FIELD)
+    """See `find_offset` of `stream_offset`."""
 
     @property
     def is_known(self) -> bool:
@@ -98,6 +100,7 @@ class SkinCondition:
             self.clipped + newer.clipped,
             self.clipped_together + newer.clipped_together,
             newer.value_order if self.value_order is None else self.value_order.plus(newer.value_order),
+            self.offset_s if newer.offset_s is None else newer.offset_s,
         )
 
 
@@ -223,8 +226,8 @@ class SkinWatch:
         at = self._at_top.get(poke)
         return None if at is None or at.top != self.range_end else at.channels
 
-    def condition(self, drift: SkinDrift) -> SkinCondition:
-        """Summarize the condition so far."""
+    def condition(self, drift: SkinDrift, offset_s: float | None) -> SkinCondition:
+        """Summarize the condition so far, with the offset of the skin's times."""
         answer, noise, ratio = np.array(self._answers or [(math.nan,) * 3]).T
         end = self.range_end
         clipped = [each for each in self._at_top.values() if each.top == end]
@@ -239,6 +242,7 @@ class SkinWatch:
             clipped=len(clipped),
             clipped_together=sum(len(each.channels) > 1 for each in clipped),
             value_order=self.value_order,
+            offset_s=offset_s,
         )
         enough = NORMALISED_MIN_SHARE_OF_FRAMES * self._frames
         if self._frames < MIN_FRAMES_TO_CALL_NORMALISED or len(self._levels) < 3:

@@ -46,11 +46,24 @@ def skin_sentences(condition: SkinCondition, outcomes: Sequence[Outcome], scene:
     # In the wrong order, or against the polarity, small answers say nothing about the threshold.
     order = None if axes is None else condition.value_order
     has_mistake = axes is not None and order is not None and order.has_no_z(axes.order)
-    found = [_inverse(outcomes, scene) or _normalised(condition)]
+    found = [_clocks_differ(condition) or _inverse(outcomes, scene) or _normalised(condition)]
     if not (has_mistake or found[0]):
         found = [_noisy(condition, outcomes, used, unit) or _small(condition, outcomes, used, unit)]
     found += [_drifting(condition, unit), _clipped(condition), _crowded(find_crowd(outcomes, scene))]
     return [f"skin: {sentence}" for sentence in found if sentence]
+
+
+def _clocks_differ(condition: SkinCondition) -> str:
+    """Name an offset of the skin against the wrench: presses then have no rest before them, or the wrong answers."""
+    offset_s = condition.offset_s
+    if offset_s is None:
+        return ""
+    way = "later" if offset_s > 0 else "earlier"
+    when = "at other times than the force" if math.isnan(offset_s) else f"{abs(offset_s):.1f} s {way} than the force"
+    return (
+        f"its answers come {when}, and a poke needs both at once: their clocks differ. Record wrench and skin by one clock, or "
+        "correct the times of one of them, and read the recording again."
+    )
 
 
 def _inverse(outcomes: Sequence[Outcome], scene: Scene) -> str:

@@ -42,4 +42,4 @@ def test_coarse_steps_at_rest_are_no_normalised_frames(is_normalised):
         low, high = rng.choice(width, 2, replace=False)
         frame[low], frame[high] = 0.0, 0.1
         watch.on_frame(frame)
-    assert watch.condition(SkinDrift(np.arange(width), width, answers)).is_normalised == is_normalised
+    assert watch.condition(SkinDrift(np.arange(width), width, answers), None).is_normalised == is_normalised
