@@ -30,7 +30,7 @@ WINDOW_PARTS = tuple(
     f"tests/app/{room}" for room in ("builder", "dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
 )
 """Tests of the window that take as long as those of whole windows."""
-ESTIMATE_TESTS = tuple(f"tests/skincal/{room}" for room in ("axes", "contacts", "modules", "rig", "solver", "taxels"))
+ESTIMATE_TESTS = tuple(f"tests/skincal/{room}" for room in ("axes", "modules", "rig", "taxels"))
 """Tests of what is computed from pokes."""
 _OTHER_GROUPS = ("tests/app", *SESSION_TESTS, *SLOW_CORE_TESTS, *READER_TESTS, *ESTIMATE_TESTS)
 OTHER_CORE_TESTS = ("tests", *(f"--ignore={tests}" for tests in _OTHER_GROUPS))
@@ -41,12 +41,12 @@ CHECK_ARGUMENTS = {
         f"pytest of {name}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *arguments)
         for name, arguments in {
             "the window": ("tests/app", *(f"--ignore={folder}" for folder in WINDOW_PARTS)),
-            " ".join(SLOW_CORE_TESTS): SLOW_CORE_TESTS,
-            "the readers": READER_TESTS,
-            "sessions": SESSION_TESTS,
-            "the window's parts": WINDOW_PARTS,
-            "the core": OTHER_CORE_TESTS,
             "estimates": ESTIMATE_TESTS,
+            " ".join(SLOW_CORE_TESTS): SLOW_CORE_TESTS,
+            "the window's parts": WINDOW_PARTS,
+            "sessions": SESSION_TESTS,
+            "the core": OTHER_CORE_TESTS,
+            "the readers": READER_TESTS,
         }.items()
     },
     "pyright": ("-m", "pyright"),
