@@ -428,14 +428,17 @@ class ClosingGuide:
         rounds, asked = closing_rounds(snapshot, self._noise), None
         if rounds and not snapshot.decisions.closings[-1].ended and not rounds[-1].is_finished:
             asked = self._next(rounds, guidance, snapshot, pose)
-        return self.begun(guidance, snapshot, pose) if asked is None and is_due(snapshot, rounds) else asked
+        return self._first(rounds, guidance, snapshot, pose) if asked is None and is_due(snapshot, rounds) else asked
 
     def begun(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         """Add the first place of a check that begins now; `None` before it is enough, or if the check would have no place."""
+        return self._first(closing_rounds(snapshot, self._noise), guidance, snapshot, pose)
+
+    def _first(self, rounds: Sequence[ClosingProgress], guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
+        """Add the first place of a check after the checks `rounds`; as `begun`."""
         if not guidance.enough:
             return None
         last = int(snapshot.columns.numbers.max(initial=0))
-        rounds = closing_rounds(snapshot, self._noise)
         return self._next([*rounds, begin_check(ClosingRound(last), rounds)], guidance, snapshot, pose)
 
     def _next(self, rounds: Sequence[ClosingProgress], guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:

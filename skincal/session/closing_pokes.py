@@ -23,7 +23,10 @@ from skincal.session.snapshot import PokeRecord, Snapshot
 CLOSING_CHECK_MAX_POKES_PER_PLACE = 3
 """Largest number of pokes for each place in a closing check."""
 MIN_CONTACTS_BETWEEN_CLOSING_CHECKS = 10
-"""Contacts since the last closing check until the next one: fewer are not worth its three pokes."""
+"""Contacts since the last closing check until the next one: fewer are not worth its three pokes..."""
+MIN_SHARE_BETWEEN_CLOSING_CHECKS = 0.1
+"""...and neither are those that are a smaller share of the contacts before them. So a robot that pokes for days is asked for a
+check after a tenth more work each time, and their number grows with the logarithm of the contacts."""
 MAX_REPEATS_OF_DECIDING_PLACE = 2
 """Repeats of a place after a single deciding poke: 68 to 81 of 100 movements of 8 mm are reported, without them 47 to 67."""
 
@@ -166,8 +169,9 @@ def is_due(snapshot: Snapshot, rounds: Sequence[ClosingProgress]) -> bool:
     if not rounds:
         return True
     last = max(rounds[-1].pokes, default=snapshot.decisions.closings[-1].after)
-    columns = snapshot.columns
-    return int(np.count_nonzero(columns.counting & (columns.numbers > last))) >= MIN_CONTACTS_BETWEEN_CLOSING_CHECKS
+    counting = snapshot.columns.numbers[snapshot.columns.counting]
+    new = int(np.count_nonzero(counting > last))
+    return new >= max(MIN_CONTACTS_BETWEEN_CLOSING_CHECKS, MIN_SHARE_BETWEEN_CLOSING_CHECKS * (len(counting) - new))
 
 
 def strongest_of(snapshot: Snapshot, pokes: Collection[int]) -> set[int]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
+from math import ceil
 
 import numpy as np
 import pytest
@@ -14,11 +16,12 @@ from skincal.guide.guidance import GuidePhase
 from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo
 from skincal.part.part import lay_part
 from skincal.pokes import LandmarkPokes, Pokes
-from skincal.rig.closing import Closing, ClosingPlace, ClosingPlaces, closing_check
+from skincal.rig.closing import CLOSING_CHECK_PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
 from skincal.session.closing_pokes import (
     CLOSING_CHECK_MAX_POKES_PER_PLACE,
     MAX_REPEATS_OF_DECIDING_PLACE,
     MIN_CONTACTS_BETWEEN_CLOSING_CHECKS,
+    MIN_SHARE_BETWEEN_CLOSING_CHECKS,
     closing_rounds,
     closings_of,
     taxel_pokes,
@@ -412,13 +415,34 @@ def test_after_more_work_it_is_asked_for_again():
     it = Sessions(RigErrors.noise())
     it.close()
     pokes = simulate_contacts(it.rig, unguided(it.rig, 1, it.rng), it.rng, first_poke=it.session.last_poke + 1)
-    for contact in pokes[: MIN_CONTACTS_BETWEEN_CLOSING_CHECKS - 1]:
+    before = len(it.session.snapshot().contacts)
+    wait = max(MIN_CONTACTS_BETWEEN_CLOSING_CHECKS, ceil(MIN_SHARE_BETWEEN_CLOSING_CHECKS * before))
+    for contact in pokes[: wait - 1]:
         it.session.add(contact)
     assert it.look().phase is GuidePhase.ENOUGH
-    it.session.add(pokes[MIN_CONTACTS_BETWEEN_CLOSING_CHECKS - 1])
+    it.session.add(pokes[wait - 1])
     assert it.look().closing.number == 2
     it.close()
     assert [each.has_moved for each in it.verdict().closings] == [False, False]
+
+
+def test_after_days_of_work_checks_are_few():
+    """A check is asked for after a tenth more contacts, not after each ten."""
+    it = Sessions(RigErrors.noise())
+    pokes = simulate_contacts(it.rig, unguided(it.rig, 12, it.rng), it.rng, first_poke=it.session.last_poke + 1)
+    first, asked = len(it.session.snapshot().contacts), list[int]()
+    for contact in pokes:
+        it.session.add(contact)
+        if it.look().phase is GuidePhase.CLOSING:
+            it.session.act(BeginClosing())
+            it.session.act(SkipClosing("", ""))
+            asked.append(len(it.session.snapshot().contacts))
+    assert asked[0] == first + 1
+    assert asked[-1] > 500, "enough contacts to tell"
+    of_check = CLOSING_CHECK_MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES
+    for before, now in pairwise(asked):
+        least = max(MIN_CONTACTS_BETWEEN_CLOSING_CHECKS, MIN_SHARE_BETWEEN_CLOSING_CHECKS * before)
+        assert least <= now - before <= (1.0 + MIN_SHARE_BETWEEN_CLOSING_CHECKS) * of_check + least + 1.0
 
 
 def test_a_landmark_that_is_called_as_a_channel_is_no_taxel():
