@@ -124,7 +124,7 @@ class Robot:
         self.arm, self._rig = BodyArm(rig, surface, seed), rig
         self._answers: list[RobotLine | RobotChange | str] = [RobotChange.CAME]
         self._client = PokingClient(self.arm, surface, self._answers.append, replace(QUICK, frame=rig.scene.link))
-        self._rng, self._own, self._is_free = np.random.default_rng([seed, 1]), 1_000_000_000, False
+        self._own, self._is_free = 1_000_000_000 + seed, False
 
     def send(self, lines):
         for line in lines:
@@ -142,9 +142,9 @@ class Robot:
     def run(self, periods):
         for _ in range(periods):
             if self._is_free and self._client.phase is Phase.IDLE:
-                # When the guide has enough, the robot presses where it likes.
+                # When the guide has enough, the robot presses one taxel after another.
                 self._own += 1
-                row = int(self._rng.integers(len(self._rig.channels)))
+                row = self._own % len(self._rig.channels)
                 place, normal = self._rig.places[row], self._rig.normals[row]
                 self._client.receive_line(PokeTarget(self._own, None, place, -normal, frame=self._rig.scene.link))
             self._client.run_period()
