@@ -25,8 +25,8 @@ CLOSING_CHECK_MAX_POKES_PER_PLACE = 3
 MIN_CONTACTS_BETWEEN_CLOSING_CHECKS = 10
 """Contacts since the last closing check until the next one: fewer are not worth its three pokes..."""
 MIN_SHARE_BETWEEN_CLOSING_CHECKS = 0.1
-"""...and neither are those that are a smaller share of the contacts before them. So a robot that pokes for days is asked for a
-check after a tenth more work each time, and their number grows with the logarithm of the contacts."""
+"""...and neither are those that are a smaller share of the contacts before them. So the number of checks grows with the
+logarithm of the contacts of a robot that pokes for days."""
 MAX_REPEATS_OF_DECIDING_PLACE = 2
 """Repeats of a place after a single deciding poke: 68 to 81 of 100 movements of 8 mm are reported, without them 47 to 67."""
 
