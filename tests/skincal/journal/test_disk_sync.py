@@ -65,10 +65,14 @@ def test_a_slow_disk_does_not_delay_pokes_and_gets_the_bytes_first(live, tmp_pat
 def test_closing_waits_for_the_disk(live, tmp_path, monkeypatch):
     disk = Disk(tmp_path / "s", monkeypatch)
     feed(live, some_pokes(live.scene, 1))
-    waiting = threading.Timer(0.1, disk.go_on)
-    waiting.start()
+    wait = DiskSync.wait
+
+    def go_on_and_wait(sync):
+        disk.go_on()
+        wait(sync)
+
+    monkeypatch.setattr(DiskSync, "wait", go_on_and_wait)
     live.close()
-    waiting.join()
     assert [thread for thread, _, _ in disk.forced] == ["skincal-disk"] * 4 + ["MainThread"] * 2
     assert_same(live, load(tmp_path / "s"))
 
