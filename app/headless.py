@@ -51,7 +51,7 @@ def _draw(session: Session, method: str, path: Path) -> Path:
 
     # Before VTK is imported: on a machine without OpenGL that may fail, too.
     choose_offscreen()
-    from app.scene3d.offscreen import picture
+    from app.scene3d.session_picture import picture
 
     picture(session.scene.part, session.results.snapshot, Method(method), path)
     return path

@@ -10,13 +10,13 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QEvent, QObject, QSettings, QTimer, Signal
+from PySide6.QtCore import QObject, QSettings, QTimer, Signal
 from PySide6.QtGui import QAction
-from PySide6.QtWidgets import QApplication, QFileDialog, QFrame, QTabWidget, QWidget
+from PySide6.QtWidgets import QApplication, QFileDialog
 
-from app.commands import LAYER_NAMES, Commands
+from app.commands import Commands
 from app.dialogs.apply_dialog import ApplyDialog, offered_port
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.history_dialog import HistoryDialog
@@ -25,19 +25,13 @@ from app.dialogs.thresholds_dialog import ThresholdsDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
 from app.panels.devices import DevicesPanel, LinkChips
-from app.panels.docks import Docks
 from app.panels.errors_panel import ErrorsPanel
 from app.panels.inspect_panel import InspectPanel
-from app.panels.layouts import make_column, make_row
-from app.panels.now_panel import NowPanel
 from app.panels.panel import Panel
 from app.panels.pokes_panel import PokesPanel
 from app.panels.readings_panel import ReadingsPanel
 from app.panels.rig_panel import RigPanel
-from app.panels.taxel_map import MapCard, TaxelMap, quarter_turns
-from app.panels.widgets import POSITION_FILES, theme_colours, with_ending
-from app.scene3d.scene_state import StaticScene
-from app.scene3d.view import View3D
+from app.panels.widgets import POSITION_FILES, with_ending
 from app.session.controller import Controller
 from app.sound.cues import CueMemory, due_cue
 from app.state.memo import Memo
@@ -46,192 +40,56 @@ from app.state.tool_tip import tip_in_sensor
 from app.state.view_state import ViewState, focused_channel
 from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORT_IN_PROGRESS, REPORT_WORK, Message, report_words
-from app.text.now_text import Now, Tone, modules_enough_words
+from app.text.now_text import NowMemory, modules_enough_words, now_line
 from app.text.part_pose_text import tool_state, unplaced_note
 from app.text.rig_text import corrected_words, named_landmarks_words, offer_news, rig_state
-from app.text_size import scaled
-from app.theme import WIDGET_GAP_PX
 from skincal.files.formats import ExportOptions
-from skincal.following.guided_session import GuidedSession
 from skincal.following.review import Review
 from skincal.following.session_guide import ModulesEnough
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, Redo, Undo
 from skincal.model.errors import InputError
-from skincal.part.part import Part
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 from skincal.words.compare_words import saved_words
 from skincal.words.verdict_words import verdict_sentence
 
 if TYPE_CHECKING:
+    from app.workspace import Workspace
     from skincal.files.reference import TaxelPositions
     from skincal.guide.verdict import Verdict
 
 DIALOG_CHECK_PERIOD_MS = 300  # Time between tries to open the verdict while a dialog is open
 DEMO_VERDICT_DELAY_MS = 3000  # The demonstration shows that it is finished for this long before the verdict opens
 MAX_EVENT_AGE_FOR_SOUND_S = 0.3  # Older events make no sound: the hand does something else by now
-RIGHT_PX, MIN_RIGHT_PX = 430, 400
-"""Width of the right column at 1280 pixels, and the least that the titles of all tabs need at 100 %."""
 PANEL_TYPES: tuple[type[Panel], ...] = (
     ReadingsPanel, PokesPanel, InspectPanel, ComparePanel, DevicesPanel, ErrorsPanel, RigPanel,
 )  # fmt: skip
 """The tabs; the number of a tab is its key."""
-AnyPanel = TypeVar("AnyPanel", bound=Panel)
-
-
-class Workspace(QWidget):
-    """3D view on the left, map and tabs on the right, the status line below. Only visible parts are drawn."""
-
-    taxel_selected = Signal(int)
-    method_chosen = Signal(object)
-
-    def __init__(self, guided: GuidedSession) -> None:
-        super().__init__()
-        part, scene = guided.part, guided.part.scene
-        self.part, self.names, self.methods = part, guided.names, guided.methods
-        self.view = View3D()
-        self.now = NowPanel()
-        self._static = StaticScene(part)
-        self.map = TaxelMap(scene, part.channels, guided.names, quarter_turns(self._static))
-        self.panels = {kind.title: kind(guided) for kind in PANEL_TYPES}
-        # All widgets have their parents from the start: Qt applies the style sheet again to all in a widget that moves.
-        left = QWidget(self)
-        self._left_row = make_row((self.view, 1), within=left, margins=0, gap=WIDGET_GAP_PX)
-        self.card = MapCard(self, self.map, self.methods)
-        self._tabs_card = QFrame(self)
-        self._tabs_card.setObjectName("card")
-        self.tabs = QTabWidget(self._tabs_card, documentMode=True)
-        make_column(self.tabs, within=self._tabs_card, margins=1)
-        self.docks = Docks(self, left, self.card, self._tabs_card, self.tabs)
-        self._state: ViewState | None = None
-        self._was_placed = True  # The 3D view has no note
-        self._view_timer = QTimer(self, singleShot=True, interval=0)
-        """Updates the 3D view in an event of its own: together with a tick it would block the window twice as long."""
-        self._view_timer.timeout.connect(self._show_in_view)
-        self.view.taxel_picked.connect(self.taxel_selected)
-        self.map.taxel_clicked.connect(self.taxel_selected)
-        for panel in self.panels.values():
-            panel.taxel_wanted.connect(self.taxel_selected)
-            panel.comparison_changed.connect(self.view.set_comparison)
-        choice = self.card.methods
-        choice.activated.connect(lambda index: self.method_chosen.emit(choice.itemData(index)))
-
-    def panel(self, kind: type[AnyPanel]) -> AnyPanel:
-        return next(panel for panel in self.panels.values() if isinstance(panel, kind))
-
-    def make_next_plot(self) -> bool:
-        """Make a plot of the readings; return whether all are there, as `arrange` needs.
-
-        Not done in `__init__`, to keep the window responsive.
-        """
-        return self.panel(ReadingsPanel).make_next_curves()
-
-    def arrange(self) -> None:
-        """Lay the panels out, once. Not done in `__init__`, to keep the window responsive."""
-        for title, panel in self.panels.items():
-            self.tabs.addTab(panel, title)
-        self.tabs.setAccessibleName("tabs")
-        self.tabs.tabBar().setExpanding(True)
-        self.tabs.tabBar().setDrawBase(False)
-        self.view.setMinimumWidth(420)
-        self._fit_right()
-        self.docks.arrange(tuple(self.panels), RIGHT_PX)
-        make_column((self.docks, 1), self.now, within=self, margins=WIDGET_GAP_PX, gap=WIDGET_GAP_PX)
-        self.tabs.currentChanged.connect(self._show_tab)
-
-    def show_card(self, card: QWidget) -> None:
-        self._left_row.insertWidget(0, card)
-
-    def _fit_right(self) -> None:
-        for card in (self.card, self._tabs_card):
-            card.setMinimumWidth(scaled(MIN_RIGHT_PX))
-
-    def changeEvent(self, event: QEvent) -> None:
-        super().changeEvent(event)
-        if event.type() is QEvent.Type.FontChange:
-            self._fit_right()
-
-    def build_3d_view(self) -> None:
-        """Start to build the 3D view; call once the window is on the screen."""
-        self.view.build_scene(self._static)
-
-    def wait(self, headline: str, detail: str) -> None:
-        """Show a line in the status panel while there is no session yet."""
-        self.now.say(Now(Tone.WAIT, headline, detail))
-
-    def show_state(self, state: ViewState) -> None:
-        before, self._state = self._state, state
-        self.now.show_state(state)
-        is_changed = before is None or (before.revision, before.method) != (state.revision, state.method)
-        self.card.show_state(state, is_changed=is_changed)
-        # Started again, it would stay behind the ticks of a busy machine.
-        if not self._view_timer.isActive():
-            self._view_timer.start()
-        if not state.snapshot.is_placed or not self._was_placed:
-            self.view.set_note(unplaced_note(state, tip_in_sensor(state)))
-            self._was_placed = state.snapshot.is_placed
-        self._show_tab()
-
-    def _show_in_view(self) -> None:
-        if self._state is not None:
-            self.view.show_state(self._state)
-
-    def current_panel(self) -> Panel | None:
-        """Return the panel of the open tab; `None` before `arrange`."""
-        panel = self.tabs.currentWidget()
-        return panel if isinstance(panel, Panel) else None
-
-    def _show_tab(self, _index: int = -1) -> None:
-        if self._state is not None:
-            for panel in self.seen_panels():
-                panel.show_state(self._state)
-
-    def seen_panels(self) -> list[Panel]:
-        """Return the panel of the open tab, and those in windows of their own."""
-        current, detached = self.current_panel(), [self.panels[title] for title in self.docks.detached]
-        return [*([] if current is None else [current]), *detached]
-
-    def show_tab(self, title: str) -> None:
-        """Open the tab with this title, if there is one, or raise its window."""
-        if title in self.docks.detached:
-            self.docks.detached[title].raise_()
-            self.docks.detached[title].activateWindow()
-        elif title in self.panels:
-            self.tabs.setCurrentWidget(self.panels[title])
-
-    def show_numbered_tab(self, index: int) -> None:
-        self.show_tab(tuple(self.panels)[index])
-
-    def detach_current(self) -> None:
-        """Make the open tab a window of its own."""
-        panel = self.current_panel()
-        if panel is not None:
-            self.docks.detach(panel.title)
-
-    def recolour(self) -> None:
-        """Recolour what Qt's palette does not change."""
-        for panel in self.panels.values():
-            panel.recolour()
-        self.view.set_dark(theme_colours().dark)
 
 
 class SessionView(QObject):
-    """Everything of the window that exists while a session is open."""
+    """Everything of the window that exists while a session is open, except its page, the workspace."""
 
     said = Signal(object)  # `Message`
     unsaid = Signal(object)  # `Message` that is no longer true
     sound_due = Signal(object)  # `DueCue`
 
     def __init__(
-        self, part: Part, controller: Controller, commands: Commands, documents: Path, settings: QSettings, parent: QObject
+        self,
+        workspace: Workspace,
+        controller: Controller,
+        commands: Commands,
+        documents: Path,
+        settings: QSettings,
+        parent: QObject,
     ) -> None:
         super().__init__(parent)
         self._controller, self._commands, self._documents, self._settings = controller, commands, documents, settings
         self._moment: ViewState | None = None  # Of the newest tick, without the selection and what follows from it
         self._clock_offset_s = time.time() - time.monotonic()
-        self._cues = CueMemory()
-        self._rig = RigReview(has_arm=part.scene.arm is not None)
+        self._cues, self._now = CueMemory(), NowMemory()
+        self._rig = RigReview(has_arm=workspace.part.scene.arm is not None)
         self._may, self._diversity = Memo[Allowed](), Memo[AxisDiversity | None]()
         self._has_ended = False  # The demonstration has ended
         self._is_verdict_due = False  # It opens without a key
@@ -240,12 +98,13 @@ class SessionView(QObject):
         self.state: ViewState | None = None  # What is shown; `None` before the first tick
         self.selected: int | None = None
         assert controller.guided is not None
-        self.guided = controller.guided
-        self.workspace = Workspace(self.guided)
+        self.guided = guided = controller.guided
+        self.workspace = workspace
+        workspace.add_panels(guided, [kind(guided) for kind in PANEL_TYPES])
         self.chips = LinkChips()
-        self._modules_enough = ModulesEnough(self.guided.guide.plan, part.scene.noise.skin, self.guided.guide.surroundings)
+        self._modules_enough = ModulesEnough(guided.guide.plan, guided.part.scene.noise.skin, guided.guide.surroundings)
         self._enough_message: Message | None = None
-        self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
+        self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, guided.part.scene.link, self)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.show_numbered_tab)
         self._pokes = self.workspace.panel(PokesPanel)
         self._followed = (
@@ -259,7 +118,6 @@ class SessionView(QObject):
         workspace = self.workspace
         for signal, slot in self._followed:
             signal.connect(slot)
-        workspace.wait("opening", workspace.part.scene.name)
         workspace.taxel_selected.connect(self.select_taxel)
         workspace.method_chosen.connect(self.show_method)
         for panel in workspace.panels.values():
@@ -280,10 +138,17 @@ class SessionView(QObject):
         self._pokes.selection_changed.connect(self.refresh_allowed)
         self.picking.said.connect(self.said)
 
+    def make_next_plot(self) -> bool:
+        """Make a plot of the readings; return whether all are there, as `Workspace.arrange` needs.
+
+        Not done in `__init__`, to keep the window responsive.
+        """
+        return self.workspace.panel(ReadingsPanel).make_next_curves()
+
     def _begin_session(self, snapshot: Snapshot) -> None:
         """Show a newly opened session, which may already have pokes."""
         self._cues = CueMemory.from_snapshot(snapshot)
-        self.workspace.now.begin_session(snapshot)
+        self._now = NowMemory.from_snapshot(snapshot)
 
     # What is shown
 
@@ -317,7 +182,9 @@ class SessionView(QObject):
             # A spectator would not know that the demonstration is over.
             self._has_ended = self._is_verdict_due = True
             QTimer.singleShot(DEMO_VERDICT_DELAY_MS, self.workspace, self._show_due_verdict)
-        self.workspace.show_state(state)
+        now, self._now = now_line(self._now, state)
+        note = "" if state.snapshot.is_placed else unplaced_note(state, tip_in_sensor(state))
+        self.workspace.show_state(state, now, note)
         self.chips.show_state(state)
         for dialog in (self._history, self._thresholds):
             if dialog is not None:
@@ -384,10 +251,8 @@ class SessionView(QObject):
 
     def follow_switches(self) -> None:
         """Apply the switches of the View and Layers menus."""
-        is_on, view = self._commands.is_on, self.workspace.view
-        view.set_turning(is_on("turn"))
-        view.set_difference(is_on("difference"))
-        view.hide_layers(frozenset(name for name in LAYER_NAMES if not is_on(name)))
+        is_on = self._commands.is_on
+        self.workspace.follow_switches(is_on)
         if self.guided.guide.wanted != is_on("guide"):
             self.guided.guide.wanted = is_on("guide")
             self.follow_again()
@@ -663,8 +528,8 @@ class SessionView(QObject):
     # Opening and closing
 
     def restore(self) -> None:
-        """Restore the arrangement, the open tab and the choices of panels."""
-        self.workspace.docks.restore(self._settings)
+        """Restore the detached tabs, the open tab and the choices of panels."""
+        self.workspace.docks.restore_detached(self._settings)
         for panel in self.workspace.panels.values():
             panel.restore(self._settings)
         self.workspace.show_tab(str(self._settings.value("window/tab", "")))
@@ -681,7 +546,7 @@ class SessionView(QObject):
         self._settings.setValue("window/tab", current.title)
 
     def close(self) -> None:
-        """Release the 3D view, and remove this session's widgets from the window."""
+        """Follow the session no longer, and remove its dialogs and menu entries."""
         for signal, slot in self._followed:
             signal.disconnect(slot)
         self._followed = ()
@@ -693,4 +558,3 @@ class SessionView(QObject):
         for action in self._tab_actions:
             action.deleteLater()
         self._tab_actions = []
-        self.workspace.view.close_view()

@@ -43,7 +43,7 @@ from app.text.message import (
     tip_words,
     tip_written_words,
 )
-from app.text_size import TextSize
+from app.text_size import TextSize, scaled
 from app.theme import DARK, LIGHT, WIDGET_GAP_PX, Choice, Colours
 from skincal.model.errors import InputError
 
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from app.dialogs.messages_dialog import MessagesDialog
     from app.session_view import SessionView
     from app.state.policies import Allowed
+    from app.workspace import Workspace
     from skincal.part.part import Part
     from skincal.part.tool_draft import ToolDraft
     from skincal.session.importing import Imported
@@ -68,6 +69,7 @@ IMPORT_SCENE_SETTING = "import/scene"  # Scene of the last import
 FIELD_CLASSES = ("QLineEdit", "QComboBox", "QAbstractSpinBox", "QCheckBox", "QRadioButton")
 FUSION_BORDER_DARKNESS_PERCENT = 130
 """Fusion makes a border this much darker than the window, or a little more, which is visible on a light one only."""
+STATUS_BAR_HEIGHT_PX = 26  # At 100 %, with the signs of links
 FIRST_SIZE = QSize(1440, 860)  # Pixels, if the screen has them
 
 
@@ -181,7 +183,8 @@ class Window(QMainWindow):
         self.controller, self.player = controller, player
         self._theme, self._settings, self._documents = theme, settings, documents
         self.text_size = TextSize(settings, self)
-        self.session_view: SessionView | None = None
+        self.workspace: Workspace | None = None  # Page of the open session, from the loaded part on
+        self.session_view: SessionView | None = None  # From `guided_made` on
         self.builder: BuilderPage | None = None
         self.has_sound = True  # There is a sound device; true until the player has looked
         self._first_minute: FirstMinute | None = None
@@ -218,6 +221,7 @@ class Window(QMainWindow):
         bar.setSizeGripEnabled(False)
         bar.setContentsMargins(WIDGET_GAP_PX, 0, 0, 0)
         bar.addWidget(self.where, 1)
+        self._fit_status_bar()
         self.resize(FIRST_SIZE.boundedTo(self.screen().availableSize()))
         if self.size() != FIRST_SIZE:
             # The desktop's frame would push the lower edge off the screen.
@@ -225,6 +229,10 @@ class Window(QMainWindow):
         geometry = self._settings.value("window/geometry")
         if isinstance(geometry, QByteArray):
             self.restoreGeometry(geometry)
+
+    def _fit_status_bar(self) -> None:
+        """Leave the signs of the links their room before there is a link, so that they move nothing when they come."""
+        self.statusBar().setMinimumHeight(scaled(STATUS_BAR_HEIGHT_PX))
 
     def _connect(self) -> None:
         controller = self.controller
@@ -236,7 +244,8 @@ class Window(QMainWindow):
             lambda: self._offer("Go on with the simulated hand?", GO_ON_SIMULATED, "Go on", controller.simulate_again)
         )
         controller.recorded_elsewhere.connect(self._offer_to_look)
-        controller.part_loaded.connect(self._make_session_view)
+        controller.part_loaded.connect(self._show_part)
+        controller.guided_made.connect(lambda _: self._make_session_view())
         controller.session_opened.connect(lambda _: self.player.get_ready())
         controller.running_changed.connect(self._follow_running)
         self.messages.list_wanted.connect(self.show_messages)
@@ -247,6 +256,7 @@ class Window(QMainWindow):
         controller.stored.connect(self._show_storage)
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self.commands.update_actions)
+        self.text_size.changed.connect(self._fit_status_bar)
         self.opening.command_wanted.connect(lambda name: self.commands.actions[name].trigger())
         dropped = DropTarget(self)
         dropped.request_made.connect(self.open)
@@ -265,49 +275,68 @@ class Window(QMainWindow):
 
     # Signals of the controller
 
-    def _make_session_view(self, part: Part) -> None:
-        from app.session_view import SessionView
+    def _show_part(self, part: Part) -> None:
+        """Show the part of the session that is being opened. All else waits for its picture."""
+        from app.workspace import Workspace
 
         self._drop_session()
-        self.session_view = view = SessionView(part, self.controller, self.commands, self._documents, self._settings, self)
+        self.workspace = workspace = Workspace(part)
+        self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
+        if not self._settings.value(OWN_SCENE_SETTING, False, type=bool):
+            self._settings.setValue(OWN_SCENE_SETTING, not is_shipped(part.scene.path))
+        workspace.view.ready.connect(self.view_ready)
+        workspace.view.settled.connect(self.controller.guide_part)
+        workspace.docks.restore(self._settings)
+        workspace.follow_switches(self.commands.is_on)
+        workspace.recolour()
+        self._show_first_minute(workspace)
+        self.stack.addWidget(workspace)
+        self.stack.setCurrentWidget(workspace)
+        # With the workspace as its context Qt calls nothing once that is gone.
+        QTimer.singleShot(0, workspace, workspace.build_3d_view)
+
+    def _show_first_minute(self, workspace: Workspace) -> None:
+        """Show newcomers what the demonstration is."""
+        if not self.controller.demo or self._settings.value("window/told", False, type=bool):
+            return
+        self._first_minute = FirstMinute(robot=not self.controller.pace, has_tool=self.has_tool)
+        workspace.show_card(self._first_minute)
+        # Esc closes the card first: one thing at a time says so.
+        self.messages.show_key(wanted=False)
+        self._first_minute.closed.connect(lambda: self.messages.show_key(wanted=True))
+        # Now: a window that is closed within the minute has shown it, too.
+        self._settings.setValue("window/told", True)
+
+    def _make_session_view(self) -> None:
+        from app.session_view import SessionView
+
+        if self.workspace is None:
+            return
+        self.session_view = view = SessionView(
+            self.workspace, self.controller, self.commands, self._documents, self._settings, self
+        )
         view.said.connect(self.tell)
-        view.workspace.view.ready.connect(self.view_ready)
         view.sound_due.connect(lambda due: self.player.play(due.sound, due.word))
         view.unsaid.connect(self.messages.withdraw)
         view.picking.unsaid.connect(self.messages.withdraw)
-        self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
         # Making the panels, their plots, laying them out and showing them would together block the window too long.
         QTimer.singleShot(0, view, lambda: self._make_plots(view))
 
     def _make_plots(self, view: SessionView) -> None:
         if view is self.session_view:
-            next_step = self._arrange_session if view.workspace.make_next_plot() else self._make_plots
+            next_step = self._arrange_session if view.make_next_plot() else self._make_plots
             QTimer.singleShot(0, view, lambda: next_step(view))
 
     def _arrange_session(self, view: SessionView) -> None:
         if view is self.session_view:
             view.workspace.arrange()
+            view.restore()
             QTimer.singleShot(0, view, lambda: self._show_session(view))
 
     def _show_session(self, view: SessionView) -> None:
         if view is self.session_view:
-            if not self._settings.value(OWN_SCENE_SETTING, False, type=bool):
-                self._settings.setValue(OWN_SCENE_SETTING, not is_shipped(view.workspace.part.scene.path))
-            view.restore()
             view.recolour()
             self.statusBar().addPermanentWidget(view.chips)
-            self.stack.addWidget(view.workspace)
-            self.stack.setCurrentWidget(view.workspace)
-            # With the workspace as its context Qt calls nothing once that is gone.
-            QTimer.singleShot(0, view.workspace, view.workspace.build_3d_view)
-            if self.controller.demo and not self._settings.value("window/told", False, type=bool):
-                self._first_minute = FirstMinute(robot=not self.controller.pace, has_tool=self.has_tool)
-                view.workspace.show_card(self._first_minute)
-                # Esc closes the card first: one thing at a time says so.
-                self.messages.show_key(wanted=False)
-                self._first_minute.closed.connect(lambda: self.messages.show_key(wanted=True))
-                # Now: a window that is closed within the minute has shown it, too.
-                self._settings.setValue("window/told", True)
 
     def _follow_running(self, running: Running) -> None:
         self._show_opening()
@@ -319,7 +348,7 @@ class Window(QMainWindow):
 
     def _show_opening(self) -> None:
         # The panels of a session come some moments after its part.
-        is_opening = self.controller.running is Running.OPENING or self.session_view is not None
+        is_opening = self.controller.running is Running.OPENING or self.workspace is not None
         is_new_here = not self._settings.value(OWN_SCENE_SETTING, False, type=bool)
         words = "Opening …" if is_opening else "No session is open."
         self.opening.show_words(words, offers=not is_opening, part_first=is_new_here)
@@ -331,15 +360,15 @@ class Window(QMainWindow):
     def _show_storage(self, words: str) -> None:
         self.where.setText(words)
         if self.controller.folder is not None:
-            part = "" if self.session_view is None else self.session_view.workspace.part.scene.name
+            part = "" if self.workspace is None else self.workspace.part.scene.name
             self.recent.remember(self.controller.folder, part)
         self.commands.update_actions()
 
     def _message_place(self) -> QWidget:
         """Return the widget whose upper edge messages may cover: the 3D view, since no field or button is there."""
         page = self.stack.currentWidget()
-        if self.session_view is not None and page is self.session_view.workspace:
-            return self.session_view.workspace.view
+        if self.workspace is not None and page is self.workspace:
+            return self.workspace.view
         return self.builder.view if self.builder is not None and page is self.builder else self.stack
 
     def tell(self, message: Message) -> None:
@@ -355,6 +384,8 @@ class Window(QMainWindow):
         self.messages.show_newest()
         if self.session_view is not None:
             self.session_view.recolour()
+        elif self.workspace is not None:
+            self.workspace.recolour()
         if self.builder is not None:
             self.builder.recolour()
 
@@ -437,7 +468,7 @@ class Window(QMainWindow):
         self._ask_devices(self._scene_path(), paused=self._lend_devices())
 
     def _scene_path(self) -> Path | None:
-        return None if self.session_view is None else self.session_view.workspace.part.scene.path
+        return None if self.workspace is None else self.workspace.part.scene.path
 
     def _new_folder(self) -> Path:
         return dated_folder(self._documents, datetime.now().astimezone())
@@ -477,7 +508,7 @@ class Window(QMainWindow):
     @property
     def has_tool(self) -> bool:
         """Whether the open session is about a part that a tool pokes, whose poses are streamed."""
-        return self.session_view is not None and self.session_view.workspace.part.scene.tool is not None
+        return self.workspace is not None and self.workspace.part.scene.tool is not None
 
     def ask_fixed_point(self) -> None:
         """Find the tip of the tool by touches of one point; the devices of the session are released meanwhile."""
@@ -655,8 +686,8 @@ class Window(QMainWindow):
     def reset_camera(self) -> None:
         if self.builder is not None:
             self.builder.view.reset_camera()
-        elif self.session_view is not None:
-            self.session_view.workspace.view.reset_camera()
+        elif self.workspace is not None:
+            self.workspace.view.reset_camera()
 
     def ask_pedals(self) -> None:
         from app.dialogs.pedals import PedalsDialog
@@ -816,16 +847,20 @@ class Window(QMainWindow):
     def _drop_session(self) -> None:
         self._drop_builder()
         view, self.session_view = self.session_view, None
+        workspace, self.workspace = self.workspace, None
         self._first_minute = None
         self.messages.show_key(wanted=True)
         if view is not None:
-            self._drop_messages()
             view.save()
             view.close()
-            self.stack.removeWidget(view.workspace)
             self.statusBar().removeWidget(view.chips)
-            for gone in (view.workspace, view.chips, view):
+            for gone in (view.chips, view):
                 gone.deleteLater()
+        if workspace is not None:
+            self._drop_messages()
+            workspace.view.close_view()
+            self.stack.removeWidget(workspace)
+            workspace.deleteLater()
             self.commands.update_actions()
 
     def closeEvent(self, event: QCloseEvent) -> None:
@@ -847,6 +882,8 @@ class Window(QMainWindow):
         if self.session_view is not None:
             self.session_view.save()
             self.session_view.close()
+        if self.workspace is not None:
+            self.workspace.view.close_view()
         if self.builder is not None:
             self.builder.close_page()
         self.controller.close()

@@ -14,7 +14,7 @@ import pytest
 
 from app.session.opening import server_command
 from skincal.model.scene import resource
-from skincal.robot.target_server import LOOPBACK_ADDRESS, TargetServer
+from skincal.robot.target_server import LOOPBACK_ADDRESS, TargetServer, open_port
 from tools import checkout, install
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -91,7 +91,7 @@ def test_processes_of_a_study_run_nothing_of_the_working_folder(poisoned):
 
 
 def test_the_simulated_devices_run_nothing_of_the_working_folder(poisoned):
-    with closing(TargetServer(LOOPBACK_ADDRESS, 0)) as asking:
+    with closing(TargetServer(open_port(LOOPBACK_ADDRESS, 0))) as asking:
         command = (*server_command(resource("scenes/flat-patch/scene.toml")), "--targets", f"{asking.port}")
         links = links_served(poisoned, command)
     assert {link["name"] for link in links} >= {"wrench", "skin"}

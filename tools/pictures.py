@@ -44,7 +44,7 @@ from app.headless import SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED
 from app.panels.message_bar import MAX_QUEUED_MESSAGES
 from app.panels.widgets import ElidedLabel
 from app.run import robot_demo
-from app.scene3d.offscreen import picture
+from app.scene3d.session_picture import picture
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, find_scene, server_command
 from app.sound.player import Player

@@ -43,7 +43,7 @@ class PanelDock(QDockWidget):
 
 
 class Docks(QMainWindow):
-    """A middle, a map and tabs; `width` is that of the right column in pixels at the first arrangement."""
+    """A middle, a map and tabs."""
 
     detached_changed = Signal()
 
@@ -59,10 +59,14 @@ class Docks(QMainWindow):
         self._before_enlarging: QByteArray | None = None
         tabs.tabBarDoubleClicked.connect(lambda index: self.detach(tabs.tabText(index)))
 
-    def arrange(self, titles: Sequence[str], right_px: int) -> None:
-        """Put the docks at their first places; `titles` are those of all tabs, in order."""
-        self._titles, self._right_px = tuple(titles), right_px
+    def arrange(self, right_px: int) -> None:
+        """Put the docks at their first places; the right column is `right_px` wide at 100 %."""
+        self._right_px = right_px
         self.restore_first()
+
+    def name_tabs(self, titles: Sequence[str]) -> None:
+        """Take the titles of all tabs, in order."""
+        self._titles = tuple(titles)
 
     def restore_first(self) -> None:
         """Restore the first arrangement: map above tabs at the right, all tabs in their places."""
@@ -128,9 +132,14 @@ class Docks(QMainWindow):
 
     def restore(self, settings: QSettings) -> None:
         """Restore the arrangement of the last session, if it is of this version."""
-        kept = settings.value(DETACHED_SETTING, [])
-        for title in [kept] if isinstance(kept, str) else kept if isinstance(kept, list) else []:
-            self.detach(str(title))
         state = settings.value(DOCKS_SETTING)
         if isinstance(state, QByteArray) and not self.restoreState(state, ARRANGEMENT_VERSION):
             self.restore_first()
+
+    def restore_detached(self, settings: QSettings) -> None:
+        """Detach the tabs that had windows of their own in the last session, each at its former place."""
+        kept = settings.value(DETACHED_SETTING, [])
+        for title in [kept] if isinstance(kept, str) else kept if isinstance(kept, list) else []:
+            self.detach(str(title))
+        if self.detached:
+            self.restore(settings)

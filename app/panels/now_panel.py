@@ -5,6 +5,8 @@ It must be readable from two metres, and without colours.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
@@ -13,13 +15,13 @@ from PySide6.QtWidgets import QFrame, QLabel, QSizePolicy
 from app.panels.layouts import make_column, make_row
 from app.panels.top_view import DIAL_RADIUS_M, TopView, top_view
 from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, escape_tooltip, mix, set_bold
-from app.state.view_state import ViewState
-from app.text.now_text import Now, NowMemory, Tone, now_line
+from app.text.now import Now, Tone
 from app.theme import HEADLINE_FONT_SIZE_PT, RESULT_FONT_SIZE_PT, WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray
-from skincal.guide.press_coaching import max_angle_error
-from skincal.session.snapshot import Snapshot
 from skincal.words.units import degrees, millimetres, newtons
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
 
 STATUS_ICON_SIZE_PX = 52
 FORCE_GAUGE_WIDTH_PX = 170
@@ -62,7 +64,7 @@ class Dial(Painted):
         if guidance is None or target is None:
             return
         coaching = state.coaching
-        view = top_view(guidance, target, coaching, max_angle_error(guidance), state.eye)
+        view = top_view(guidance, target, coaching, state.max_angle_error, state.eye)
         key = self._key_of(view, None if coaching is None else coaching.landed)
         if key != self._key:
             self._key, self._view = key, view
@@ -248,7 +250,6 @@ class NowPanel(QFrame):
     def __init__(self) -> None:
         super().__init__()
         self.setObjectName("card")
-        self._memory = NowMemory()
         self._now = Now(Tone.CALM, "")
         self.sign = Sign()
         self.result = FittedLabel()
@@ -277,12 +278,7 @@ class NowPanel(QFrame):
             "poke or key. The ring fills while a poke is held still. The bar is the force; in the lighter band a poke counts."
         )
 
-    def begin_session(self, snapshot: Snapshot) -> None:
-        """Show a newly opened session, which may already have pokes."""
-        self._memory = NowMemory.from_snapshot(snapshot)
-
-    def show_state(self, state: ViewState) -> None:
-        now, self._memory = now_line(self._memory, state)
+    def show_state(self, state: ViewState, now: Now) -> None:
         self.dial.show_state(state)
         self.simulated.setText(state.simulated)
         progress, limits = state.live.progress, state.scene.contacts

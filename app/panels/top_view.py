@@ -6,16 +6,19 @@ A push direction is drawn at the upper end of its tool: as far out as the sine o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.scene3d.lines import DRAWN_TOOL_LENGTH_M, cone_rim
 from app.state.camera_pose import CameraPose
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.guidance import Guidance, Target
-from skincal.guide.press_coaching import PokeError
-from skincal.guide.progress import AxisDiversity, GuideSettings
 from skincal.taxels.result import Method
+
+if TYPE_CHECKING:
+    from skincal.guide.guidance import Guidance, Target
+    from skincal.guide.press_coaching import PokeError
+    from skincal.guide.progress import AxisDiversity
 
 DIAL_RADIUS_M = 0.022  # m. Half the width of the dial: a tool that leans by 39 degrees ends at its rim.
 RIM_SINE = float(np.sin(np.radians(45.0)))
@@ -108,6 +111,8 @@ def diversity_view(diversity: AxisDiversity, method: Method, eye: CameraPose) ->
     else:
         dots, middle = diversity.offsets @ axes.T / CONTACT_PLOT_RADIUS_M, diversity.beside @ axes.T / CONTACT_PLOT_RADIUS_M
         # The modules method needs no contacts around each taxel.
+        from skincal.guide.progress import GuideSettings  # the dial does without
+
         limit = GuideSettings().balance / CONTACT_PLOT_RADIUS_M if method is Method.SURFACE else 0.0
         shade = np.zeros((SHADE_POINTS_PER_SIDE, SHADE_POINTS_PER_SIDE))
         wanted = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyvista as pv
@@ -10,13 +11,14 @@ import pyvista as pv
 from app.scene3d.lines import DRAWN_TOOL_LENGTH_M
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, WITHIN, Dots, Layer, Segments
 from app.scene3d.scene_state import SceneColours, StaticScene
-from app.state.view_state import ViewState
-from skincal.contacts.outcome import Contact, Progress
+from skincal.contacts.outcome import PRESSING_PHASES, Contact, Progress
 from skincal.geometry import FloatArray
-from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.mesh.surface import contact_point
 from skincal.pokes import Pokes
-from skincal.session.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
+    from skincal.session.snapshot import Snapshot
 
 MAX_DRAWN_FORCE_AXES = 30  # Axes of the selected taxel: more are a tangle, and the newest count most
 AXIS_LENGTH_BEYOND_CONTACT_M = 0.012  # m. Length of an axis beyond the contact: enough depth to see where axes cross.

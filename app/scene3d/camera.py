@@ -15,14 +15,15 @@ import numpy as np
 
 from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M
 from app.state.camera_pose import CameraPose
-from app.state.view_state import ViewState
+from skincal.contacts.outcome import PRESSING_PHASES
 from skincal.geometry import FloatArray, cross_matrix
-from skincal.guide.guidance import Target
-from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.mesh.surface import Surface, point_on_skin
 
 if TYPE_CHECKING:
     from vtkmodules.vtkRenderingCore import vtkCamera
+
+    from app.state.view_state import ViewState
+    from skincal.guide.guidance import Target
 
 CAMERA_VIEW_ANGLE_DEG = 24.0  # Narrow, so that sizes compare across the part, but wide enough to show depth
 VIEW_SLOPE = float(np.tan(np.radians(CAMERA_VIEW_ANGLE_DEG / 2)))

@@ -8,6 +8,8 @@ window's thread and makes the widget.
 from __future__ import annotations
 
 import sys
+import threading
+from contextlib import suppress
 from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -15,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent
 from PySide6.QtWidgets import QWidget
 
-from app.scene3d.drawing_probe import DrawingProbe, start_egl_probe
+from app.scene3d.drawing_probe import DrawingProbe, choose_offscreen, start_egl_probe
 from app.scene3d.pyvista_import import import_plotter
 from app.text_size import text_scale
 from skincal.model.errors import InputError
@@ -66,6 +68,25 @@ def get_ready() -> None:
     """Choose the canvas, and start what its first picture waits for; takes as long as `best_canvas`."""
     if best_canvas() is Canvas.RASTER:
         early_egl_probe()
+    # Not a daemon: a program that ends while VTK is loaded crashes.
+    threading.Thread(target=_import_early, args=(best_canvas(),), name="skincal-libraries").start()
+
+
+def _import_early(canvas: Canvas) -> None:
+    # The view of the part imports them again, and says what is missing.
+    with suppress(Exception):
+        import_libraries(canvas)
+
+
+def import_libraries(canvas: Canvas) -> None:
+    """Import what draws a picture of a session; takes long the first time."""
+    import_plotter()
+    if canvas is Canvas.OPENGL:
+        # pyvista imports the widgets only as it makes an interactor, in the window's thread: here they block nothing.
+        import pyvistaqt  # noqa: F401
+        import vtkmodules.vtkInteractionWidgets  # noqa: F401
+    import app.scene3d.offscreen
+    import app.scene3d.scene_renderer  # noqa: F401
 
 
 class RasterCanvas(QWidget):
@@ -144,19 +165,14 @@ def load(
     if static.surface is not None:
         # The ring on the skin asks for these first: computed on demand, they would block the window.
         _ = static.surface.centres, static.surface.radii
+    egl_probe = early_egl_probe() if canvas is Canvas.RASTER else None
+    # Meanwhile the child tries to draw.
+    import_libraries(canvas)
     if canvas is Canvas.OPENGL:
-        import_plotter()
-        # pyvista imports the widgets only as it makes an interactor, in the window's thread: here they block nothing.
-        import pyvistaqt  # noqa: F401
-        import vtkmodules.vtkInteractionWidgets  # noqa: F401
-
         _renderer_class(static)
         return None
-    egl_probe = early_egl_probe()
-    # Meanwhile the child tries to draw.
-    import_plotter()
     from app.scene3d.mesh_actors import window_of
-    from app.scene3d.offscreen import choose_offscreen, make_plotter
+    from app.scene3d.offscreen import make_plotter
 
     try:
         choose_offscreen(egl_probe)

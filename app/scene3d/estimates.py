@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import compress, count, repeat
 from operator import attrgetter, is_, is_not
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pyvista as pv
@@ -22,10 +22,11 @@ from app.scene3d.camera import facing
 from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, WITHIN, Dots, Layer, MeshActor, Segments
 from app.scene3d.scene_state import ColourArray, Comparison, SceneColours, StaticScene
-from app.state.view_state import ViewState
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
-from skincal.taxels.shared_errors import known_error
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
 
 _POSITION_OF, _STATE_OF, _COVARIANCE_OF = attrgetter("position"), attrgetter("state"), attrgetter("covariance")
 BALL_PX = (5.0, 34.0)  # Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other
@@ -229,6 +230,8 @@ class UncertaintyLayer(Layer):
         """Return the rows of taxels whose uncertainty regions are drawn: not all, since many would hide the taxels."""
         if self.comparison is not None:
             return []
+        from skincal.taxels.shared_errors import known_error  # the first picture has no estimate
+
         estimated = map(is_not, map(_COVARIANCE_OF, state.estimates), repeat(None))
         errors = ((row, known_error(e, state.snapshot.part_size)) for row, e in compress(enumerate(state.estimates), estimated))
         known = {row: error for row, error in errors if error is not None}

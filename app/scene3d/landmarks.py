@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pyvista as pv
 
@@ -9,12 +11,13 @@ from app.scene3d.camera import facing
 from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, Segments
 from app.scene3d.scene_state import StaticScene
-from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
-from skincal.mesh.surface import Surface
-from skincal.model.scene import Landmark
-from skincal.session.landmark_pokes import landmark_normals
-from skincal.session.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
+    from skincal.mesh.surface import Surface
+    from skincal.model.scene import Landmark
+    from skincal.session.snapshot import Snapshot
 
 LANDMARK_DIAMOND_RADIUS_M = 2.6e-3
 """m. From the middle of a diamond to its corners: a screw's head, and well inside the target's ring."""
@@ -81,6 +84,8 @@ def poked_here(snapshot: Snapshot, pose: str) -> frozenset[str]:
 
 def normals_of(landmarks: tuple[Landmark, ...], surface: Surface | None) -> FloatArray:
     """Return the outward normal at each of n landmarks, (n, 3) float, unit: the link's z where it is unknown."""
+    from skincal.session.landmark_pokes import landmark_normals  # the first picture has no landmark
+
     up = np.array([0.0, 0.0, 1.0])
     found = landmark_normals(landmarks, surface)
     return np.array([up if normal is None else normal for normal in found]).reshape(-1, 3)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import pyvista as pv
@@ -17,8 +17,10 @@ from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
 from app.scene3d.camera import Viewpoint
 from app.scene3d.scene_state import DARK, Colour, ColourArray, Comparison, SceneColours, StaticScene
-from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
 
 PART, WITHIN, FRONT = 0, 1, 2  # Columns of the plotter's grid, drawn in this order
 NO_POINTS: FloatArray = np.empty((0, 3))

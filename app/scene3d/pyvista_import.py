@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import threading
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ LATE_DOWNLOADER = "pooch"
 """Names of the modules that stand-ins replace."""
 DEFAULT_MAP = "viridis"
 """Default colour map of pyvista's themes."""
+
+_IMPORT_LOCK = threading.Lock()
 
 
 class LateModule(ModuleType):
@@ -78,9 +81,13 @@ def map_to_grey(shares: FloatArray) -> FloatArray:
 
 
 def import_plotter() -> None:
-    """Import `pyvista.plotting`; does nothing if it is imported."""
-    if "pyvista.plotting" in sys.modules:
-        return
+    """Import `pyvista.plotting`; does nothing if it is imported, and waits for another thread that imports it."""
+    with _IMPORT_LOCK:
+        if not hasattr(sys.modules.get("pyvista"), "plotting"):
+            _import_plotter()
+
+
+def _import_plotter() -> None:
     late: dict[str, LateModule] = {}
     maps = LateMaps(LateModule("matplotlib"))
     if not any(name in sys.modules for name in LATE_FIGURES):

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pyvista as pv
 
 from app.scene3d.mesh_actors import NO_POINTS, WITHIN, Dots, Layer, Segments
 from app.scene3d.scene_state import StaticScene
-from app.state.view_state import ViewState
-from skincal.robot.target_lines import TipPose
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
+    from skincal.robot.target_lines import TipPose
 
 DRAWN_ROBOT_TOOL_LENGTH_M = 0.08  # m of the tool that are drawn
 BALL_PX, LINE_PX = 18.0, 5.0

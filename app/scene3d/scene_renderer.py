@@ -6,6 +6,7 @@ Only the layers that the scene supports are built: without a mesh no surface lay
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyvista as pv
@@ -26,9 +27,10 @@ from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
 from app.scene3d.robot_tip import RobotTipLayer
 from app.scene3d.scene_state import DEFAULT_VIEW_HALF_HEIGHT_M, Comparison, SceneColours, StaticScene
 from app.scene3d.target import TargetLayer
-from app.scene3d.tool import ToolLayer
-from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
 
 MIN_VIEW_HALF_HEIGHT_M = 0.015  # m, of the view: half a module
 FIRST_LEAN_DEG = (-14.0, -10.0)  # The first view is this far off straight, so that depth can be seen
@@ -95,8 +97,7 @@ class SceneRenderer:
         hints = HintsLayer(plotter, static)
         hints.frame = static.scene.link
         others = (self.estimates, AxesLayer(plotter, static), UncertaintyLayer(plotter, static), self.target, self.landmarks)
-        tool = () if static.scene.tool is None else (ToolLayer(plotter, static),)
-        return (*layers, *others, *self._turns(), self.compare, hints, RobotTipLayer(plotter, static), *tool)
+        return (*layers, *others, *self._turns(), self.compare, hints, RobotTipLayer(plotter, static), *self._tool())
 
     def _turns(self) -> Sequence[Layer]:
         if self.static.scene.skin.axes is None:
@@ -104,6 +105,13 @@ class SceneRenderer:
         from app.scene3d.taxel_axes import TaxelAxesLayer  # other skins do without
 
         return (TaxelAxesLayer(self.plotter, self.static, self.estimates),)
+
+    def _tool(self) -> Sequence[Layer]:
+        if self.static.scene.tool is None:
+            return ()
+        from app.scene3d.tool import ToolLayer  # other parts do without
+
+        return (ToolLayer(self.plotter, self.static),)
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""

@@ -7,6 +7,7 @@ the ring.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyvista as pv
@@ -14,11 +15,13 @@ import pyvista as pv
 from app.scene3d.lines import DRAWN_TOOL_LENGTH_M, closed, cone_rim, tangents
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, MeshActor, Segments, Solid
 from app.scene3d.scene_state import StaticScene
-from app.state.view_state import ViewState
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Target
 from skincal.mesh.surface import point_on_skin
 from skincal.words.units import ChannelNames
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
+    from skincal.guide.guidance import Target
 
 TARGET_RING_RADIUS_M = 4.6e-3  # m: around the rings of a selected taxel, and below the distance to the next one
 CORE_RADIUS, OUTLINE_RADIUS = 0.36e-3, 0.75e-3

@@ -5,6 +5,8 @@ An axis is drawn once it is known: without a poke that leans, z alone. Taxels on
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pyvista as pv
 
@@ -12,9 +14,11 @@ from app.scene3d.camera import facing
 from app.scene3d.estimates import EstimatesLayer
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, Layer, Segments
 from app.scene3d.scene_state import ColourArray, SceneColours, StaticScene, TaxelAxes, rgb
-from app.state.view_state import ViewState
 from skincal.axes.session_turns import ShownTurn
 from skincal.geometry import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
 
 AXIS_LENGTH_OVER_SPACING = 0.6
 MAX_AXIS_LENGTH_M = 4e-3

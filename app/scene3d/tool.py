@@ -5,14 +5,18 @@ It is drawn once the part's pose in the base is known: until then the two have n
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pyvista as pv
 
 from app.scene3d.mesh_actors import NO_POINTS, WITHIN, Dots, Layer, Segments
 from app.scene3d.scene_state import ColourArray, SceneColours, StaticScene, rgb
 from app.state.tool_tip import tip_in_sensor
-from app.state.view_state import ViewState
 from skincal.geometry import FloatArray, inverse_pose
+
+if TYPE_CHECKING:
+    from app.state.view_state import ViewState
 
 TIP_BALL_PX, SHAFT_PX, TOOL_AXIS_PX = 16.0, 5.0, 2.5
 TOOL_AXIS_LENGTH_M = 0.025

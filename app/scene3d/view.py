@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, Signal
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
@@ -18,7 +18,6 @@ from app.scene3d import camera
 from app.scene3d.canvas import Canvas, best_canvas, load, mount, release
 from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene
 from app.state.camera_pose import PLAIN_POSE, CameraPose
-from app.state.view_state import ViewState
 from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
@@ -26,6 +25,7 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from app.scene3d.canvas import AnyCanvas
     from app.scene3d.scene_renderer import SceneRenderer
+    from app.state.view_state import ViewState
 
 LOG = logging.getLogger(__name__)
 VTK_CLOSE_TIMEOUT_S = 60.0  # Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes
@@ -127,6 +127,7 @@ class View3D(QWidget):
     surface_picked = Signal(object)
     """(3,) float, metres, link frame: the point of the part that was clicked while one was wanted (`set_picking`)."""
     ready = Signal()  # The picture is there
+    settled = Signal()  # The picture is there, or why there is none
 
     def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
         super().__init__(parent)
@@ -171,8 +172,14 @@ class View3D(QWidget):
                 # Any error of a driver or a library: the session goes on without the picture.
                 raise InputError(f"There is no 3D view: {error}\n\nEverything else works.") from error
 
-        self._threads = ThreadService("scene3d", self)
-        self._threads.submit(work, self._mount, failed=self._message.setText, dropped=release)
+        self._threads = threads = ThreadService("scene3d", self)
+        threads.submit(work, self._mount, self._message.setText, release, ended=lambda: self._settle(threads))
+
+    def _settle(self, threads: ThreadService) -> None:
+        """Emit `settled` once the picture is painted, unless the view was closed meanwhile."""
+        if threads is self._threads:
+            # Qt paints what was requested before this.
+            QTimer.singleShot(0, self, self.settled.emit)
 
     def _pixels(self) -> tuple[int, int]:
         """Size in device pixels, at least 1."""
@@ -291,9 +298,9 @@ class View3D(QWidget):
 
     def close_view(self) -> None:
         """Stop the 3D view and release its resources; the empty widget stays. Safe at any time and more than once."""
-        if self._threads is not None:
-            self._threads.close(VTK_CLOSE_TIMEOUT_S)
-            self._threads = None
+        threads, self._threads = self._threads, None
+        if threads is not None:
+            threads.close(VTK_CLOSE_TIMEOUT_S)
         if self._renderer is not None:
             self._renderer.close()
         if self._canvas is not None:

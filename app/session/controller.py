@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -57,7 +58,7 @@ DEMO_FIRST_MODULE_POKES = 2
 """The demonstration shows the taxels of a module within seconds; in any other session the landmarks come first."""
 EMPTY_SESSION_MAX_S = 300.0
 """s. A new session without a poke that ends earlier is not kept; readings of a longer time may be wanted."""
-ANY_PORT = "0"  # The system chooses a free port
+ANY_PORT = ("127.0.0.1", 0)  # The system chooses a free port, for programs of this machine
 
 
 def _make_folder(folder: Path) -> None:
@@ -73,8 +74,15 @@ def _session_size(pipeline: Pipeline) -> tuple[Sequence[HistoryEntry], int]:
 
 
 def _import_targets() -> None:
-    """Import what asks a robot, with numpy: in the window's thread the window would not answer for 0.2 s."""
+    """Import what asks a robot: in the window's thread the window would not answer for 0.1 s."""
     import skincal.robot.targets  # noqa: F401
+
+
+def _load_part(scene: Path | None) -> Part:
+    """Load the part of a scene, by default of the default scene."""
+    from skincal.part.part import load_part
+
+    return load_part(find_scene(scene))
 
 
 def _drop(pipeline: Pipeline, storage: SessionFolder) -> None:
@@ -94,7 +102,8 @@ class Controller(QObject):
     documents : folder of the sessions
     """
 
-    part_loaded = Signal(object)  # `Part`: the scene is loaded
+    part_loaded = Signal(object)  # `Part`: its picture can be drawn; `guide_part` goes on
+    guided_made = Signal(object)  # `GuidedSession`: its panels can be made
     session_opened = Signal(object)  # `Snapshot` of the opened session
     ticked = Signal(object)  # `ViewState` of the session, without what the view of it adds
     running_changed = Signal(object)  # `Running`
@@ -122,9 +131,10 @@ class Controller(QObject):
         self._recording: Recording | None = None
         self._reviewing: ReviewClient | None = None
         self._targets: OpenTargets | None = None  # Sends poke targets to a robot or the simulated operator
+        self._listener: socket.socket | None = None  # Port of the targets, until something serves them
         self.running = Running.OPENING
         self.prepare: Callable[[], object] = lambda: None
-        """Imports the session's views; called in the background before a part is loaded."""
+        """Imports the session's views; called in the background before `guided_made`."""
         self.pace = 1  # Of the simulated operator, one of `OPERATOR_PACES`; 0 if a simulated robot pokes
         self.demo = False
         self._reset()
@@ -135,11 +145,12 @@ class Controller(QObject):
         """Forget everything of the session that was open."""
         self.simulated = False  # The rig is or was simulated
         self._part: Part | None = None
+        self._is_guiding = False  # What follows the session is being made, or is there
         self._first_pose = ""
         self._storage: SessionFolder | None = None
         self._pending_links: tuple[LinkSpec, ...] = ()  # Links of a recording that has not started
         self._truth = b""
-        self.guided: GuidedSession | None = None  # Guide, press coach and checks; `None` before the part is loaded
+        self.guided: GuidedSession | None = None  # Guide, press coach and checks; `None` before `guided_made`
         self._size_at_open: tuple[Sequence[HistoryEntry], int] = (), 0
         self._opened_s = 0.0  # Of the host's monotonic clock
         self._links_confirmed = True  # The operator named the links or agreed to them
@@ -152,7 +163,11 @@ class Controller(QObject):
     # Opening and closing
 
     def open(self, request: OpenRequest) -> None:
-        """Open a session instead of the present one; returns at once, `part_loaded` and `session_opened` follow."""
+        """Open a session instead of the present one; returns at once.
+
+        `part_loaded` follows. Then someone calls `guide_part`: after the picture of the part, which would wait for it. Then
+        `guided_made` and `session_opened` follow.
+        """
         self._release(request.session)
         self._set_running(Running.OPENING)
         self._storage = storage = SessionFolder(request, self._documents)
@@ -173,8 +188,9 @@ class Controller(QObject):
             self._pending_links = link_specs(request.addresses)
             self._serve_targets(request.targets)
         elif request.server:
-            self.compute(_import_targets, lambda _: self._start_server(request.server))
-        self.compute(lambda: self._load_scene(request), lambda guided: self._take_part(guided, request.pose))
+            self._start_server(request.server)
+        self._first_pose = request.pose
+        self.compute(lambda: _load_part(request.scene), self._show_part)
 
     def leave(self) -> None:
         """Close the open session without opening another; slow work ends in the background."""
@@ -248,10 +264,21 @@ class Controller(QObject):
         self._server.truth_printed.connect(self._take_truth)
         self._server.served.connect(self._take_links)
         self._server.failed.connect(self._fail)
-        # The simulated operator gets targets as a robot does.
-        self._serve_targets(ANY_PORT)
-        targets = self._targets
-        self._server.start(command if targets is None else (*command, "--targets", targets.place))
+        # The simulated operator gets targets as a robot does. Its process starts before they are served.
+        self._listener = socket.create_server(ANY_PORT)
+        host, port = self._listener.getsockname()
+        self._server.start((*command, "--targets", f"{host}:{port}"))
+        if self.guided is not None:
+            self._serve_operator()
+
+    def _serve_operator(self) -> None:
+        """Read what the process of the devices prints, if there is one, and send poke targets to its operator."""
+        listener, self._listener = self._listener, None
+        if listener is not None and self._server is not None:
+            from skincal.robot.target_server import TargetServer
+
+            self._targets = TargetServer(listener)
+            self._server.listen()
 
     def _serve_targets(self, port: str) -> None:
         """Send poke targets at a port or by ROS 2, if one is named."""
@@ -265,9 +292,10 @@ class Controller(QObject):
             self._say_failure(str(error))
 
     def _close_targets(self) -> None:
-        targets, self._targets = self._targets, None
-        if targets is not None:
-            targets.close()
+        for port in (self._targets, self._listener):
+            if port is not None:
+                port.close()
+        self._targets = self._listener = None
 
     def _take_truth(self, truth: bytes) -> None:
         self._truth = truth
@@ -337,21 +365,34 @@ class Controller(QObject):
         for sentence in () if self.simulated else sentences:
             self.said.emit(Message(sentence, found=True))
 
-    def _show_part(self, guided: GuidedSession) -> None:
-        self.guided, self._part = guided, guided.part
-        part = guided.part
-        guided.guide.first_module_pokes = DEMO_FIRST_MODULE_POKES if self.demo else 0
+    def _show_part(self, part: Part) -> None:
+        self._part = part
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))
 
-    def _take_part(self, guided: GuidedSession, pose: str) -> None:
-        self._first_pose = pose
-        self._show_part(guided)
-        if not self._pending_links and self._server is None:
-            self._set_running(Running.OFFLINE)
-        else:
+    def guide_part(self) -> None:
+        """Make what follows the session on the loaded part, and begin the session; returns at once.
+
+        A second call does nothing.
+        """
+        part, recording = self._part, self._recording
+        if part is None or self._is_guiding:
+            return
+        self._is_guiding = True
+        self.compute(lambda: self._guide(part, is_recorded=recording is not None), self._take_guided)
+
+    def _take_guided(self, guided: GuidedSession) -> None:
+        self.guided = guided
+        guided.guide.first_module_pokes = DEMO_FIRST_MODULE_POKES if self.demo else 0
+        self.guided_made.emit(guided)
+        if self._recording is not None:
+            self._begin_reading(self._recording, connect=self._links_confirmed)
+        elif self._pending_links:
             self._start_recording()
+        elif self._server is None:
+            self._set_running(Running.OFFLINE)
+        self._serve_operator()
 
     def _start_recording(self) -> None:
         """Start a new recording once part and links are there."""
@@ -375,21 +416,26 @@ class Controller(QObject):
 
             recording.pipeline.act(SetPose(self._first_pose), time.monotonic_ns())
         self._take_recording(recording)
+        self._begin_reading(recording, connect=True)
 
-    def _take_session(self, storage: SessionFolder, found: tuple[GuidedSession, Pipeline] | str) -> None:
+    def _take_session(self, storage: SessionFolder, found: tuple[Part, Pipeline] | str) -> None:
         if isinstance(found, str):
             self._set_running(Running.OFFLINE)
             self.recorded_elsewhere.emit(storage.folder, found)
             return
-        guided, pipeline = found
-        self._show_part(guided)
-        self._take_recording(Recording(pipeline, storage), connect=self._links_confirmed)
+        part, pipeline = found
+        # From now on it is closed with the session that is open.
+        self._take_recording(Recording(pipeline, storage))
+        self._show_part(part)
         if storage.shipped is not None:
             self.said.emit(Message(copy_words(storage.shipped), found=True))
 
-    def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
+    def _take_recording(self, recording: Recording) -> None:
         self._recording = recording
         self._size_at_open, self._opened_s = _session_size(recording.pipeline), time.monotonic()
+
+    def _begin_reading(self, recording: Recording, *, connect: bool) -> None:
+        """Begin to read the devices, unless a recorded session waits for a confirmation."""
         if connect:
             recording.start()
         self._set_running(Running.STREAMING if connect else Running.OFFLINE)
@@ -418,7 +464,7 @@ class Controller(QObject):
     def tick(self) -> None:
         """Process arrived readings, and publish the state if something changed."""
         recording = self._recording
-        if recording is None:
+        if recording is None or self.guided is None:
             return
         self._take_robot_answers(recording)
         drained = self._take_in(recording)
@@ -773,37 +819,32 @@ class Controller(QObject):
 
     # In the background
 
-    def _load_scene(self, request: OpenRequest) -> GuidedSession:
-        self.prepare()
-        from skincal.part.part import load_part
-
-        return self._guide(load_part(find_scene(request.scene)))
-
-    def _guide(self, part: Part) -> GuidedSession:
+    def _guide(self, part: Part, *, is_recorded: bool) -> GuidedSession:
         """Make what follows the session on a part. It takes long on a large one, and `compute` is only kept."""
+        self.prepare()
+        _import_targets()
         from skincal.following.guided_session import GuidedSession
 
-        return GuidedSession(part, self.compute)
+        guided = GuidedSession(part, self.compute)
+        if is_recorded:
+            guided.guide.prepare(guided.method)
+        return guided
 
-    def _load_session(self, storage: SessionFolder, links: tuple[LinkSpec, ...] | None) -> tuple[GuidedSession, Pipeline] | str:
+    def _load_session(self, storage: SessionFolder, links: tuple[LinkSpec, ...] | None) -> tuple[Part, Pipeline] | str:
         """Load a session, read-only if `links` is `None`; return a sentence if another process records it."""
-        self.prepare()
         # It may be the session that was open until now.
         self._endings.wait()
         folder = storage.prepare()
         from skincal.journal.lock import RecordedElsewhereError
 
         try:
-            part, pipeline = open_recorded(folder, links)
+            return open_recorded(folder, links)
         except RecordedElsewhereError as error:
             return str(error)
         except InputError:
             storage.discard()
             storage.finish()
             raise
-        guided = self._guide(part)
-        guided.guide.prepare(guided.method)
-        return guided, pipeline
 
     # Helpers
 
@@ -812,7 +853,7 @@ class Controller(QObject):
 
     def _fail(self, sentence: str) -> None:
         self._say_failure(sentence)
-        if self._recording is None:
+        if self._recording is None or self.guided is None:
             self._set_running(Running.OFFLINE)
 
     def _set_running(self, running: Running) -> None:

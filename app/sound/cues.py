@@ -18,10 +18,9 @@ from app.state.policies import is_news, newest_outcome
 from app.state.running import Running
 from app.state.view_state import LINK_FAULTS, ViewState
 from app.text.guidance_text import newly_done
-from skincal.contacts.outcome import Outcome, PressPhase, Rejection
+from skincal.contacts.outcome import PRESSING_PHASES, Outcome, PressPhase, Rejection
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance, GuidePhase
-from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.session.snapshot import Snapshot
 from skincal.words.poke_words import reason_words
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from enum import Enum
 
 from app.state.policies import is_news, newest_outcome
 from app.state.press_coach import NO_HINT, CoachMemory, ForceLevel, follow_press
@@ -28,9 +27,9 @@ from app.text.guidance_text import (
     why_words,
 )
 from app.text.link_text import link_detail
-from skincal.contacts.outcome import Outcome, PressPhase, Rejection
+from app.text.now import Now, Said, Tone
+from skincal.contacts.outcome import PRESSING_PHASES, Outcome, PressPhase, Rejection
 from skincal.guide.guidance import Guidance, GuidePhase
-from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.guide.progress import GuideSettings
 from skincal.model.readings import LinkAnswer, Stream
 from skincal.session.snapshot import Snapshot
@@ -57,35 +56,6 @@ _SHORT_VERDICTS = {
 }
 """For large type; the line below has the details."""
 _SHORT_NAMES = {"wrench": "sensor"}  # Short names of devices, for the large line of the window
-
-
-class Tone(Enum):
-    """Kind of status; each has a colour and a sign."""
-
-    CALM = "calm"
-    WAIT = "wait"
-    GO = "go"
-    HOLD = "hold"
-    GOOD = "good"
-    BAD = "bad"
-
-
-@dataclass(frozen=True, slots=True)
-class Said:
-    """Result of the last poke or action, shown in smaller type."""
-
-    tone: Tone
-    words: str
-
-
-@dataclass(frozen=True, slots=True)
-class Now:
-    """What to do now in large type, one line of detail, and the result of the last poke or action."""
-
-    tone: Tone
-    headline: str
-    detail: str = ""
-    result: Said | None = None
 
 
 @dataclass(frozen=True, slots=True)

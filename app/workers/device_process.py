@@ -34,7 +34,6 @@ class DeviceProcess(QObject):
         self._process = QProcess(self)
         self._line = b""
         self._stopping = False
-        self._process.readyReadStandardOutput.connect(self._read)
         self._process.finished.connect(self._on_finished)
         self._process.errorOccurred.connect(self._on_error)
 
@@ -46,6 +45,12 @@ class DeviceProcess(QObject):
         environment.insert("PYTHONPATH", os.pathsep.join(filter(None, paths)))
         self._process.setProcessEnvironment(environment)
         self._process.start(command[0], list(command[1:]))
+
+    def listen(self) -> None:
+        """Report the links that the process prints or has printed. Imports the module of links."""
+        self._process.readyReadStandardOutput.connect(self._read)
+        if self._process.bytesAvailable():
+            self._read()
 
     @property
     def is_running(self) -> bool:

@@ -150,6 +150,10 @@ class PressPhase(Enum):
     HELD = "held: release"
 
 
+PRESSING_PHASES = (PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD)
+"""Phases in which a tool presses."""
+
+
 @dataclass(frozen=True, slots=True)
 class BeforePokes:
     """Summary of the samples before the first poke: it explains why no poke was found."""

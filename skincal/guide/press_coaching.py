@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.contacts.outcome import PressPhase, Progress
+from skincal.contacts.outcome import PRESSING_PHASES, Progress
 from skincal.geometry import FloatArray, axis_point
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.progress import GuideSettings
 from skincal.taxels.result import Method
 
-PRESSING_PHASES = (PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD)
-"""Phases in which a tool presses."""
 MIN_FORCE_FOR_TILT_N = 2.0
 """Below it a reading gives the tilt to no better than 3 degrees, the tip to no better than a taxel (0.1 N, 10 N mm)."""
 LOW_PASS_OLD_VALUE_WEIGHT = 0.6

@@ -18,10 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.collada import read_collada
 from skincal.mesh.file_numbers import decode_text, drop_mark, parse_number, parse_numbers, parse_whole, show_word
 from skincal.mesh.findings import FindingKind, MeshFinding, count_finding, words_finding
-from skincal.mesh.gltf import read_gltf
 from skincal.mesh.polygons import NO_POLYGONS, Polygons, check_corners, cut_polygons, polygons_of, triangles_of
 from skincal.model.errors import InputError
 
@@ -321,9 +319,21 @@ def _ply_faces(element: _Element, body: _Body) -> Polygons:
     return polygons_of(NO_POLYGONS.vertices, corners, [len(polygon) for polygon in polygons])
 
 
+def _read_dae(data: bytes) -> Polygons:
+    from skincal.mesh.collada import read_collada  # most parts have a mesh in another format
+
+    return read_collada(data)
+
+
+def _read_glb(data: bytes) -> Polygons:
+    from skincal.mesh.gltf import read_gltf
+
+    return read_gltf(data)
+
+
 _READER_OF_SUFFIX: dict[str, Callable[[bytes], Polygons]] = {
     ".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off,
-    ".dae": read_collada, ".glb": read_gltf, ".gltf": read_gltf,
+    ".dae": _read_dae, ".glb": _read_glb, ".gltf": _read_glb,
 }  # fmt: skip
 SUFFIXES_WITH_UNIT = (".dae", ".glb", ".gltf")
 """Endings of files that name their unit."""

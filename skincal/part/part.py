@@ -6,6 +6,7 @@ Imports are inside the functions, so that a window can load a part while it star
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Part:
     """The calibrated part as the scene describes it."""
 
@@ -32,10 +33,23 @@ class Part:
     """(n,) channels that can be taxels: those of the layout, or all."""
     findings: tuple[str, ...]
     """Sentences about the mesh and the anchors on it."""
-    plan: TaxelPositions | None = None
-    """Planned positions of the taxels; `None` if the layout is not laid."""
-    cover: SurfaceSearch | None = None
-    """Places to search for taxels that no layout places; `None` without a surface or with a laid layout."""
+
+    @cached_property
+    def plan(self) -> TaxelPositions | None:
+        """Planned positions of the taxels; `None` if the layout is not laid."""
+        from skincal.files.reference import plan_reference
+
+        return None if self.laid is None else plan_reference(self.scene.name, self.laid.places)
+
+    @cached_property
+    def cover(self) -> SurfaceSearch | None:
+        """Places to search for taxels that no layout places; `None` without a surface or with a laid layout.
+
+        Making it takes half a second.
+        """
+        from skincal.guide.surface_search import SurfaceSearch
+
+        return None if self.surface is None or self.laid is not None else SurfaceSearch(self.surface)
 
 
 def why_not_simulated(scene: Scene) -> str:
@@ -78,22 +92,11 @@ def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -
     """
     layout = scene.skin.layout
     if layout is None:
-        return Part(scene, surface, None, np.arange(scene.skin.channels), findings, cover=_cover(surface))
-    from skincal.files.reference import plan_reference
+        return Part(scene, surface, None, np.arange(scene.skin.channels), findings)
     from skincal.mesh.lay import place_layout
 
     # The layout computes these lazily: better here than in the window's thread.
     _ = layout.places, layout.module_of, layout.spacing
     laid = place_layout(layout, scene.skin.anchor, surface)
     findings = (*findings, *anchor_findings(scene, surface))
-    plan = None if laid is None else plan_reference(scene.name, laid.places)
-    return Part(scene, surface, laid, layout.channels, findings, plan, cover=_cover(surface) if laid is None else None)
-
-
-def _cover(surface: Surface | None) -> SurfaceSearch | None:
-    # Half a second: only if needed.
-    if surface is None:
-        return None
-    from skincal.guide.surface_search import SurfaceSearch
-
-    return SurfaceSearch(surface)
+    return Part(scene, surface, laid, layout.channels, findings)

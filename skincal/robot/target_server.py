@@ -68,18 +68,23 @@ class RobotChange(Enum):
     LEFT = "left"
 
 
-class TargetServer:
-    """Serves targets at a port from the start. Raises InputError: the port cannot be opened."""
+def open_port(host: str, port: int) -> socket.socket:
+    """Open a port, 0 for a free one, for a `TargetServer`. Raises InputError."""
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        return socket.create_server((host, port), family=family, backlog=4)
+    except (OSError, UnicodeError, OverflowError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"targets cannot be served at {host}:{port} ({why}); name another port.") from None
 
-    def __init__(self, host: str, port: int) -> None:
-        try:
-            family = socket.AF_INET6 if ":" in host else socket.AF_INET
-            self._listener = socket.create_server((host, port), family=family, backlog=4)
-        except (OSError, UnicodeError, OverflowError) as error:
-            why = getattr(error, "strerror", None) or error
-            raise InputError(f"targets cannot be served at {host}:{port} ({why}); name another port.") from None
-        self._listener.setblocking(False)
-        self.host, self.port = host, int(self._listener.getsockname()[1])
+
+class TargetServer:
+    """Serves targets at an open port from the start, also to a robot that has connected before."""
+
+    def __init__(self, listener: socket.socket) -> None:
+        listener.setblocking(False)
+        self._listener = listener
+        self.host, self.port = listener.getsockname()[:2]
         self._lock = threading.Lock()
         self._target: AskedLine = NoTarget.WAIT
         self._lines: deque[str] = deque(maxlen=QUEUED_LINES_MAX)

@@ -7,7 +7,7 @@ from typing import Protocol, TypeAlias
 
 from skincal.robot.ros_targets import ROS_TARGETS, RosTargets, parse_ros_targets
 from skincal.robot.target_lines import AskedLine, RobotLine
-from skincal.robot.target_server import RobotChange, TargetServer, parse_port
+from skincal.robot.target_server import RobotChange, TargetServer, open_port, parse_port
 
 
 class Targets(Protocol):
@@ -42,4 +42,4 @@ def open_targets(text: str) -> OpenTargets:
     """Open `PORT`, `HOST:PORT`, `ros2:` or `ros2:?domain=N`. Raises InputError."""
     if text.startswith(ROS_TARGETS):
         return RosTargets(parse_ros_targets(text))
-    return TargetServer(*parse_port(text))
+    return TargetServer(open_port(*parse_port(text)))

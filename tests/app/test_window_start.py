@@ -15,9 +15,13 @@ from PySide6.QtCore import QStandardPaths
 from app import run
 from app.__main__ import main
 from app.preflight import QT_LIBRARIES, X_LIBRARIES, objection
-from app.session.opening import OpenRequest
+from app.session.opening import OpenRequest, begin_session
 from app.state.running import Running
+from app.workers.device_process import DeviceProcess
 from skincal.following.session_guide import SessionGuide
+from skincal.model.readings import Stream
+from skincal.model.scene import resource
+from skincal.streams.links import LinkSpec
 from tests.approved import approved
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -181,6 +185,17 @@ def test_a_log_that_cannot_be_written_leaves_the_window_at_work(bench, tmp_path,
     assert any("the log cannot be written" in message.text for message in said)
 
 
+def test_a_session_begins_once_when_its_devices_are_ready_before_its_panels(bench, monkeypatch):
+    begun = []
+    links = (LinkSpec("wrench", "tcp://127.0.0.1:1", (Stream.WRENCH,)), LinkSpec("skin", "tcp://127.0.0.1:2", (Stream.SKIN,)))
+    monkeypatch.setattr(DeviceProcess, "start", lambda *_: None)
+    monkeypatch.setattr(DeviceProcess, "listen", lambda process: process.served.emit(links))
+    monkeypatch.setattr("app.session.controller.begin_session", lambda *given: begun.append(given) or begin_session(*given))
+    bench.open(OpenRequest(scene=resource("scenes/flat-patch/scene.toml"), server=("served",)))
+    bench.controller._threads.wait()
+    assert len(begun) == 1
+
+
 def test_the_guide_of_a_new_session_is_made_beside_the_windows_thread(bench, monkeypatch):
     makers: list[threading.Thread] = []
     make = SessionGuide._new_guide
@@ -194,3 +209,51 @@ def test_the_guide_of_a_new_session_is_made_beside_the_windows_thread(bench, mon
     assert bench.window.session_view.state.target is not None
     assert makers
     assert threading.main_thread() not in makers
+
+
+PICTURE_FIRST = """
+import sys
+from pathlib import Path
+from PySide6.QtCore import QTimer
+from PySide6.QtWidgets import QApplication
+from app.run import run_window
+from app.session.opening import OpenRequest, find_scene, server_command
+from app.sound.player import Player
+from app.window import Window
+
+LATE = {late}
+
+def follow():
+    window = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window))
+    window.view_ready.connect(lambda: look(window))
+    window.controller.session_opened.connect(lambda _: end(window))
+
+def look(window):
+    early = [name for name in LATE if name in sys.modules]
+    print("picture", "3D" if window.workspace.view.list_layers() else "none", "after", early, flush=True)
+
+def end(window):
+    print("then", sorted(set(LATE) - sys.modules.keys()), flush=True)
+    window.leave()
+    QApplication.quit()
+
+application = QApplication([])
+QTimer.singleShot(0, follow)
+scene = find_scene(Path("flat-patch"))
+sys.exit(run_window(OpenRequest(scene=scene, server=server_command(scene)), Player(speech=("true",))))
+"""
+AFTER_THE_PICTURE = (
+    "app.session_view", "app.panels.panel", "app.state.policies", "pyqtgraph", "skincal.following", "skincal.guide",
+    "skincal.methods", "skincal.robot.targets", "skincal.session", "skincal.streams.links",
+)  # fmt: skip
+"""What panels, guide, recording and links need, and the picture of the part does not."""
+
+
+def test_the_picture_of_the_part_waits_for_nothing_that_it_does_not_show(tmp_path):
+    display = os.environ.get("DISPLAY")
+    if not display:
+        pytest.skip("there is no display here")
+    folders = {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path / "c"), "XDG_DATA_HOME": str(tmp_path / "d")}
+    done = python(PICTURE_FIRST.format(late=AFTER_THE_PICTURE), DISPLAY=display, **folders)
+    assert done.stdout.splitlines() == ["picture 3D after []", "then []"], done.stderr
+    assert done.returncode == 0, done.stderr

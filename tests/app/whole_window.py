@@ -63,7 +63,8 @@ class Bench:
     def open(self, plan: OpenRequest) -> None:
         with self.qtbot.waitSignal(self.controller.session_opened, timeout=OPEN_MS):
             self.window.open(plan)
-        self.until(lambda: self.window.stack.currentWidget() is self.window.session_view.workspace, 5000)
+        # The panels come some moments after the session.
+        self.until(lambda: self.window.session_view.workspace.current_panel() is not None, 5000)
         self.qtbot.wait(50)
 
     def open_served(self, name: str = "icub-forearm", **changes) -> None:

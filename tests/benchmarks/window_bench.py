@@ -37,6 +37,7 @@ from PySide6.QtWidgets import QApplication, QStackedLayout, QWidget
 from app.preflight import no_display, objection
 
 if TYPE_CHECKING:
+    from app.scene3d.view import View3D
     from app.sound.cues import Cue
     from app.sound.player import Output
     from app.state.view_state import ViewState
@@ -85,22 +86,26 @@ class Measure(QObject):
         window.installEventFilter(self)
 
     def watch(self) -> bool:
-        """Start to measure the session and the 3D view; return False if they do not exist yet."""
-        session_view = self.window.session_view
-        if session_view is None or not session_view.workspace.view.list_layers():
+        """Start to measure the 3D view, then the session; return False if one of them does not exist yet."""
+        workspace, session_view = self.window.workspace, self.window.session_view
+        if workspace is not None and self._canvas is None and workspace.view.list_layers():
+            self._watch_picture(workspace.view)
+        if self._canvas is None or session_view is None or session_view.state is None:
             return False
         from skincal.session.pipeline import Pipeline
 
-        stack = session_view.workspace.view.layout()
+        wrap_method(Pipeline, "_commit", self._commit)
+        self.sounds.watch()
+        session_view.workspace.show_tab("Readings")
+        return True
+
+    def _watch_picture(self, view: View3D) -> None:
+        stack = view.layout()
         canvas = stack.currentWidget() if isinstance(stack, QStackedLayout) else None
         assert canvas is not None
         self._canvas = canvas
         canvas.installEventFilter(self)
-        wrap_method(Pipeline, "_commit", self._commit)
-        self.sounds.watch()
-        session_view.workspace.view.update()
-        session_view.workspace.show_tab("Readings")
-        return True
+        view.update()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Let the widget paint, and note the time of its end."""
@@ -117,7 +122,7 @@ class Measure(QObject):
 
     def on_tick(self, tick: ViewState) -> None:
         """Note when the tool starts and stops pressing."""
-        from skincal.guide.press_coaching import PRESSING_PHASES
+        from skincal.contacts.outcome import PRESSING_PHASES
 
         now = time.monotonic()
         pressing = tick.live.progress.phase in PRESSING_PHASES

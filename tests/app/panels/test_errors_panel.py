@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,9 +26,10 @@ from skincal.model.scene import resource
 from skincal.part.part import load_part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
-from tests.app.scene3d_support import estimate
+from tests.app.scene3d_support import estimate, laid
 from tests.app.whole_window import OPEN_MS, Bench
 from tests.app.window_support import (
+    PLAN,
     SCENE,
     Paints,
     Queue,
@@ -53,7 +55,7 @@ def reference(origin: Origin, name: str = "truth.json", at=(0.0, 0.0, 0.0)) -> T
     return TaxelPositions(name, "", {channel: np.array(at) for channel in range(24)}, origin=origin)
 
 
-PLANNED = part(laid=None, plan=reference(Origin.PLAN, "part"))
+PLANNED = part(replace(SCENE, name="part"), laid=replace(laid(PLAN), places=np.zeros((24, 3))))
 
 
 def series(values, missing: int = 0, stride: int = 1) -> ErrorSeries:

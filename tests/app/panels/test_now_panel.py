@@ -97,17 +97,23 @@ def every_headline() -> list[str]:
 def panel(qtbot):
     """The panel as wide as in a window of 1280 pixels."""
     made = NowPanel()
+    made.memory = NowMemory.from_snapshot(session())
     return shown(qtbot, made, (1264, made.height()))
 
 
+def tell(panel, at):
+    """Show a tick with its words, as the session's view does."""
+    now, panel.memory = now_line(panel.memory, at)
+    panel.show_state(at, now)
+
+
 def test_it_tells_what_to_do_the_ring_fills_and_a_rejection_is_bad(panel):
-    panel.begin_session(session())
-    panel.show_state(frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
+    tell(panel, frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
     assert panel.headline.text() == "Hold still"
     little = pixels(panel.sign)
-    panel.show_state(frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
+    tell(panel, frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
     assert changed(little, pixels(panel.sign)) > 200
-    panel.show_state(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
+    tell(panel, frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
     assert panel.result.text().endswith(approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5))
     assert ink(pixels(panel), DARK.bad, 1) > 100
 
@@ -120,7 +126,7 @@ def test_without_devices_no_force_is_shown(panel):
         (Running.STREAMING, 8.0),
         (Running.STREAMING, 14.0),
     ):
-        panel.show_state(frame(view=reading(PressPhase.STILL, force), running=running))
+        tell(panel, frame(view=reading(PressPhase.STILL, force), running=running))
         pictures.append(pixels(panel.gauge))
     assert [changed(a, b) > 200 for a, b in pairwise(pictures)] == [False, True, True]
     assert changed(pictures[0], pictures[1]) == 0
@@ -130,7 +136,7 @@ def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN_POSE):
     """Show a frame in which a tool presses, or none."""
     coached = None if view is None else coaching_of(view.progress, asked)
     at = replace(frame(view=view or reading()), guidance=guidance(asked, method=method), coaching=coached, eye=eye)
-    panel.show_state(at)
+    tell(panel, at)
     return at
 
 
@@ -154,7 +160,7 @@ def test_every_headline_fits_at_1280_pixels_beside_the_dial(panel):
 def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
     pressed(panel)
     wide, high = panel.headline.width(), panel.sizeHint().height()
-    panel.show_state(frame())
+    tell(panel, frame())
     QApplication.processEvents()
     assert not panel.dial.isVisible()
     assert panel.sizeHint().height() == panel.minimumSizeHint().height() == high > TILT_DIAL_SIZE_PX
@@ -264,6 +270,6 @@ def test_a_verdict_leaves_the_dial_to_the_next_target(panel):
     before = pixels(panel.dial)
     other = target(7)
     at = replace(frame(session(2, pokes=[touch(1)]), reading(PressPhase.TARING)), guidance=guidance(other))
-    panel.show_state(at)
+    tell(panel, at)
     assert changed(before, pixels(panel.dial)) > 100
     assert "accepted" in panel.result.text()

@@ -150,7 +150,7 @@ import sys
 from pathlib import Path
 sys.path[:0] = {path!r}
 from tests.app.scene3d_support import box, estimate, laid, layout, scene, snapshot
-from app.scene3d.offscreen import picture
+from app.scene3d.session_picture import picture
 from skincal.palette import METHODS
 from skincal.part.part import Part
 from skincal.taxels.result import Method

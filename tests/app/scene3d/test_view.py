@@ -15,7 +15,7 @@ from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QMainWindow
 
 from app.commands import LAYER_NAMES
-from app.scene3d import offscreen
+from app.scene3d import canvas
 from app.scene3d.axes import MAX_DRAWN_FORCE_AXES
 from app.scene3d.camera import pose_of
 from app.scene3d.canvas import Canvas
@@ -405,7 +405,7 @@ def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, 
     def refuse(_probe):
         raise InputError("No picture can be drawn: install libegl1.")
 
-    monkeypatch.setattr(offscreen, "choose_offscreen", refuse)
+    monkeypatch.setattr(canvas, "choose_offscreen", refuse)
     view = View3D(canvas=Canvas.RASTER)
     qtbot.addWidget(view)
     with qtbot.waitExposed(view):

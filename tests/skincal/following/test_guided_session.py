@@ -17,7 +17,7 @@ from skincal.following.guided_session import RobotGuide
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import resource
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, write_answer
-from skincal.robot.target_server import TargetServer, parse_port
+from skincal.robot.target_server import TargetServer, open_port, parse_port
 from skincal.session.pipeline import Pipeline
 from skincal.simulation.device import DeviceTimeline
 from skincal.simulation.operator import GuidedOperator, Habits
@@ -154,7 +154,7 @@ def is_counted(outcome, snapshot):
 @pytest.mark.timeout(900)
 def test_a_robot_pokes_the_shipped_demo_to_enough_over_the_lines(example):
     rig = make_rig(RigErrors.noise())
-    with closing(TargetServer(*parse_port("0"))) as server:
+    with closing(TargetServer(open_port(*parse_port("0")))) as server:
         robot = SimulatedRobot(rig, example, server.port)
         with closing(robot.lines):
             pipeline = play(rig, robot, server, Method.MODULES)
@@ -173,7 +173,7 @@ def test_a_robot_pokes_the_shipped_demo_to_enough_over_the_lines(example):
 
 
 def test_the_example_approaches_presses_as_wished_holds_lets_go_and_goes_back(example):
-    with closing(TargetServer(*parse_port("0"))) as server:
+    with closing(TargetServer(open_port(*parse_port("0")))) as server:
         lines = example.Lines("127.0.0.1", server.port)
         with closing(lines):
             poker, push = example.Poker(lines), np.array([0.0, 0.6, -0.8])
@@ -207,7 +207,10 @@ def test_the_example_approaches_presses_as_wished_holds_lets_go_and_goes_back(ex
 
 @pytest.mark.parametrize("end", ["wait", "stop", "another", "lost"])
 def test_the_example_lets_go_at_once_and_goes_back(example, end):
-    with closing(TargetServer(*parse_port("0"))) as server, closing(example.Lines("127.0.0.1", server.port)) as lines:
+    with (
+        closing(TargetServer(open_port(*parse_port("0")))) as server,
+        closing(example.Lines("127.0.0.1", server.port)) as lines,
+    ):
         poker, now_s, late_s = example.Poker(lines), 0.0, time.monotonic() + 60.0
         asked = PokeTarget(1, 7, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -1.0]), force=8.0, hold=60.0)
 
@@ -235,7 +238,7 @@ def test_the_example_lets_go_at_once_and_goes_back(example, end):
 
 def test_the_commands_play_both_sides(tmp_path):
     """`record --targets` asks, `simulate --targets` pokes: two processes, whatever starts first."""
-    with closing(TargetServer(*parse_port("0"))) as free:
+    with closing(TargetServer(open_port(*parse_port("0")))) as free:
         port = str(free.port)
     command = [sys.executable, "-P", "-m", "skincal.cli"]
     options = ["--serve", "--tcp", "--operator", "guided", "--careful", "--pace", "4", "--targets", port]

@@ -15,7 +15,7 @@ from skincal.mesh.surface import make_surface
 from skincal.model.scene import resource
 from skincal.robot.poking_client import Phase, PokeSettings, PokingClient
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, RobotPace, TipPose
-from skincal.robot.target_server import TargetServer, parse_port
+from skincal.robot.target_server import TargetServer, open_port, parse_port
 from tests.skincal.robot.plain_arm import PlainArm
 
 PATIENCE_S = 60.0
@@ -220,7 +220,7 @@ class Template(Client):
 
 @contextmanager
 def template(arm=None):
-    server = TargetServer(*parse_port("0"))
+    server = TargetServer(open_port(*parse_port("0")))
     try:
         client = Template(server, arm or FlatPart())
         yield client

@@ -11,7 +11,14 @@ import pytest
 from skincal.model.errors import InputError
 from skincal.robot.target_client import TargetClient
 from skincal.robot.target_lines import GREETING, Answer, AnswerKind, Judged, NoTarget, PokeTarget, write_line
-from skincal.robot.target_server import ACCEPT_ROBOT_AGAIN_AFTER_S, ROBOT_LINES_PER_S_MAX, RobotChange, TargetServer, parse_port
+from skincal.robot.target_server import (
+    ACCEPT_ROBOT_AGAIN_AFTER_S,
+    ROBOT_LINES_PER_S_MAX,
+    RobotChange,
+    TargetServer,
+    open_port,
+    parse_port,
+)
 from tests.approved import approved, approved_pattern
 from tests.skincal.robot.robot_support import Peer
 
@@ -24,7 +31,7 @@ def target(number):
 
 @pytest.fixture
 def server():
-    with closing(TargetServer(*parse_port("0"))) as server:
+    with closing(TargetServer(open_port(*parse_port("0")))) as server:
         yield server
 
 
@@ -178,7 +185,7 @@ def test_what_is_no_port_is_refused(text):
 def test_a_port_that_is_taken_or_a_host_that_is_not_ours_is_said(server):
     for host, port in ((server.host, server.port), ("192.0.2.1", 7010), ("x" * 300, 7010)):
         with pytest.raises(InputError, match="name another port"):
-            TargetServer(host, port).close()
+            TargetServer(open_port(host, port)).close()
 
 
 def test_the_client_finds_the_server_when_it_comes_and_again_after_it_went():
@@ -187,7 +194,7 @@ def test_the_client_finds_the_server_when_it_comes_and_again_after_it_went():
     heard = []
     with closing(TargetClient("127.0.0.1", port, heard.append)) as client:
         for number in (1, 2):
-            with closing(TargetServer("127.0.0.1", port)) as server:
+            with closing(TargetServer(open_port("127.0.0.1", port))) as server:
                 server.send([target(number)])
                 wait_for(lambda: any(isinstance(line, PokeTarget) and line.number == number for line in heard))  # noqa: B023
                 client.say(Answer(AnswerKind.REACHED, number))

@@ -10,7 +10,7 @@ import pytest
 from skincal.devices.link import LinkError
 from skincal.journal.writer import create_session
 from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Stream
-from skincal.robot.target_server import TargetServer
+from skincal.robot.target_server import TargetServer, open_port
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.streams.links import LinkSpec, open_link
@@ -59,7 +59,7 @@ def test_each_poke_has_the_position_of_the_tip(scene, tmp_path, link, lines):
 
 
 def test_the_tip_that_a_robot_reports_with_its_answers_is_a_device():
-    server = TargetServer("127.0.0.1", 0)
+    server = TargetServer(open_port("127.0.0.1", 0))
     tip = LinkSpec("tip", "targets:/tip", (Stream.TIP,))
     with closing(server), closing(open_link(tip)) as link, socket.create_connection((server.host, server.port)) as robot:
         robot.sendall(b"tip 0.5 -0.25 0.125 0 0 -1\ntip 0.5 -0.25 0.0625 0 0 -1\n")
