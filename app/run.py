@@ -226,6 +226,8 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     player : plays the sounds; default: the desktop's sound device
     """
     sys.setswitchinterval(PYTHON_THREAD_SWITCH_INTERVAL_S)
+    # A process of its own tries to draw while the window is made.
+    canvas.early_egl_probe()
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     collect_in_window(application)

@@ -65,9 +65,7 @@ def early_egl_probe() -> DrawingProbe | None:
 
 
 def get_ready() -> None:
-    """Choose the canvas, and start what its first picture waits for; takes as long as `best_canvas`."""
-    if best_canvas() is Canvas.RASTER:
-        early_egl_probe()
+    """Choose the canvas, and start to import what it draws with; takes as long as `best_canvas`."""
     # Not a daemon: a program that ends while VTK is loaded crashes.
     threading.Thread(target=_import_early, args=(best_canvas(),), name="skincal-libraries").start()
 
@@ -162,9 +160,6 @@ def load(
     InputError
         There is nothing to draw with here.
     """
-    if static.surface is not None:
-        # The ring on the skin asks for these first: computed on demand, they would block the window.
-        _ = static.surface.centres, static.surface.radii
     egl_probe = early_egl_probe() if canvas is Canvas.RASTER else None
     # Meanwhile the child tries to draw.
     import_libraries(canvas)

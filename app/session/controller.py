@@ -187,10 +187,8 @@ class Controller(QObject):
         if request.addresses:
             self._pending_links = link_specs(request.addresses)
             self._serve_targets(request.targets)
-        elif request.server:
-            self._start_server(request.server)
         self._first_pose = request.pose
-        self.compute(lambda: _load_part(request.scene), self._show_part)
+        self.compute(lambda: _load_part(request.scene), lambda part: self._take_part(part, request))
 
     def leave(self) -> None:
         """Close the open session without opening another; slow work ends in the background."""
@@ -370,6 +368,12 @@ class Controller(QObject):
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))
+
+    def _take_part(self, part: Part, request: OpenRequest) -> None:
+        self._show_part(part)
+        # Not before: until now a trial in a process of its own shows whether the part can be drawn.
+        if request.server and not request.addresses:
+            self._start_server(request.server)
 
     def guide_part(self) -> None:
         """Make what follows the session on the loaded part, and begin the session; returns at once.
@@ -825,6 +829,9 @@ class Controller(QObject):
         _import_targets()
         from skincal.following.guided_session import GuidedSession
 
+        if part.surface is not None:
+            # The ring on the skin asks for these first: computed on demand, they would block the window.
+            _ = part.surface.centres, part.surface.radii
         guided = GuidedSession(part, self.compute)
         if is_recorded:
             guided.guide.prepare(guided.method)

@@ -35,7 +35,7 @@ from skincal.mesh.findings import (
 )
 from skincal.mesh.readers import read_mesh, reader_of
 from skincal.mesh.search import surface_in_solver
-from skincal.mesh.surface import Surface, find_edges, make_surface, pairs_within, triangle_heights
+from skincal.mesh.surface import Edges, Surface, find_edges, make_surface, pairs_within, triangle_heights
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.length_units import METRES_PER_UNIT
@@ -97,14 +97,11 @@ def _make_surface(
     surface = make_surface(vertices, triangles, hashlib.sha256(data).hexdigest())
     # Written now, so that the first poke does not wait for it.
     surface_in_solver(surface)
-    edges = find_edges(triangles)
     counts = {
         # An STL repeats the corners of every triangle.
         FindingKind.MERGED: 0 if spec.path.suffix.lower() == ".stl" else merged,
         **dropped,
         FindingKind.SLIVERS: int(surface.is_sliver.sum()),
-        FindingKind.OPEN_EDGES: len(edges.open),
-        FindingKind.NON_MANIFOLD: edges.non_manifold,
         **wound,
     }
     found = [count_finding(kind, count) for kind, count in counts.items() if count]
@@ -218,15 +215,19 @@ def connected_components(count: int, pairs: IntArray) -> IntArray:
 
 def orient_outward(vertices: FloatArray, triangles: IntArray) -> tuple[IntArray, dict[FindingKind, int]]:
     """Make the winding of each component consistent and outward; return the counts of findings, too."""
-    component, flip, one_sided = _consistent(triangles)
+    edges = find_edges(triangles)
+    component, flip, one_sided = _consistent(len(triangles), edges)
     triangles = np.where(flip[:, None], triangles[:, [0, 2, 1]], triangles)
     mended = np.bincount(component, flip) > 0
-    side = _side(vertices, triangles, component)
+    # A triangle that is turned keeps its edges.
+    side = _side(vertices, triangles, component, edges.open // 3)
     inner = _inside_another(vertices, triangles, component) & ~mended
     turn = (side < 0) & ~inner & ~one_sided
     turned = turn[component]
     triangles = np.where(turned[:, None], triangles[:, [0, 2, 1]], triangles)
     return triangles, {
+        FindingKind.OPEN_EDGES: len(edges.open),
+        FindingKind.NON_MANIFOLD: edges.non_manifold,
         FindingKind.COMPONENTS: len(side) if len(side) > 1 else 0,
         FindingKind.WINDING: int(flip.sum()),
         FindingKind.TURNED: int(turned.sum()),
@@ -235,15 +236,15 @@ def orient_outward(vertices: FloatArray, triangles: IntArray) -> tuple[IntArray,
     }
 
 
-def _consistent(triangles: IntArray) -> tuple[IntArray, NDArray[np.bool_], NDArray[np.bool_]]:
+def _consistent(count: int, edges: Edges) -> tuple[IntArray, NDArray[np.bool_], NDArray[np.bool_]]:
     """Find each triangle's component, whether to turn it, and the components with one side only."""
-    count = len(triangles)
-    edges = find_edges(triangles)
     one, two = edges.pairs[:, 0] // 3, edges.pairs[:, 1] // 3
     # Node 2 t is triangle t as wound, node 2 t + 1 the same turned.
     joins = [np.stack([2 * one + copy, 2 * two + (copy ^ edges.against)], axis=1) for copy in (0, 1)]
     label = connected_components(2 * count, np.concatenate(joins)).reshape(count, 2)
-    _, component = np.unique(label.min(axis=1), return_inverse=True)
+    lowest, is_lowest = label.min(axis=1), np.zeros(2 * count, dtype=bool)
+    is_lowest[lowest] = True
+    component = (np.cumsum(is_lowest) - 1)[lowest]
     one_sided = np.bincount(component, label[:, 0] == label[:, 1]) > 0
     flip = label[:, 0] > label[:, 1]
     # The majority of a component holds as wound.
@@ -251,8 +252,11 @@ def _consistent(triangles: IntArray) -> tuple[IntArray, NDArray[np.bool_], NDArr
     return component, (flip ^ minority[component]) & ~one_sided[component], one_sided
 
 
-def _side(vertices: FloatArray, triangles: IntArray, component: IntArray) -> FloatArray:
-    """Compute for each component 1 if it is wound outward, -1 inward, 0 if its shape does not show it."""
+def _side(vertices: FloatArray, triangles: IntArray, component: IntArray, at_rim: IntArray) -> FloatArray:
+    """Compute for each component 1 if it is wound outward, -1 inward, 0 if its shape does not show it.
+
+    `at_rim` are triangles with an open edge.
+    """
     corners = vertices[triangles]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     size = np.linalg.norm(area, axis=1)
@@ -260,7 +264,7 @@ def _side(vertices: FloatArray, triangles: IntArray, component: IntArray) -> Flo
     total = np.bincount(component, size)
     own = np.stack([np.bincount(component, size * middle[:, axis]) / total for axis in range(3)], axis=1)
     whole = size @ middle / size.sum()
-    is_open = np.bincount(component[find_edges(triangles).open // 3], minlength=len(total)) > 0
+    is_open = np.bincount(component[at_rim], minlength=len(total)) > 0
 
     def about(origin: FloatArray) -> FloatArray:
         flux = (area * (middle - origin)).sum(axis=1)
@@ -277,6 +281,8 @@ def _side(vertices: FloatArray, triangles: IntArray, component: IntArray) -> Flo
 def _inside_another(vertices: FloatArray, triangles: IntArray, component: IntArray) -> NDArray[np.bool_]:
     """Tell for each component whether its box is inside the box of a larger one."""
     count = int(component.max()) + 1
+    if count == 1:
+        return np.zeros(1, dtype=bool)
     corners = vertices[triangles]
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, component, corners.min(axis=1))

@@ -257,7 +257,7 @@ def _halved(centres: FloatArray) -> IntArray:
         # Stable: which of equals comes first must not depend on the processor.
         order = order[key.argsort(kind="stable")]
         cut = np.where(sizes > NODE_CHILDREN, starts + _first_half(sizes), count)
-        starts = np.union1d(starts, cut[cut < count])
+        starts = np.sort(np.concatenate([starts, cut[cut < count]]))
 
 
 def _first_half(sizes: IntArray) -> IntArray:

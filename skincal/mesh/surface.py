@@ -148,12 +148,15 @@ def _normals_and_sides(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     The two shortest sides are crossed: they lose the fewest digits for a needle.
     """
-    sides = corners[:, [1, 2, 0]] - corners
-    lengths = np.linalg.norm(sides, axis=2)
-    longest = lengths.argmax(axis=1)
-    row = np.arange(len(corners))
-    normals = np.cross(sides[row, (longest + 1) % 3], sides[row, (longest + 2) % 3])
-    return np.asarray(normals, dtype=np.float64), lengths[row, longest]
+    # In columns: numpy is three times as fast with long rows as with rows of three.
+    columns = np.ascontiguousarray(corners.transpose(1, 2, 0))
+    sides = columns[[1, 2, 0]] - columns
+    squares = sides * sides
+    lengths = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
+    longest = lengths.argmax(axis=0)[None]
+    first, second = (np.take_along_axis(sides, ((longest + step) % 3)[:, None], axis=0)[0] for step in (1, 2))
+    normals = np.stack([first[i - 2] * second[i - 1] - first[i - 1] * second[i - 2] for i in range(3)], axis=1)
+    return normals, np.take_along_axis(lengths, longest, axis=0)[0]
 
 
 def pairs_within(points: FloatArray, reach: float, most: float = inf) -> IntArray:

@@ -322,6 +322,7 @@ def test_a_device_process_that_fails_is_told(qtbot, command, said):
     server = DeviceProcess()
     with qtbot.waitSignal(server.failed, timeout=OPEN_MS) as failed:
         server.start((sys.executable, *command) if command else ("there-is-no-such-program",))
+        server.listen()
     assert said in failed.args[0]
     server.stop()
     assert not server.is_running

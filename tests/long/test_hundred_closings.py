@@ -22,10 +22,10 @@ WINDOW_S = 120.0
 WINDOW = """
 import runpy, sys
 from PySide6.QtCore import QTimer
-from app.session_view import Workspace
+from app.workspace import Workspace
 show, delay_ms, is_closing = Workspace.show_state, int(sys.argv.pop()), []
-def show_and_close(workspace, state):
-    show(workspace, state)
+def show_and_close(workspace, state, *words):
+    show(workspace, state, *words)
     if state.snapshot.pokes and not is_closing:
         is_closing.append(True)
         QTimer.singleShot(delay_ms, workspace.window().close)

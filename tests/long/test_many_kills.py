@@ -28,12 +28,12 @@ WINDOW_S = 60.0
 """s. A window has shown its first pokes after ten."""
 WINDOW = """
 import runpy, sys
-from app.session_view import Workspace
+from app.workspace import Workspace
 from skincal.contacts.outcome import Contact
 from tests.skincal.journal.kill_support import key_of
 show, told = Workspace.show_state, set()
-def show_and_tell(workspace, state):
-    show(workspace, state)
+def show_and_tell(workspace, state, *words):
+    show(workspace, state, *words)
     for record in state.snapshot.pokes:
         outcome = record.outcome
         if isinstance(outcome, Contact) and (outcome.poke, outcome.final) not in told:

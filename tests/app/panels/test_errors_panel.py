@@ -353,6 +353,7 @@ def test_a_simulated_rig_sends_its_truth_and_the_session_keeps_it(qtbot, tmp_pat
     server.truth_printed.connect(truths.append)
     with qtbot.waitSignal(server.served, timeout=OPEN_MS) as served:
         server.start((sys.executable, "-c", f"print({json.dumps(announced)!r}, flush=True); input()"))
+        server.listen()
     server.stop()
     folder, linked, letter = tmp_path / "new", tmp_path / "linked", tmp_path / "letter"
     opening.begin_session(made, served.args[0], folder, truths[0]).close()

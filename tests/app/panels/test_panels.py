@@ -22,11 +22,12 @@ from app.panels.rig_panel import RigPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.widgets import put_rows, rows_text, table, theme_colours
 from app.session.opening import OpenRequest
-from app.session_view import PANEL_TYPES, RIGHT_PX
+from app.session_view import PANEL_TYPES
 from app.state.memo import Memo, is_same
 from app.text.guidance_text import DOT_SEPARATOR
 from app.theme import DARK, LIGHT, Choice, Colours
 from app.window import Theme, qpalette, style_sheet
+from app.workspace import RIGHT_PX
 from skincal.contacts.outcome import Reason
 from skincal.model.actions import SetPose
 from skincal.model.pose_form import PoseForm, RotationForm, SentPose

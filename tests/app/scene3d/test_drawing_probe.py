@@ -77,16 +77,13 @@ def test_a_choice_of_the_user_is_kept(monkeypatch):
     assert os.environ[WINDOW_CLASS_VARIABLE] == OSMESA
 
 
-@pytest.mark.parametrize("drawn_by", list(Canvas))
-def test_the_trial_begins_with_the_window_only_where_software_draws(trials, monkeypatch, drawn_by):
+def test_the_first_picture_waits_for_the_trial_that_began_with_the_window(trials, monkeypatch):
     trials[EGL] = ""
     started = []
     monkeypatch.setattr(canvas, "start_egl_probe", lambda: started.append(DrawingProbe(EGL)) or started[0])
-    monkeypatch.setattr(canvas, "best_canvas", lambda: drawn_by)
     canvas.early_egl_probe.cache_clear()
-    canvas.get_ready()
-    assert len(started) == (drawn_by is Canvas.RASTER)
-    # The first picture waits for the same trial.
+    # As `run_window` does.
+    canvas.early_egl_probe()
     probe = canvas.early_egl_probe()
     assert started == [probe]
     choose_offscreen(probe)

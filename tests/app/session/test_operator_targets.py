@@ -45,6 +45,7 @@ def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
     listen = f"import sys; print('{LINKS}', flush=True); open({str(heard)!r}, 'w').write(sys.stdin.read())"
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", listen))
+        server.listen()
     for line in ("pace 2", "pace 1"):
         server.send_line(line)
     server.stop()
@@ -56,6 +57,7 @@ def test_a_process_that_never_reads_holds_nothing_up(qtbot):
     server = DeviceProcess()
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", f"import time; print('{LINKS}', flush=True); time.sleep(60)"))
+        server.listen()
     for _ in range(5000):
         server.send_line("x" * 100)  # eight times what a pipe holds
     server.stop()
