@@ -83,7 +83,7 @@ def map_to_grey(shares: FloatArray) -> FloatArray:
 def import_plotter() -> None:
     """Import `pyvista.plotting`; does nothing if it is imported, and waits for another thread that imports it."""
     with _IMPORT_LOCK:
-        if not hasattr(sys.modules.get("pyvista"), "plotting"):
+        if "pyvista.plotting" not in sys.modules:
             _import_plotter()
 
 

@@ -60,10 +60,11 @@ def points_of(actor: MeshActor) -> np.ndarray:
 
 def make_plotter(size=(640, 480)):
     """A plotter that is never on a screen, for layers without a view."""
-    from app.scene3d import offscreen
+    from app.scene3d.drawing_probe import choose_offscreen
+    from app.scene3d.offscreen import make_plotter
 
-    offscreen.choose_offscreen()
-    return offscreen.make_plotter(size)
+    choose_offscreen()
+    return make_plotter(size)
 
 
 def settle():
