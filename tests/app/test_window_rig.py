@@ -224,7 +224,7 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_ans
 def test_the_session_goes_on_before_its_value_is_made_and_no_value_shows_half_of_it(poked, monkeypatch):
     workspace, states = poked.bench.window.session_view.workspace, []
     show = workspace.show_state
-    monkeypatch.setattr(workspace, "show_state", lambda state: (states.append(state), show(state)))
+    monkeypatch.setattr(workspace, "show_state", lambda state, *words: (states.append(state), show(state, *words)))
     name, number = poked.asked, poked.poke()
     showing = [state for state in states if state.snapshot.pokes[-1].outcome.poke == number]
     assert showing
