@@ -18,7 +18,7 @@ from app.panels.now_panel import NowPanel
 from app.panels.widgets import theme_colours
 from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
-from app.text.now import Now, Tone
+from app.state.status_line import Now, Tone
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 from skincal.part.part import Part

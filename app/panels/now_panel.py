@@ -15,7 +15,7 @@ from PySide6.QtWidgets import QFrame, QLabel, QSizePolicy
 from app.panels.layouts import make_column, make_row
 from app.panels.top_view import DIAL_RADIUS_M, TopView, top_view
 from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, escape_tooltip, mix, set_bold
-from app.text.now import Now, Tone
+from app.state.status_line import Now, Tone
 from app.theme import HEADLINE_FONT_SIZE_PT, RESULT_FONT_SIZE_PT, WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray
 from skincal.words.units import degrees, millimetres, newtons

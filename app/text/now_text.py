@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from app.state.policies import is_news, newest_outcome
 from app.state.press_coach import NO_HINT, CoachMemory, ForceLevel, follow_press
 from app.state.running import Running
+from app.state.status_line import Now, Said, Tone
 from app.state.view_state import LINK_FAULTS, LinkStatus, ViewState
 from app.text.guidance_text import (
     DOT_SEPARATOR,
@@ -27,7 +28,6 @@ from app.text.guidance_text import (
     why_words,
 )
 from app.text.link_text import link_detail
-from app.text.now import Now, Said, Tone
 from skincal.contacts.outcome import PRESSING_PHASES, Outcome, PressPhase, Rejection
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
