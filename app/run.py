@@ -264,4 +264,4 @@ def start_log_and_open(window: Window, request: OpenRequest) -> None:
     if failure:
         window.tell(Message(failure, error=True))
     # Now the window is idle, since the scene is loading; later this would block it.
-    canvas.get_ready()
+    canvas.get_ready(window)

@@ -26,6 +26,7 @@ from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.start_page import StartPage
 from app.panels.widgets import ElidedLabel, mix
+from app.qt_types import name_types
 from app.session.controller import OPERATOR_PACES, Controller
 from app.session.opening import Addresses, OpenRequest, dated_folder, find_scene, is_shipped, server_command
 from app.sound.player import Player
@@ -285,7 +286,7 @@ class Window(QMainWindow):
         if not self._settings.value(OWN_SCENE_SETTING, False, type=bool):
             self._settings.setValue(OWN_SCENE_SETTING, not is_shipped(part.scene.path))
         workspace.view.ready.connect(self.view_ready)
-        workspace.view.settled.connect(self.controller.guide_part)
+        workspace.view.settled.connect(lambda: name_types(workspace, self.controller.guide_part))
         workspace.docks.restore(self._settings)
         workspace.follow_switches(self.commands.is_on)
         workspace.recolour()

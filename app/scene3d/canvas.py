@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from PySide6.QtCore import QObject
 from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent
 from PySide6.QtWidgets import QWidget
 
+from app.qt_types import name_types
 from app.scene3d.drawing_probe import DrawingProbe, choose_offscreen, start_egl_probe
 from app.scene3d.pyvista_import import import_plotter
 from app.text_size import text_scale
@@ -64,10 +67,20 @@ def early_egl_probe() -> DrawingProbe | None:
     return start_egl_probe()
 
 
-def get_ready() -> None:
+def get_ready(window: QObject) -> None:
     """Choose the canvas, and start to import what it draws with; takes as long as `best_canvas`."""
     # Not a daemon: a program that ends while VTK is loaded crashes.
-    threading.Thread(target=_import_early, args=(best_canvas(),), name="skincal-libraries").start()
+    thread = threading.Thread(target=_import_early, args=(best_canvas(),), name="skincal-libraries")
+    prepare_import(best_canvas(), window, thread.start)
+
+
+def prepare_import(canvas: Canvas, owner: QObject, then: Callable[[], object]) -> None:
+    """Call `then`, which starts a thread that imports what a canvas draws with; not after the end of `owner`."""
+    if canvas is Canvas.OPENGL:
+        # pyvistaqt names all of Qt's types at its import.
+        name_types(owner, then)
+    else:
+        then()
 
 
 def _import_early(canvas: Canvas) -> None:

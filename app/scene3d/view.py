@@ -15,7 +15,7 @@ from PySide6.QtGui import QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
-from app.scene3d.canvas import Canvas, best_canvas, load, mount, release
+from app.scene3d.canvas import Canvas, best_canvas, load, mount, prepare_import, release
 from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene
 from app.state.camera_pose import PLAIN_POSE, CameraPose
 from app.theme import WIDGET_GAP_PX
@@ -172,8 +172,11 @@ class View3D(QWidget):
                 # Any error of a driver or a library: the session goes on without the picture.
                 raise InputError(f"There is no 3D view: {error}\n\nEverything else works.") from error
 
+        def start() -> None:
+            threads.submit(work, self._mount, self._message.setText, release, ended=lambda: self._settle(threads))
+
         self._threads = threads = ThreadService("scene3d", self)
-        threads.submit(work, self._mount, self._message.setText, release, ended=lambda: self._settle(threads))
+        prepare_import(choice, self, start)
 
     def _settle(self, threads: ThreadService) -> None:
         """Emit `settled` once the picture is painted, unless the view was closed meanwhile."""
