@@ -58,8 +58,6 @@ class LinksLayer(Layer):
         super().__init__(plotter, static)
         self.shape: RobotShape | None = None
         self.actors: dict[str, pv.Actor] = {}
-        self._boxes: dict[str, FloatArray] = {}
-        """Corners (8, 3) of each link's box, metres, in its own frame."""
         self._key: object = None
         self._picture: DraftPicture | None = None
 
@@ -78,14 +76,12 @@ class LinksLayer(Layer):
     def _replace(self, shape: RobotShape | None) -> None:
         for actor in self.actors.values():
             self.plotter.renderers[PART].RemoveActor(actor)
-        self.shape, self.actors, self._boxes = shape, {}, {}
+        self.shape, self.actors = shape, {}
         if shape is None:
             return
         self.plotter.subplot(0, PART)
         for link in shape.links:
             mesh = pv.PolyData.from_regular_faces(link.vertices, link.triangles)
-            low, high = link.vertices.min(axis=0), link.vertices.max(axis=0)
-            self._boxes[link.link] = low + BOX_CORNERS * (high - low)
             self.actors[link.link] = self.plotter.add_mesh(
                 mesh, ambient=0.3, diffuse=0.7, copy_mesh=False, reset_camera=False, render=False, show_scalar_bar=False
             )
@@ -118,12 +114,13 @@ class LinksLayer(Layer):
         return next((link for link, actor in self.actors.items() if actor is found), None)
 
     def extent(self, preview: PartPreview) -> FloatArray:
-        """Return the corners of the boxes of the shown links, (n, 3) float, metres, in the part's link."""
+        """Return the corners of the links' boxes, (n, 3) float, metres, in the part's link."""
         corners = [NO_PLACES]
-        for link, box in self._boxes.items():
-            pose = preview.link_poses.get(link)
+        for link in () if preview.shape is None else preview.shape.links:
+            pose = preview.link_poses.get(link.link)
             if pose is not None:
-                corners.append(box @ pose[:3, :3].T + pose[:3, 3])
+                low, high = link.vertices.min(axis=0), link.vertices.max(axis=0)
+                corners.append((low + BOX_CORNERS * (high - low)) @ pose[:3, :3].T + pose[:3, 3])
         return np.concatenate(corners)
 
 
