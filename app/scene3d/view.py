@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from app.state.view_state import ViewState
 
 LOG = logging.getLogger(__name__)
+T = TypeVar("T")
 VTK_CLOSE_TIMEOUT_S = 60.0  # Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes
 MAX_CLICK_MOVE_PX = 4.0  # A press that moves less before its release is a click: hands tremble by two or three pixels
 ROTATION_PER_FULL_DRAG_DEG = 220.0
@@ -173,16 +175,23 @@ class View3D(QWidget):
                 raise InputError(f"There is no 3D view: {error}\n\nEverything else works.") from error
 
         def start() -> None:
-            threads.submit(work, self._mount, self._message.setText, release, ended=lambda: self._settle(threads))
+            # Neither is called after the end of the view.
+            threads.submit(work, self._settling(self._mount), self._settling(self._message.setText), dropped=release)
 
         self._threads = threads = ThreadService("scene3d", self)
         prepare_import(choice, self, start)
 
-    def _settle(self, threads: ThreadService) -> None:
-        """Emit `settled` once the picture is painted, unless the view was closed meanwhile."""
-        if threads is self._threads:
-            # Qt paints what was requested before this.
-            QTimer.singleShot(0, self, self.settled.emit)
+    def _settling(self, receive: Callable[[T], None]) -> Callable[[T], None]:
+        """Make a receiver of an answer that emits `settled` after it, once the picture is painted."""
+
+        def take(answer: T) -> None:
+            try:
+                receive(answer)
+            finally:
+                # Qt paints what was requested before this.
+                QTimer.singleShot(0, self, self.settled.emit)
+
+        return take
 
     def _pixels(self) -> tuple[int, int]:
         """Size in device pixels, at least 1."""

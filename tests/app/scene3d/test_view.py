@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shiboken6
 from PySide6.QtCore import QEvent, QPoint, Qt, QTimer
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QMainWindow
@@ -399,6 +400,18 @@ def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
         settle()
     assert view.list_layers() == ()
     assert not [thread for thread in threading.enumerate() if thread.name == "skincal-scene3d"]
+
+
+def test_a_view_that_is_deleted_while_it_loads_does_nothing_more(qtbot):
+    """An exception of an event fails the test."""
+    view, settled = View3D(canvas=Canvas.RASTER), []
+    view.settled.connect(lambda: settled.append(1))
+    view.build_scene(StaticScene(Part(scene(PLAN), box(), laid(PLAN), np.arange(24), ())))
+    threads = view._threads
+    shiboken6.delete(view)
+    threads.wait()
+    qtbot.wait(50)
+    assert not settled
 
 
 def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, monkeypatch):
