@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -265,15 +266,19 @@ def test_columns_that_name_another_order_of_the_quaternion_than_the_scene_are_re
         ("q0 qx qy qz tx ty tz", "wxyz", "m", "", "the rotation before the place"),
     ],
 )
-def test_column_names_that_contradict_the_form_of_the_poses_are_refused(tmp_path, capsys, names, rotation, unit, degrees, says):
+def test_column_names_that_contradict_the_form_of_the_poses_are_refused(
+    tmp_path, monkeypatch, capsys, names, rotation, unit, degrees, says
+):
+    # The middle of a long sentence is left out, and a path is part of it.
+    monkeypatch.chdir(tmp_path)
     form = f'rotation = "{rotation}"\nunit = "{unit}"\n' + f"degrees = {degrees}\n" * bool(degrees)
     scene_of(tmp_path, scene_text(form))
     times, columns = np.arange(60) / 50, names.split()
     rows = np.full((60, len(columns)), 0.1)
     rows[:, :3] = 100.0 if unit == "mm" else 0.1
     rows[:, 6:] = np.sqrt(1.0 - 3 * 0.01)
-    tables = write_tables(tmp_path, {"skin": (times, np.zeros((60, 9))), "tool": (times, rows)}, columns)
-    code = main(["import", "csv", *tables, "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")])
+    tables = write_tables(Path(), {"skin": (times, np.zeros((60, 9))), "tool": (times, rows)}, columns)
+    code = main(["import", "csv", *tables, "--scene", "scene.toml", "--out", "out"])
     assert says in " ".join(capsys.readouterr().err.split())
     assert code == (2 if says else 0)
     assert (tmp_path / "out").exists() != bool(says)
