@@ -75,7 +75,7 @@ def get_ready(window: QObject) -> None:
 
 
 def prepare_import(canvas: Canvas, owner: QObject, then: Callable[[], object]) -> None:
-    """Call `then`, which starts a thread that imports what a canvas draws with; not after the end of `owner`."""
+    """Call `then` to import a canvas's libraries in a thread, once that is safe; not after the end of `owner`."""
     if canvas is Canvas.OPENGL:
         # pyvistaqt names all of Qt's types at its import.
         name_types(owner, then)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from app.state.view_state import ViewState
 
 LOG = logging.getLogger(__name__)
-T = TypeVar("T")
+AnyAnswer = TypeVar("AnyAnswer")
 VTK_CLOSE_TIMEOUT_S = 60.0  # Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes
 MAX_CLICK_MOVE_PX = 4.0  # A press that moves less before its release is a click: hands tremble by two or three pixels
 ROTATION_PER_FULL_DRAG_DEG = 220.0
@@ -181,17 +181,17 @@ class View3D(QWidget):
         self._threads = threads = ThreadService("scene3d", self)
         prepare_import(choice, self, start)
 
-    def _settling(self, receive: Callable[[T], None]) -> Callable[[T], None]:
+    def _settling(self, receive: Callable[[AnyAnswer], None]) -> Callable[[AnyAnswer], None]:
         """Make a receiver of an answer that emits `settled` after it, once the picture is painted."""
 
-        def take(answer: T) -> None:
+        def receive_and_settle(answer: AnyAnswer) -> None:
             try:
                 receive(answer)
             finally:
                 # Qt paints what was requested before this.
                 QTimer.singleShot(0, self, self.settled.emit)
 
-        return take
+        return receive_and_settle
 
     def _pixels(self) -> tuple[int, int]:
         """Size in device pixels, at least 1."""
