@@ -343,7 +343,7 @@ class Window(QMainWindow):
         self._show_opening()
         if self.session_view is not None:
             if running is Running.OFFLINE and self.session_view.state is None:
-                self.session_view.workspace.wait("nothing to show", "No device is connected. Ctrl+N: name devices.")
+                self.session_view.workspace.wait("Nothing to show", "No device is connected. Ctrl+N: name devices.")
             self.session_view.follow_again()
         self.commands.update_actions()
 

@@ -70,7 +70,7 @@ class Workspace(QWidget):
         self._fit_right()
         self.docks.arrange(RIGHT_PX)
         make_column((self.docks, 1), self.now, within=self, margins=WIDGET_GAP_PX, gap=WIDGET_GAP_PX)
-        self.wait("opening", part.scene.name)
+        self.wait("Opening", part.scene.name)
 
     def add_panels(self, guided: GuidedSession, panels: Sequence[Panel]) -> None:
         """Take the panels of the session, and make the map; `arrange` shows them."""

@@ -3,7 +3,7 @@
 The robot is the program's own client of the target lines, with an arm whose tip meets a spring; its sensors send bytes.
 
 By its name: `python3 -m pytest -s tests/long/test_fifty_thousand_pokes.py`. SKINCAL_POKES=1000 makes it shorter; the kill is
-at four fifths of the pokes, and -s shows the figures at each tenth. A poke takes 0.1 to 0.2 s of processor time: all take hours.
+at four fifths of the pokes, and -s shows the figures at each tenth. A poke takes 0.1 to 0.2 s of processor time, all hours.
 """
 
 import json
