@@ -43,7 +43,9 @@ from tests.skincal.robot.plain_arm import PlainArm
 CHECKOUT = Path(__file__).resolve().parents[2]
 POKES = int(os.environ.get("SKINCAL_POKES", "50000"))
 SCENE = "whole-body"
-QUICK = PokeSettings(clearance=0.02, standoff=0.006, travel_speed=1.5, enter_speed=0.4, approach_speed=0.03, retreat_speed=0.4)
+QUICK = PokeSettings(
+    clearance=0.02, standoff=0.006, travel_speed=1.5, enter_speed=0.4, approach_speed=0.03, retreat_speed=0.4, held_wait_s=0.2
+)
 """A quick arm: fifty thousand pokes take 30 hours of its time."""
 NEAR_M = 0.02
 """m, from the box around the body, at which a tip may touch it."""
