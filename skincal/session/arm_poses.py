@@ -102,12 +102,12 @@ class ArmPoses:
 
     def _unnamed(self, chain: UrdfChain, width: int) -> str:
         """Doubt the first columns of a wider stream; empty if the scene names others than those of the chain, or all."""
-        named = ", ".join(self._named)
-        if not width > len(self._named) == len(chain.joints):
+        count = len(self._named)
+        if not width > count == len(chain.joints):
             return ""
         return (
-            f"the stream has {width} values, and the scene names the first {len(self._named)}: {named}. If other joints come "
-            "before, name them, too, in joints of the scene"
+            f"the stream has {width} values, and the scene names the first {count}: {', '.join(self._named)}. If other joints "
+            "come before, name them, too, in joints of the scene"
         )
 
     def _name_of(self, arm: ArmSpec, angles: FloatArray, sensor: FloatArray) -> str:
