@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
-from PySide6.QtGui import QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
+from PySide6.QtGui import QEnterEvent, QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QLabel, QStackedLayout, QWidget
 
 from app.scene3d import camera
@@ -74,6 +74,10 @@ class Pointer(QObject):
             self._drag(event)
         elif kind == QEvent.Type.MouseButtonRelease and isinstance(event, QMouseEvent):
             self._release(event)
+        elif isinstance(event, QEnterEvent):
+            # A window that covered the pointer, such as a tooltip, is gone: the pointer need not move for that.
+            self._view.hover(*self._pixels(event.position()))
+            return False
         elif kind in KEYS:
             event.ignore()
         else:

@@ -132,16 +132,41 @@ def test_sides_are_told_by_the_names_of_links(names, has_sides):
     assert left_of_robot(poses) is None, "above each other they are no sides"
 
 
+def point_at(build, x: float, y: float) -> QPoint:
+    """Bring the pointer to a pixel of the picture, counted from the lower left; return its place on the screen."""
+    canvas = build.page.view.canvas
+    place = QPoint(round(x), round(canvas.height() - y))
+    at = canvas.mapToGlobal(place)
+    QCursor.setPos(at)
+    QTest.mouseMove(canvas, place)
+    return at
+
+
+def until_named(build, link: str) -> None:
+    build.bench.until(lambda: QToolTip.text() == f"<p>{link}</p>", OPEN_MS)
+
+
 def test_the_link_under_the_pointer_is_named(build):
-    view = build.page.view
     for link in BOXES_MM:
         corners, middle = pixels_of(build, link), pixels_of(build, "torso").mean(axis=0)
         # The torso covers half of an arm.
         at = corners.mean(axis=0) + 0.25 * np.sign(corners.mean(axis=0) - middle) * [np.ptp(corners[:, 0]), 0.0]
-        place = QPoint(round(at[0]), round(view.canvas.height() - at[1]))
-        QCursor.setPos(view.canvas.mapToGlobal(place))
-        QTest.mouseMove(view.canvas, place)
-        build.bench.until(lambda link=link: QToolTip.text() == f"<p>{link}</p>", OPEN_MS)
+        point_at(build, *at)
+        until_named(build, link)
+    QToolTip.hideText()
+
+
+def test_a_link_is_named_when_the_tooltip_over_it_is_gone(build):
+    canvas = build.page.view.canvas
+    at = pixels_of(build, "torso").mean(axis=0)
+    place = point_at(build, *at)
+    until_named(build, "torso")
+    # At the lower right of a place: so it covers the middle.
+    QToolTip.showText(place - QPoint(40, 40), "covers the torso " * 5, canvas)
+    build.bench.until(lambda: not canvas.underMouse())
+    # The pointer moves over the tooltip to the middle, and rests.
+    point_at(build, at[0] + 1.0, at[1])
+    until_named(build, "torso")
     QToolTip.hideText()
 
 
