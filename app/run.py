@@ -19,6 +19,7 @@ from PySide6.QtCore import QMetaObject, QObject, QSettings, QStandardPaths, Qt, 
 from PySide6.QtGui import QFont, QFontDatabase
 from PySide6.QtWidgets import QApplication
 
+from app.qt_types import skip_feature_search
 from app.scene3d import canvas
 from app.session.controller import Controller
 from app.session.opening import (
@@ -44,6 +45,7 @@ GC_THRESHOLDS = (10_000, 20, 20)
 """As for `gc.set_threshold`. A full collection stops every thread for 50 ms once VTK and pyqtgraph are imported, and with the
 default values the imports alone cause several. With these it needs four million new objects; a poke leaves a thousand."""
 GARBAGE_COLLECTION_PERIOD_MS = 200
+FIRST_COLLECTION_MS = 3000  # Until then nearly all new objects are of imports and of the opening: none of them is garbage
 FALLBACK_FONTS = "mpl-data/fonts/ttf/DejaVuSans*.ttf"
 """Fonts of the package matplotlib, for a system without any: a server, a container."""
 FALLBACK_FAMILIES = {"Sans Serif": "DejaVu Sans", "Serif": "DejaVu Sans", "Monospace": "DejaVu Sans Mono"}
@@ -181,7 +183,8 @@ def collect_in_window(application: QApplication) -> QTimer:
     gc.disable()
     timer = QTimer(application)
     timer.timeout.connect(_collect_garbage)
-    timer.start(GARBAGE_COLLECTION_PERIOD_MS)
+    timer.setInterval(GARBAGE_COLLECTION_PERIOD_MS)
+    QTimer.singleShot(FIRST_COLLECTION_MS, timer, timer.start)
     return timer
 
 
@@ -226,6 +229,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     player : plays the sounds; default: the desktop's sound device
     """
     sys.setswitchinterval(PYTHON_THREAD_SWITCH_INTERVAL_S)
+    skip_feature_search()
     # A process of its own tries to draw while the window is made.
     canvas.early_egl_probe()
     application = QApplication.instance() or QApplication(sys.argv[:1])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.session.opening import PART_FILES, OpenRequest, server_command
-from skincal.files.importers.registry import is_recording
 from skincal.model.errors import InputError
 
 DROP_ADVICE = (
@@ -23,6 +22,8 @@ def request_of(paths: Sequence[Path]) -> OpenRequest | tuple[Path, ...]:
     InputError
         It cannot be opened; the sentence says what to do.
     """
+    from skincal.files.importers.registry import is_recording
+
     try:
         if len(paths) > 1 and all(map(is_recording, paths)):
             return tuple(paths)
@@ -34,6 +35,7 @@ def request_of(paths: Sequence[Path]) -> OpenRequest | tuple[Path, ...]:
 
 
 def _request_of(path: Path) -> OpenRequest | tuple[Path, ...]:
+    from skincal.files.importers.registry import is_recording
     from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER
 
     kind = path.suffix.lower()

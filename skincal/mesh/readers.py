@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.file_numbers import decode_text, drop_mark, parse_number, parse_numbers, parse_whole, show_word
+from skincal.mesh.file_numbers import decode_text, drop_mark, parse_numbers, parse_whole, parse_wholes, show_word
 from skincal.mesh.findings import FindingKind, MeshFinding, count_finding, words_finding
 from skincal.mesh.polygons import NO_POLYGONS, Polygons, check_corners, cut_polygons, polygons_of, triangles_of
 from skincal.model.errors import InputError
@@ -112,38 +112,36 @@ def _soup(corners: FloatArray, findings: tuple[MeshFinding, ...]) -> Polygons:
     return triangles_of(corners, np.arange(len(corners)), findings)
 
 
-def _point(words: list[bytes]) -> tuple[float, float, float]:
+def _coordinates(words: list[bytes]) -> list[bytes]:
     # A fourth number (w), colours or a normal may follow.
     if len(words) < 3:
         raise ValueError("a vertex with fewer than 3 numbers")
-    return parse_number(words[0]), parse_number(words[1]), parse_number(words[2])
-
-
-def _vertices(numbers: list[float]) -> FloatArray:
-    return np.array(numbers, dtype=float).reshape(-1, 3)
+    return words[:3]
 
 
 def _read_obj(data: bytes) -> Polygons:
-    # Word by word into flat lists: so the reading thread lets the window's run. One call for all, or many small lists for the
-    # garbage collector, would block it.
-    points: list[float] = []
-    corners: list[int] = []
+    points: list[bytes] = []
+    indices: list[bytes] = []
     sizes: list[int] = []
+    known: list[int] = []
+    """Vertices before each face."""
     for line in decode_text(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
         words = line.split()
         if words and words[0] == b"v":
-            points.extend(_point(words[1:]))
+            points += _coordinates(words[1:])
         elif words and words[0] == b"f":
-            known = len(points) // 3
-            indices = [parse_whole(word.partition(b"/")[0]) for word in words[1:]]
-            if 0 in indices:
-                raise ValueError("a face names vertex 0, and OBJ counts from 1")
-            # Indices count from 1; a negative one counts back from the last vertex read so far.
-            corners.extend([i - 1 if i > 0 else known + i for i in indices])
-            sizes.append(len(indices))
+            known.append(len(points) // 3)
+            sizes.append(len(words) - 1)
+            indices += [word.partition(b"/")[0] for word in words[1:]] if b"/" in line else words[1:]
     if data and not points and not sizes:
         raise ValueError("no line starts with v or f")
-    return polygons_of(_vertices(points), corners, sizes)
+    vertices, named = parse_numbers(points).reshape(-1, 3), parse_wholes(indices)
+    if not named.all():
+        raise ValueError("a face names vertex 0, and OBJ counts from 1")
+    # Indices count from 1; a negative one counts back from the last vertex read so far.
+    counts = np.array(sizes, dtype=np.int64)
+    corners = np.where(named > 0, named - 1, np.repeat(np.array(known, dtype=np.int64), counts) + named)
+    return Polygons(vertices, corners, counts)
 
 
 def _read_off(data: bytes) -> Polygons:
@@ -160,19 +158,19 @@ def _read_off(data: bytes) -> Polygons:
     vertex_count, face_count = (parse_whole(word) for word in [*lines[0].split(), b"", b""][:2])
     if min(vertex_count, face_count) < 0 or len(lines) < 1 + vertex_count + face_count:
         raise ValueError(f"{len(lines) - 1} lines; {vertex_count} vertices and {face_count} faces announced")
-    points: list[float] = []
+    points: list[bytes] = []
     for line in lines[1 : 1 + vertex_count]:
-        points.extend(_point(line.split()))
-    corners: list[int] = []
+        points += _coordinates(line.split())
+    corners: list[bytes] = []
     sizes: list[int] = []
     for line in lines[1 + vertex_count : 1 + vertex_count + face_count]:
         words = line.split()
         size = parse_whole(words[0])
         if len(words) <= size:
             raise ValueError(f"a face of {size} corners with {len(words) - 1} indices")
-        corners.extend([parse_whole(word) for word in words[1 : 1 + size]])
+        corners += words[1 : 1 + size]
         sizes.append(size)
-    return polygons_of(_vertices(points), corners, sizes)
+    return polygons_of(parse_numbers(points).reshape(-1, 3), parse_wholes(corners), sizes)
 
 
 class _Property(NamedTuple):
