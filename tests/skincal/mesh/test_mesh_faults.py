@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skincal.mesh import collada, polygons
+from skincal.mesh import collada, gltf, polygons
 from skincal.mesh.findings import FindingKind
 from skincal.mesh.load import load_surface
 from skincal.mesh.readers import read_mesh
@@ -97,7 +97,8 @@ def materials(count, each="0 1 2"):
 
 def test_many_materials_on_one_array_are_read_once_and_count_once(monkeypatch):
     points = np.random.default_rng(1).random((50, 3))
-    monkeypatch.setattr(polygons, "MAX_PLACED_CORNERS", 200)
+    for module in (polygons, gltf):
+        monkeypatch.setattr(module, "MAX_PLACED_CORNERS", 200)
     mesh = read("a.dae", by_hand(materials(40), points))
     assert (len(mesh.vertices), len(mesh.triangles)) == (50, 40), "and not 40 x 50 vertices"
     entry, body = document()
