@@ -23,7 +23,7 @@ def skip_feature_search() -> None:
     """Let PySide6 not read the source of each module that is imported from now on; does nothing where it has no such search.
 
     It looks there for `PySide6`, since a module may ask for other names of Qt's functions; the program does not. The sources
-    of VTK, pyvista and numpy take 20 MB and a seventh of the time of their import.
+    of pyvista and numpy take 20 MB, and a tenth of the time of their import.
     """
     search = sys.modules.get(FEATURE_SEARCH)
     if hasattr(search, "_mod_uses_pyside"):
