@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
@@ -57,8 +58,8 @@ CHECK_ARGUMENTS = {
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
 """Arguments for Python of each check; after the two quick ones the longest first, for an even load to the end."""
-PARALLEL_CHECKS = 3
-"""For two cores: tests of devices and windows wait a quarter of their time."""
+PARALLEL_CHECKS = 4
+"""For two cores: tests of devices and windows wait for a part of their time."""
 TIMING_FILES = ("tests/app/test_window_live.py", "tests/skincal/cli/test_cli_record.py")
 TIMING_TESTS = {"pytest of what is measured": (*PYTEST_ARGUMENTS, "-m", "quiet", *TIMING_FILES)}
 """Tests that must run alone, because they measure time."""
@@ -149,17 +150,24 @@ def _run_in_parallel(environment: Mapping[str, str]) -> list[str]:
         for name, words in CHECK_ARGUMENTS.items():
             caps = name.removeprefix("pytest as on ")
             own = {**environment, PROCESSOR_VARIABLE: caps} if caps in TESTED_PROCESSORS else environment
-            running[pool.submit(_python, words, own, subprocess.PIPE)] = name
+            running[pool.submit(_timed, words, own)] = name
         say(f"\n{len(running)} checks, {PARALLEL_CHECKS} at a time; the output of each follows at its end.")
         try:
             for done in as_completed(running):
-                say(f"\n$ {running[done]}\n{done.result().stdout.decode(errors='replace').rstrip()}")
-                failed += [running[done]] if done.result().returncode else []
+                ended, taken_s = done.result()
+                say(f"\n$ {running[done]} ({taken_s:.0f} s)\n{ended.stdout.decode(errors='replace').rstrip()}")
+                failed += [running[done]] if ended.returncode else []
         except KeyboardInterrupt:
             # Otherwise the waiting checks would still run.
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return failed
+
+
+def _timed(words: Sequence[str], environment: Mapping[str, str]) -> tuple[subprocess.CompletedProcess[bytes], float]:
+    """Run a check; return its end with its output, and how many seconds it took."""
+    begin_s = time.monotonic()
+    return _python(words, environment, subprocess.PIPE), time.monotonic() - begin_s
 
 
 def _python(
