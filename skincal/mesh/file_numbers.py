@@ -40,15 +40,17 @@ def drop_mark(data: bytes) -> bytes:
 
 def parse_numbers(words: list[bytes]) -> FloatArray:
     """Parse numbers, (n,)."""
-    return _parse_all(words, parse_number, np.dtype(float))
+    return _parse_all(words, float, parse_number, np.dtype(float))
 
 
 def parse_wholes(words: list[bytes]) -> IntArray:
     """Parse whole numbers, (n,)."""
-    return _parse_all(words, parse_whole, np.dtype(np.int64))
+    return _parse_all(words, int, parse_whole, np.dtype(np.int64))
 
 
-def _parse_all(words: list[bytes], parse: Callable[[bytes], float], kind: np.dtype) -> np.ndarray:
+def _parse_all(
+    words: list[bytes], convert: Callable[[bytes], float], parse: Callable[[bytes], float], kind: np.dtype
+) -> np.ndarray:
     parts = [np.empty(0, dtype=kind)]
     # In blocks: so the reading thread lets the window's run.
     for start in range(0, len(words), WORDS_AT_ONCE):
@@ -57,11 +59,15 @@ def _parse_all(words: list[bytes], parse: Callable[[bytes], float], kind: np.dty
         if longest > NUMBER_TEXT_MAX_CHARS:
             raise ValueError(f"a number of {longest} letters")
         try:
-            parts.append(np.array([_python_number(word) for word in block], dtype="S").astype(kind))
+            # Not by an array of text: numpy drops zero bytes at the end of a word, as a cut file has them.
+            parts.append(np.fromiter(map(convert, block), kind, len(block)))
+            _python_number(b"".join(block))
         except ValueError:
             for word in block:
                 parse(word)
             raise
+        except OverflowError:
+            raise ValueError("a whole number of more than 63 bits") from None
     return np.concatenate(parts)
 
 

@@ -51,6 +51,7 @@ _TYPES = {
 }  # fmt: skip
 _BYTE_ORDER_OF_PLY_FORMAT = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
+_COMMENT_PATTERN = re.compile(rb"#[^\r\n]*")
 OFF_KINDS = rb"(ST|C|N)*OFF"
 """First word of OFF files whose lines begin with three coordinates; texture, colours and normals follow them."""
 
@@ -125,7 +126,9 @@ def _read_obj(data: bytes) -> Polygons:
     sizes: list[int] = []
     known: list[int] = []
     """Vertices before each face."""
-    for line in decode_text(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+    # Comments first: a folder at the end of one may end with the sign that continues a line.
+    text = _COMMENT_PATTERN.sub(b"", decode_text(data)).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    for line in text.splitlines():
         words = line.split()
         if words and words[0] == b"v":
             points += _coordinates(words[1:])
@@ -145,7 +148,7 @@ def _read_obj(data: bytes) -> Polygons:
 
 
 def _read_off(data: bytes) -> Polygons:
-    lines = [line for line in re.sub(rb"#[^\n]*", b"", decode_text(data)).splitlines() if line.strip()]
+    lines = [line for line in _COMMENT_PATTERN.sub(b"", decode_text(data)).splitlines() if line.strip()]
     if not lines:
         return NO_POLYGONS
     kind, rest = [*lines[0].split(None, 1), b""][:2]

@@ -53,11 +53,17 @@ POINTS = "0 0 0\n4 0 0\n4 4 0\n0 4 0\n"
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "names vertex 0, and OBJ counts from 1"),
         ("a.obj", b"v 0 0 1_0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "'1_0' is no number"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3_0\n", "'3_0' is no whole number"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\0\0\0", r"'3\x00\x00\x00' is no whole number"),
+        ("a.obj", b"v 0 0 0\nv 1\0 0 0\nv 0 1 0\nf 1 2 3\n", r"'1\x00' is no number"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999999999999999\n", "a whole number of more than 63 bits"),
+        ("a.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\0", r"'2\x00' is no whole number"),
         ("a.off", b"OFF\n3 1 0\n0 0 0\n1_0 0 0\n0 1 0\n3 0 1 2\n", "is no number"),
         ("a.ply", ply(body=POINTS + "3 0 1 2\n3 0 2 0.6\n"), "names vertex 0.6; a whole number"),
         ("a.ply", ply(body=POINTS + "3 0 1 2\n4 0 2 3 0.6\n"), "names vertex 0.6; a whole number"),
         ("a.ply", ply(body=POINTS + "3 0 1 2\n3 0 2 nan\n"), "names vertex nan; a whole number"),
         ("a.ply", ply(body=POINTS + "3 0 1 2\n3 0 2 1_0\n"), "'1_0' is no number"),
+        ("a.ply", ply(body=POINTS + "3 0 1 2\n3 0 2 3\0\n"), r"'3\x00' is no number"),
+        ("a.stl", stl(0, 1).replace(b"vertex 40", b"vertex 40\0"), r"'40\x00' is no number"),
         ("a.ply", ply(vertices="float x\nproperty float y", body="0 0\n4 0\n4 4\n0 4\n3 0 1 2\n3 0 2 3\n"), "have no z"),
         ("a.ply", ply(faces="list uchar integer vertex_indices", body=POINTS), "'integer' is no number type of PLY"),
         ("a.ply", ply(form="binary", body=POINTS), "the format 'binary' is not one of binary_little_endian"),
@@ -70,7 +76,20 @@ def test_numbers_that_are_none_get_a_sentence_without_jargon(name, data, said):
     with pytest.raises(InputError) as caught:
         read(name, data)
     assert said in str(caught.value)
-    assert not any(word in str(caught.value) for word in ("KeyError", "invalid literal", "list index", "buffer is smaller"))
+    assert not any(word in str(caught.value) for word in ("KeyError", "Python int", "invalid literal", "list index", "buffer is smaller"))
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", "# C:\\parts\\\nv 0 0 0 # corner\nv 1 0 0#\nv 0 1 0\nf 1 2 3 # face\n"),
+        ("a.off", "# cover\nOFF\n3 1 0 # counts\n0 0 0\n1 0 0\n0 1 0#\n3 0 1 2\n"),
+    ],
+)
+def test_a_comment_ends_with_its_line(name, text, line_end):
+    mesh = read(name, text.replace("\n", line_end).encode())
+    np.testing.assert_array_equal(mesh.vertices[mesh.triangles], [[(0, 0, 0), (1, 0, 0), (0, 1, 0)]])
 
 
 def test_zeros_of_a_sparse_accessor_are_no_more_than_the_file_can_name():
