@@ -173,7 +173,7 @@ def _read_off(data: bytes) -> Polygons:
             raise ValueError(f"a face of {size} corners with {len(words) - 1} indices")
         corners += words[1 : 1 + size]
         sizes.append(size)
-    return polygons_of(parse_numbers(points).reshape(-1, 3), parse_wholes(corners), sizes)
+    return Polygons(parse_numbers(points).reshape(-1, 3), parse_wholes(corners), np.array(sizes, dtype=np.int64))
 
 
 class _Property(NamedTuple):
