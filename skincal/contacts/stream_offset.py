@@ -38,7 +38,7 @@ class StreamOffsetWatch:
 
     def __init__(self) -> None:
         self.offset_s: float | None = None
-        """As `find_offset` gives it, at the last look."""
+        """As `find_offset` gives it, at the last look that had enough presses; `None` before, and if they agree."""
         self._steps: deque[tuple[float, float, float]] = deque(maxlen=round(REMEMBERED_S / STEP_S))
         """Time, s, and the changes of wrench, N, and skin, raw units."""
         self._last: tuple[float, FloatArray, FloatArray] | None = None
@@ -55,17 +55,22 @@ class StreamOffsetWatch:
         if 0.0 <= since_s < LONGEST_STEP_S:
             off = force - self._last[1]
             change = np.fmax.reduce(np.abs(skin - self._last[2]), initial=0.0)
+            # A pause of days would be a grid of millions of steps.
+            while self._steps and self._steps[0][0] < host_s - REMEMBERED_S:
+                self._steps.popleft()
             self._steps.append((host_s, math.sqrt(off @ off), float(change)))
         self._last = (host_s, force, skin)
         if host_s >= self._look_at_s and self._steps:
             self._look_at_s = host_s + LOOK_AGAIN_AFTER_S
-            self.offset_s = find_offset(*np.array(self._steps, dtype=np.float64).T)
+            found = find_offset(*np.array(self._steps, dtype=np.float64).T)
+            if found is not None:
+                self.offset_s = found or None
 
 
 def find_offset(times: FloatArray, wrench: FloatArray, skin: FloatArray) -> float | None:
-    """Find the offset of the skin against the wrench, s, positive if the skin comes late; `None` if they agree or show none.
+    """Find the offset of the skin against the wrench, s, positive if the skin comes late; 0 if they agree, `None` if unknown.
 
-    NaN if they disagree, and several offsets fit.
+    Infinite if they disagree, and several offsets fit: in a journal NaN would become `None`.
 
     Parameters
     ----------
@@ -73,20 +78,24 @@ def find_offset(times: FloatArray, wrench: FloatArray, skin: FloatArray) -> floa
     wrench, skin : (n,) changes since the step before
     """
     grid = np.arange(times[0], times[-1], STEP_S)
-    one, other = (_edges(np.interp(grid, times, each)) for each in (wrench, skin))
     most = round(MAX_OFFSET_S / STEP_S)
-    if len(grid) <= 2 * most or min(np.count_nonzero(one), np.count_nonzero(other)) < MIN_STEPS_WITH_CHANGE:
+    if len(grid) <= 2 * most:
+        return None
+    one, other = (_edges(np.interp(grid, times, each)) for each in (wrench, skin))
+    inner = one[most:-most]
+    if min(np.count_nonzero(inner), np.count_nonzero(other)) < MIN_STEPS_WITH_CHANGE:
         return None
     shifts = np.arange(-most, most + 1)
-    inner = one[most:-most]
     found = np.array([inner @ other[most + shift : len(other) - most + shift] for shift in shifts])
     found /= np.sqrt((inner @ inner) * (other @ other))
     best = int(shifts[found.argmax()])
     near = found[np.abs(shifts) * STEP_S < MIN_OFFSET_S].max()
-    if abs(best) * STEP_S < MIN_OFFSET_S or found.max() < max(MIN_CORRELATION, MIN_GAIN * near):
+    if found.max() < MIN_CORRELATION:
         return None
+    if abs(best) * STEP_S < MIN_OFFSET_S or found.max() < MIN_GAIN * near:
+        return 0.0
     rival = found[np.abs(shifts - best) * STEP_S >= MIN_OFFSET_S].max()
-    return best * STEP_S if rival < MAX_RIVAL_SHARE * found.max() else math.nan
+    return best * STEP_S if rival < MAX_RIVAL_SHARE * found.max() else math.inf
 
 
 def _edges(changes: FloatArray) -> FloatArray:

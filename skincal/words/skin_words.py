@@ -59,7 +59,7 @@ def _clocks_differ(condition: SkinCondition) -> str:
     if offset_s is None:
         return ""
     way = "later" if offset_s > 0 else "earlier"
-    when = "at other times than the force" if math.isnan(offset_s) else f"{abs(offset_s):.1f} s {way} than the force"
+    when = "at other times than the force" if math.isinf(offset_s) else f"{abs(offset_s):.1f} s {way} than the force"
     return (
         f"its answers come {when}, and a poke needs both at once: their clocks differ. Record wrench and skin by one clock, or "
         "correct the times of one of them, and read the recording again."

@@ -1,19 +1,26 @@
 """Offset of the skin's times against those of the wrench: two logs whose clocks differ."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 
-from skincal.contacts.stream_offset import StreamOffsetWatch
+from skincal.contacts import stream_offset
+from skincal.contacts.skin_condition import SkinCondition
+from skincal.contacts.stream_offset import REMEMBERED_S, STEP_S, StreamOffsetWatch, find_offset
+from skincal.model.codec import from_json, to_json
 from tests.skincal.soldered_board import Board, import_board, poke
 
 
-def watched(offset_s, *, polarity=1.0, every_s=None, seconds=120.0, rate=50.0):
-    """Offset that the watch finds of presses at uneven times, or `every_s`, with noise and drift of the skin."""
+def watched(offset_s, *, polarity=1.0, every_s=None, seconds=120.0, rate=50.0, rest_s=0.0, watch=None, begin_s=0.0):
+    """Offset that the watch finds of presses at uneven times, or `every_s`, with noise and drift of the skin.
+
+    `rest_s` without a press follow.
+    """
     rng = np.random.default_rng(3)
     starts = np.arange(2.0, seconds, every_s) if every_s else np.cumsum(rng.uniform(2.5, 5.5, round(seconds / 4.0)))
-    times = np.arange(0.0, seconds, 1.0 / rate)
+    times = np.arange(0.0, seconds + rest_s, 1.0 / rate)
 
     def press(at):
         return np.clip(np.minimum(at[:, None] - starts, starts + 1.2 - at[:, None]) / 0.2, 0.0, 1.0)
@@ -24,8 +31,8 @@ def watched(offset_s, *, polarity=1.0, every_s=None, seconds=120.0, rate=50.0):
         taxels[:, number % 6] += 300.0 * answer[:, number]
     skin = np.round(200.0 + polarity * taxels + 0.3 * times[:, None] + rng.normal(0.0, 1.0, taxels.shape))
     wrench = np.column_stack([np.zeros((len(times), 2)), force]) + rng.normal(0.0, 0.05, (len(times), 3))
-    watch = StreamOffsetWatch()
-    for row in zip(times.tolist(), wrench, skin, strict=True):
+    watch = watch or StreamOffsetWatch()
+    for row in zip((begin_s + times).tolist(), wrench, skin, strict=True):
         watch.add(*row)
     return watch.offset_s
 
@@ -44,8 +51,30 @@ def test_an_offset_is_found(offset_s, rate):
 
 def test_evenly_spaced_pokes_leave_the_number_open():
     offset_s = watched(1.5, every_s=3.0)
-    assert offset_s is not None
-    assert math.isnan(offset_s)
+    assert offset_s == math.inf
+    # A session that is opened again says the same.
+    stored = json.loads(json.dumps(to_json(SkinCondition(offset_s=offset_s)), allow_nan=False))
+    assert from_json(SkinCondition, stored).offset_s == math.inf
+
+
+def test_an_offset_stays_while_nobody_presses():
+    assert watched(0.5, rest_s=2.0 * REMEMBERED_S) == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_pause_of_a_month_costs_no_more_than_a_short_one(monkeypatch):
+    spans = []
+    monkeypatch.setattr(stream_offset, "find_offset", lambda at, *given: spans.append(at[-1] - at[0]) or find_offset(at, *given))
+    watch = StreamOffsetWatch()
+    watched(0.5, watch=watch)
+    assert watched(0.5, watch=watch, begin_s=2.6e6) == pytest.approx(0.5, abs=0.1)
+    assert max(spans) <= REMEMBERED_S
+
+
+def test_a_wrench_that_changes_at_the_beginning_alone_shows_none():
+    """At offsets of 3 s nothing of it can be compared."""
+    times, rng = np.arange(0.0, 25.0, STEP_S), np.random.default_rng(1)
+    wrench = np.where(times < 2.7, rng.uniform(1.0, 5.0, len(times)), 0.0)
+    assert find_offset(times, wrench, np.where(rng.random(len(times)) < 0.2, 1.0, 0.0)) is None
 
 
 def test_few_presses_and_a_skin_that_nobody_touches_show_none():
