@@ -16,7 +16,7 @@ from app.session.recording import Recording, SessionFolder, stop_all
 from app.state.memo import Memo
 from app.state.running import Running
 from app.text.demo_text import OTHER_RIG, UNKNOWN_RIG, simulated_words
-from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, empty_words, kept_words, refused_words
+from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, empty_words, kept_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService, raise_sentences
 from skincal.files.formats import NO_OPTIONS, ExportOptions
@@ -490,8 +490,9 @@ class Controller(QObject):
         )
         drained = recording.drain(BACKLOG_READINGS_TIME_PER_TICK_S if is_far_behind else READINGS_TIME_PER_TICK_S)
         recording.pipeline.tick(time.monotonic_ns())
-        if recording.pipeline.journal_failure and self.running is Running.STREAMING:
-            self._say_failure(refused_words(recording.pipeline.journal_failure))
+        # Also without devices: an action may be what the disk refused.
+        if failure := recording.take_failure():
+            self._say_failure(failure)
             self.pause()
         return drained
 

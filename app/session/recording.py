@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.session.opening import OpenRequest, dated_folder
-from app.text.message import place_words
+from app.text.message import missing_end_words, place_words, refused_words
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,6 +81,11 @@ class SessionFolder:
         """Have `finish` remove a provisional session."""
         self._discarded = self.is_provisional
 
+    @property
+    def is_discarded(self) -> bool:
+        """Whether `finish` removes the session."""
+        return self._discarded
+
     def discard_empty(self) -> bool:
         """Have `finish` remove a new session with a named folder that did not exist before; return whether it will."""
         self._discarded = self._discarded or (self._is_new and bool(self._made))
@@ -110,6 +115,7 @@ class Recording:
         self._new_queue()
         self._readers: list[Reader] = []
         self.reached_ns = 0  # Arrival of the newest processed item, host's monotonic clock
+        self._is_failure_taken = False
 
     def _new_queue(self) -> None:
         from skincal.streams.links import ChunkQueue
@@ -175,8 +181,17 @@ class Recording:
         self.pipeline.begin_segment(self.links, following)
         self.start()
 
+    def take_failure(self) -> str:
+        """Return the sentence on a disk that refused the journal, once; empty without one."""
+        failure = "" if self._is_failure_taken else self.pipeline.journal_failure
+        self._is_failure_taken |= bool(failure)
+        return refused_words(failure) if failure else ""
+
     def end(self) -> None:
-        """Stop the readers, process their readings, close the journal, and delete a discarded session."""
+        """Stop the readers, process their readings, close the journal, and delete a discarded session.
+
+        Raises InputError: the disk refused the end of a session that is kept.
+        """
         stop_all(self.halt_readers())
         self._queue.finish()
         try:
@@ -184,6 +199,8 @@ class Recording:
         finally:
             self.pipeline.close()
             self.storage.finish()
+        if self.take_failure() and not self.storage.is_discarded:
+            raise InputError(missing_end_words(self.pipeline.journal_failure))
 
 
 def stop_all(readers: Sequence[Reader]) -> None:

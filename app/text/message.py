@@ -84,6 +84,11 @@ def refused_words(failure: str) -> str:
     )
 
 
+def missing_end_words(failure: str) -> str:
+    """Report that the disk refused the end of a session that is closed now, for the reason `failure`."""
+    return f"{failure} The end of the session is not on the disk: open the session, and look at its last pokes."
+
+
 def connect_words(addresses: Sequence[str]) -> str:
     """Ask before the devices of a recorded session are connected for the first time."""
     # In full: the part left out could be the one that matters.

@@ -8,6 +8,7 @@ import pytest
 
 from app.session.opening import OpenRequest
 from app.session.recording import Recording, SessionFolder
+from app.state.running import Running
 from app.text.message import copy_words
 from skincal.contacts.outcome import Reason
 from skincal.journal import writer
@@ -75,6 +76,25 @@ def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp
     with pytest.raises(InputError, match=approved_pattern("session.open_again")):
         recording.resume()
     assert segments(tmp_path / "s") == ["segment-0001.mcap"]
+
+
+def refuse(*_, **__):
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("discarded", [False, True])
+def test_a_disk_that_refuses_the_end_of_a_session_is_named_unless_the_session_goes(tmp_path, monkeypatch, discarded):
+    storage = SessionFolder(OpenRequest(), tmp_path / "documents")
+    scene = write_scene(tmp_path / "source")
+    recording = Recording(Pipeline(scene, LINKS, None, writer.create_session(storage.prepare(), scene, LINKS)), storage)
+    if discarded:
+        storage.discard()
+    monkeypatch.setattr("os.fsync", refuse)
+    if discarded:
+        recording.end()
+    else:
+        with pytest.raises(InputError, match="No space left on device.* look at its last pokes"):
+            recording.end()
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -172,6 +192,28 @@ def test_a_session_that_ships_is_opened_as_a_copy_and_stays_as_it_is(bench):
     bench.window.leave()
     assert load(folder).session.excluded, "nobody was asked, so the copy stays"
     assert sorted((path, path.stat().st_mtime_ns) for path in SAMPLE.rglob("*")) == before
+
+
+def failures(bench):
+    return [message.text for message in bench.messages if "No space left" in message.text]
+
+
+def test_a_disk_that_refuses_is_named_once_with_or_without_devices_and_at_the_end(bench, recorded, monkeypatch):
+    bench.open(OpenRequest(session=recorded))
+    assert bench.controller.running is Running.OFFLINE
+    monkeypatch.setattr("os.fsync", refuse)
+    assert bench.controller.act(Exclude(bench.accepted()[0].poke))
+    bench.until(lambda: failures(bench))
+    bench.qtbot.wait(100)
+    bench.controller.leave()
+    bench.until(lambda: bench.controller._endings._thread is None)
+    bench.qtbot.wait(50)
+    assert len(failures(bench)) == 1
+    monkeypatch.undo()
+    bench.open(OpenRequest(session=recorded))
+    monkeypatch.setattr("os.fsync", refuse)
+    bench.controller.leave()
+    bench.until(lambda: len(failures(bench)) == 2)
 
 
 SLOW_S = 2.5  # s. Longer than closing waits for work that nobody would miss.
