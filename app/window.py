@@ -341,9 +341,11 @@ class Window(QMainWindow):
 
     def _follow_running(self, running: Running) -> None:
         self._show_opening()
+        has_picture = self.session_view is not None and self.session_view.state is not None
+        # A device may fail before the panels are there.
+        if self.workspace is not None and running is Running.OFFLINE and not has_picture:
+            self.workspace.wait("Nothing to show", "No device is connected. Ctrl+N: name devices.")
         if self.session_view is not None:
-            if running is Running.OFFLINE and self.session_view.state is None:
-                self.session_view.workspace.wait("Nothing to show", "No device is connected. Ctrl+N: name devices.")
             self.session_view.follow_again()
         self.commands.update_actions()
 

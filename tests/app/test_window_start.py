@@ -196,6 +196,14 @@ def test_a_session_begins_once_when_its_devices_are_ready_before_its_panels(benc
     assert len(begun) == 1
 
 
+def test_a_device_that_fails_before_the_panels_are_there_leaves_no_line_that_something_opens(bench, monkeypatch):
+    monkeypatch.setattr(DeviceProcess, "start", lambda process, _: process.failed.emit("The devices failed."))
+    bench.window.open(OpenRequest(scene=resource("scenes/flat-patch/scene.toml"), server=("served",)))
+    bench.until(lambda: bench.window.session_view is not None)
+    assert bench.controller.running is Running.OFFLINE
+    assert bench.window.workspace.now.headline.text() == "Nothing to show"
+
+
 def test_the_guide_of_a_new_session_is_made_beside_the_windows_thread(bench, monkeypatch):
     makers: list[threading.Thread] = []
     make = SessionGuide._new_guide
