@@ -55,8 +55,8 @@ from skincal.rig.setup_check import frame_in_doubt
 from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
     ClosingProgress,
+    ClosingRounds,
     begin_check,
-    closing_rounds,
     closings_of,
     first_taxels,
     is_due,
@@ -411,7 +411,7 @@ class ClosingGuide:
     """
 
     def __init__(self, noise: NoiseSettings, landmarks: LandmarkGuide) -> None:
-        self._noise, self._landmarks = noise, landmarks
+        self._rounds, self._landmarks = ClosingRounds(noise), landmarks
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
 
@@ -425,14 +425,14 @@ class ClosingGuide:
     def _closing(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         if guidance.phase is not GuidePhase.ENOUGH:
             return None
-        rounds, asked = closing_rounds(snapshot, self._noise), None
+        rounds, asked = self._rounds.follow(snapshot), None
         if rounds and not snapshot.decisions.closings[-1].ended and not rounds[-1].is_finished:
             asked = self._next(rounds, guidance, snapshot, pose)
         return self._first(rounds, guidance, snapshot, pose) if asked is None and is_due(snapshot, rounds) else asked
 
     def begun(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         """Add the first place of a check that begins now; `None` before it is enough, or if the check would have no place."""
-        return self._first(closing_rounds(snapshot, self._noise), guidance, snapshot, pose)
+        return self._first(self._rounds.follow(snapshot), guidance, snapshot, pose)
 
     def _first(self, rounds: Sequence[ClosingProgress], guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         """Add the first place of a check after the checks `rounds`; as `begun`."""

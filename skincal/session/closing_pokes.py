@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from itertools import takewhile, zip_longest
+from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,11 +64,60 @@ def closings_of(snapshot: Snapshot, noise: NoiseSettings) -> tuple[Closing, ...]
 
 def closing_rounds(snapshot: Snapshot, noise: NoiseSettings) -> list[ClosingProgress]:
     """Determine the progress of each closing check."""
-    rounds = list[ClosingProgress]()
-    closings = snapshot.decisions.closings
-    for begun, following in zip_longest(closings, closings[1:]):
-        rounds.append(_progress(snapshot, begin_check(begun, rounds), following, noise))
-    return rounds
+    return ClosingRounds(noise).follow(snapshot)
+
+
+class _KnownRound(NamedTuple):
+    """A closing check with what it was determined from."""
+
+    progress: ClosingProgress
+    places: dict[int, bytes]
+    """Position of each of its taxels, as bytes."""
+    last: int | None
+    """Later pokes change nothing; `None` while any poke may."""
+
+
+class ClosingRounds:
+    """Progress of the closing checks from snapshot to snapshot of a session.
+
+    A check that is over is kept while nothing that it reads has changed: decisions, the pokes until its end, and the positions
+    of its taxels. A robot that pokes for days makes a dozen checks, of 3 ms each.
+    """
+
+    def __init__(self, noise: NoiseSettings) -> None:
+        self._noise = noise
+        self._seen: Snapshot | None = None
+        self._rounds: list[_KnownRound] = []
+
+    def follow(self, snapshot: Snapshot) -> list[ClosingProgress]:
+        """Determine the progress of each check."""
+        kept, closings = self._unchanged(snapshot), snapshot.decisions.closings
+        # Each check leaves out the pokes of those before it.
+        self._rounds = [
+            *takewhile(lambda known: known.places == _places_of(snapshot, known.progress), self._rounds[:kept]),
+        ]
+        for begun, following in list(zip_longest(closings, closings[1:]))[len(self._rounds) :]:
+            check = begin_check(begun, [known.progress for known in self._rounds])
+            progress = _progress(snapshot, check, following, self._noise)
+            last = int(snapshot.columns.numbers.max(initial=0)) if progress.is_finished else None
+            last = last if following is None else following.after
+            self._rounds.append(_KnownRound(progress, _places_of(snapshot, progress), last))
+        self._seen = snapshot
+        return [known.progress for known in self._rounds]
+
+    def _unchanged(self, snapshot: Snapshot) -> int:
+        """Count the first checks whose pokes and decisions are those of the last snapshot."""
+        seen = self._seen
+        if seen is None or seen.decisions is not snapshot.decisions or seen.landmark_pokes is not snapshot.landmark_pokes:
+            return 0
+        first = min(snapshot.changes_since(seen), default=inf)
+        return len(list(takewhile(lambda known: known.last is not None and known.last < first, self._rounds)))
+
+
+def _places_of(snapshot: Snapshot, check: ClosingProgress) -> dict[int, bytes]:
+    """Look up the positions of the taxels of a check's pokes, as bytes by channel."""
+    found = positions_of(snapshot, strongest_of(snapshot, check.pokes))
+    return {channel: position.tobytes() for channel, position in found.items()}
 
 
 def begin_check(begun: ClosingRound, rounds: Sequence[ClosingProgress]) -> ClosingProgress:

@@ -13,15 +13,17 @@ import pytest
 from skincal.files.export import json_text
 from skincal.following.session_guide import SessionGuide
 from skincal.guide.guidance import GuidePhase
-from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo
+from skincal.model.actions import AtLandmark, BeginClosing, Exclude, FoundAtLandmark, Redo, SkipClosing, Undo
 from skincal.part.part import lay_part
 from skincal.pokes import LandmarkPokes, Pokes
 from skincal.rig.closing import CLOSING_CHECK_PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
+from skincal.session import closing_pokes
 from skincal.session.closing_pokes import (
     CLOSING_CHECK_MAX_POKES_PER_PLACE,
     MAX_REPEATS_OF_DECIDING_PLACE,
     MIN_CONTACTS_BETWEEN_CLOSING_CHECKS,
     MIN_SHARE_BETWEEN_CLOSING_CHECKS,
+    ClosingRounds,
     closing_rounds,
     closings_of,
     taxel_pokes,
@@ -219,6 +221,52 @@ def test_the_place_of_one_poke_is_asked_for_no_more_where_others_are_poked_inste
     assert it.look().phase is GuidePhase.ENOUGH
     (round_,) = closing_rounds(it.session.snapshot(), it.rig.scene.noise)
     assert max(round_.pokes) == made, "those are not of the check"
+
+
+def poke_more(it, count):
+    """Press taxels at random."""
+    presses = unguided_presses(it.rig, it.rng.choice(it.rig.channels, count), Habits(), it.rng)
+    for contact in simulate_contacts(it.rig, presses, it.rng, first_poke=it.session.last_poke + 1):
+        it.session.add(contact)
+
+
+@pytest.mark.parametrize("landmarks", [True, False])
+def test_checks_before_the_last_one_are_kept_and_are_those_of_a_fresh_look(landmarks, monkeypatch):
+    it, made = Sessions(RigErrors.noise(), landmarks=landmarks), []
+    progress = closing_pokes._progress
+    monkeypatch.setattr(closing_pokes, "_progress", lambda *given: made.append(0) or progress(*given))
+    noise = it.rig.scene.noise
+    rounds = ClosingRounds(noise)
+
+    def look(anew=None):
+        """Compare with a fresh look; so many checks are determined anew."""
+        snapshot = it.session.snapshot()
+        made.clear()
+        followed = rounds.follow(snapshot)
+        assert anew is None or len(made) == anew
+        assert followed == closing_rounds(snapshot, noise)
+        return followed
+
+    for check in range(3):
+        assert len(it.close()) == 3
+        assert len(look(check + 1)) == check + 1, "a decision was made"
+        it.slip += np.array([0.0, 0.004, 0.0])
+        poke_more(it, 25)
+        # Without landmarks, the estimates of their taxels may have moved.
+        look(0 if landmarks else None)
+        assert not look(0)[0].found.has_moved
+        poke = it.session.snapshot().pokes[-1].outcome
+        it.session.add(replace(poke, final=True, force=1.001 * poke.force))
+        look(0 if landmarks else None)
+    first = max(look(0)[0].pokes)
+    it.session.act(AtLandmark(first, "") if landmarks else Exclude(first))
+    look(3)
+    it.session.act(Undo())
+    assert first in look(3)[0].pokes
+    # A contact among the pokes of the first check is reported once more.
+    changed = it.session.snapshot().contacts[0] if landmarks else it.session.snapshot().contact(first)
+    it.session.add(replace(changed, force=1.01 * changed.force))
+    look(3)
 
 
 def landmark_check(pokes):
