@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
 from skincal.following.background import BackgroundJob, Run
 from skincal.following.tool_check import check_tool_setup
 from skincal.journal.documents import Totals
@@ -73,7 +75,8 @@ class SetupFollower:
         if frames is not self._frames:
             self._frames, self._of_frames = frames, frame_sentences(frames)
             self._news += self._of_frames
-        part, count, corrections = self._part, len(snapshot.contacts), snapshot.decisions.corrections
+        part, corrections = self._part, snapshot.decisions.corrections
+        count = int(np.count_nonzero(snapshot.columns.counting))
         if part.scene.tool is not None:
             count += len(snapshot.at_landmarks)  # touches of landmarks show its mistakes, too
         if corrections != self._corrections:
