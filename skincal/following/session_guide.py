@@ -425,14 +425,14 @@ class ClosingGuide:
     def _closing(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         if guidance.phase is not GuidePhase.ENOUGH:
             return None
-        rounds, asked = self._rounds.follow(snapshot), None
+        rounds, asked = self._rounds.list_rounds(snapshot), None
         if rounds and not snapshot.decisions.closings[-1].ended and not rounds[-1].is_finished:
             asked = self._next(rounds, guidance, snapshot, pose)
         return self._first(rounds, guidance, snapshot, pose) if asked is None and is_due(snapshot, rounds) else asked
 
     def begun(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         """Add the first place of a check that begins now; `None` before it is enough, or if the check would have no place."""
-        return self._first(self._rounds.follow(snapshot), guidance, snapshot, pose)
+        return self._first(self._rounds.list_rounds(snapshot), guidance, snapshot, pose)
 
     def _first(self, rounds: Sequence[ClosingProgress], guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         """Add the first place of a check after the checks `rounds`; as `begun`."""

@@ -64,7 +64,7 @@ def closings_of(snapshot: Snapshot, noise: NoiseSettings) -> tuple[Closing, ...]
 
 def closing_rounds(snapshot: Snapshot, noise: NoiseSettings) -> list[ClosingProgress]:
     """Determine the progress of each closing check."""
-    return ClosingRounds(noise).follow(snapshot)
+    return ClosingRounds(noise).list_rounds(snapshot)
 
 
 class _KnownRound(NamedTuple):
@@ -89,7 +89,7 @@ class ClosingRounds:
         self._seen: Snapshot | None = None
         self._rounds: list[_KnownRound] = []
 
-    def follow(self, snapshot: Snapshot) -> list[ClosingProgress]:
+    def list_rounds(self, snapshot: Snapshot) -> list[ClosingProgress]:
         """Determine the progress of each check."""
         kept, closings = self._unchanged(snapshot), snapshot.decisions.closings
         # Each check leaves out the pokes of those before it.

@@ -242,7 +242,7 @@ def test_checks_before_the_last_one_are_kept_and_are_those_of_a_fresh_look(landm
         """Compare with a fresh look; so many checks are determined anew."""
         snapshot = it.session.snapshot()
         made.clear()
-        followed = rounds.follow(snapshot)
+        followed = rounds.list_rounds(snapshot)
         assert anew is None or len(made) == anew
         assert followed == closing_rounds(snapshot, noise)
         return followed
