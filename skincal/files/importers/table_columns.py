@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -491,11 +491,27 @@ class TableColumns:
             by_axis = sorted(every, key=lambda each: each[1])
             one_base = len({found["base"] for found in named.values()}) == 1
             is_whole = len(numbers) > 1 and numbers[-1] - numbers[0] < len(numbers) and one_base
-            if is_whole and by_taxel in (every, by_axis) and channels in (0, len(named)):
+            # Two inertial sensors beside a skin have such names, too.
+            is_most = channels == len(named) or (not channels and 2 * len(named) > len(columns))
+            if is_whole and by_taxel in (every, by_axis) and is_most:
+                self._check_no_other_skin(named, columns, channels)
                 finding = f"its columns are x, y and z of {len(numbers)} taxels, {numbers[0]} to {numbers[-1]}."
                 order = ValueOrder.BY_TAXEL if by_taxel == every else ValueOrder.BY_AXIS
                 return ValueColumns(tuple(named), (1.0,) * len(named), (finding,), value_order=order)
         return None
+
+    def _check_no_other_skin(self, named: Collection[int], columns: Sequence[int], channels: int) -> None:
+        """Raise InputError: columns without an axis in their names have `channels` numbers, as the `named` ones have."""
+        rest = [k for k in columns if k not in named]
+        other = next(
+            (each for each in (*self._families(rest), *self._grids(rest)) if channels in (len(each.at), each.span)), None
+        )
+        if other is not None:
+            raise InputError(
+                f"{self.path}: {other} and {self._list_names(sorted(named))} have {channels} channels each, as the scene; "
+                f"expected one skin: name it by the begin of its names, such as {self.path.name}::{other.base}, or leave out "
+                "the others."
+            )
 
     def _check_grid(self, grid: _Family) -> None:
         """Raise InputError: the columns of a mat are not in the order of its rows, so that two numberings are possible."""

@@ -93,7 +93,7 @@ def test_a_disk_that_refuses_the_end_of_a_session_is_named_unless_the_session_go
     if discarded:
         recording.end()
     else:
-        with pytest.raises(InputError, match="No space left on device.* look at its last pokes"):
+        with pytest.raises(InputError, match=r"No space left on device.* look at its last pokes"):
             recording.end()
 
 

@@ -63,7 +63,12 @@ def test_an_offset_stays_while_nobody_presses():
 
 def test_a_pause_of_a_month_costs_no_more_than_a_short_one(monkeypatch):
     spans = []
-    monkeypatch.setattr(stream_offset, "find_offset", lambda at, *given: spans.append(at[-1] - at[0]) or find_offset(at, *given))
+
+    def noted(times, *changes):
+        spans.append(times[-1] - times[0])
+        return find_offset(times, *changes)
+
+    monkeypatch.setattr(stream_offset, "find_offset", noted)
     watch = StreamOffsetWatch()
     watched(0.5, watch=watch)
     assert watched(0.5, watch=watch, begin_s=2.6e6) == pytest.approx(0.5, abs=0.1)

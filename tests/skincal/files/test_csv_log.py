@@ -359,6 +359,33 @@ def test_columns_of_a_number_and_an_axis_are_taxels_of_three_axes(tmp_path, form
     assert found.value_order is (ValueOrder.BY_TAXEL if order is BY_TAXEL else ValueOrder.BY_AXIS)
 
 
+OTHERS = [f"m{number}_{axis}" for number, axis in BY_TAXEL]  # Markers of a camera, or inertial sensors
+
+
+@pytest.mark.parametrize("channels", [12, 0])
+def test_a_skin_is_found_among_other_columns_of_a_number_and_an_axis(tmp_path, channels):
+    names, rng = [*(f"t{number}" for number in range(12)), *OTHERS], np.random.default_rng(1)
+    (tmp_path / "skin.csv").write_text(table(["t_s", *names], with_time(rng.normal(size=(4, len(names))))), encoding="utf-8")
+    (tmp_path / "ft.csv").write_text(WRENCH_TEXT, encoding="utf-8")
+    places = {Stream.WRENCH: RecordedPlace(tmp_path / "ft.csv"), Stream.SKIN: RecordedPlace(tmp_path / "skin.csv")}
+    found = open_recording(places, channels)
+    assert any("are not read; the taxels are t0 to t11." in finding for finding in found.findings)
+    assert found.value_order is None
+
+
+def test_as_many_columns_without_an_axis_as_with_one_are_asked_about(tmp_path):
+    names = [*(f"t{number}" for number in range(9)), *OTHERS]
+    (tmp_path / "skin.csv").write_text(table(["t_s", *names], with_time(np.tile(VECTORS, 2))), encoding="utf-8")
+    (tmp_path / "ft.csv").write_text(WRENCH_TEXT, encoding="utf-8")
+    wrench = RecordedPlace(tmp_path / "ft.csv")
+    with pytest.raises(InputError, match=r"t0 to t8 and m1_x, m1_y, .* have 9 channels each, as the scene") as refusal:
+        open_recording({Stream.WRENCH: wrench, Stream.SKIN: RecordedPlace(tmp_path / "skin.csv")}, 9)
+    assert "skin.csv::t" in str(refusal.value)
+    for begin, order in (("t", None), ("m", ValueOrder.BY_TAXEL)):
+        found = open_recording({Stream.WRENCH: wrench, Stream.SKIN: RecordedPlace(tmp_path / "skin.csv", begin)}, 9)
+        assert found.value_order is order
+
+
 def import_vectors(folder, names, scene_skin):
     """Import both tables into a scene with this `[skin]`; return the exit code."""
     scene = folder / "scene.toml"

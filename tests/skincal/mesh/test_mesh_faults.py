@@ -76,7 +76,9 @@ def test_numbers_that_are_none_get_a_sentence_without_jargon(name, data, said):
     with pytest.raises(InputError) as caught:
         read(name, data)
     assert said in str(caught.value)
-    assert not any(word in str(caught.value) for word in ("KeyError", "Python int", "invalid literal", "list index", "buffer is smaller"))
+    assert not any(
+        word in str(caught.value) for word in ("KeyError", "Python int", "invalid literal", "list index", "buffer is smaller")
+    )
 
 
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
