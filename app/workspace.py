@@ -1,6 +1,6 @@
 """The page of an open session: the 3D view in the middle, docks around it, the status line below.
 
-It is on the screen with the picture of the part before the panels are imported: until `fill` their cards are empty.
+It is on the screen with the picture of the part before the panels are imported: until `arrange` their cards are empty.
 """
 
 from __future__ import annotations

@@ -204,6 +204,18 @@ def test_a_device_that_fails_before_the_panels_are_there_leaves_no_line_that_som
     assert bench.window.workspace.now.headline.text() == "Nothing to show"
 
 
+def test_a_session_begins_also_where_nothing_draws(bench, monkeypatch):
+    """It waits for the picture of the part, or for the reason why there is none."""
+
+    def refuse(*_):
+        raise OSError("there is no driver")
+
+    monkeypatch.setattr("app.scene3d.view.load", refuse)
+    bench.open_served("flat-patch")
+    assert bench.window.workspace.view.list_layers() == ()
+    assert bench.controller.running is Running.STREAMING
+
+
 def test_the_guide_of_a_new_session_is_made_beside_the_windows_thread(bench, monkeypatch):
     makers: list[threading.Thread] = []
     make = SessionGuide._new_guide
