@@ -109,7 +109,8 @@ class Recording:
 
     def __init__(self, pipeline: Pipeline, storage: SessionFolder) -> None:
         self.pipeline = pipeline
-        pipeline.syncs_in_background = True
+        if pipeline.journal is not None:
+            pipeline.journal.syncs_in_background = True
         self.links: tuple[LinkSpec, ...] = pipeline.links
         self.storage = storage
         self._new_queue()

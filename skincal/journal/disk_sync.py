@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
+from collections import deque
+from typing import IO
 
 
 class DiskSync:
@@ -13,6 +16,8 @@ class DiskSync:
         self._lock = threading.Lock()
         self._descriptors: tuple[int, ...] = ()
         """Files of the next request; empty without one."""
+        self._finished: deque[tuple[IO[bytes], ...]] = deque()
+        """Files to force and close, before those of the next request."""
         self._thread: threading.Thread | None = None
         self._error: OSError | None = None
 
@@ -23,9 +28,22 @@ class DiskSync:
         """
         with self._lock:
             self._descriptors = descriptors
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="skincal-disk", daemon=True)
-                self._thread.start()
+            self._start()
+
+    def force_and_close(self, *files: IO[bytes]) -> None:
+        """Force flushed files onto the disk, in this order, and close them; returns at once.
+
+        The next request is theirs: it is dropped.
+        """
+        with self._lock:
+            self._descriptors = ()
+            self._finished.append(files)
+            self._start()
+
+    def _start(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="skincal-disk", daemon=True)
+            self._thread.start()
 
     def wait(self) -> None:
         """Wait for all requests."""
@@ -42,12 +60,18 @@ class DiskSync:
     def _run(self) -> None:
         while True:
             with self._lock:
-                descriptors, self._descriptors = self._descriptors, ()
-                if not descriptors or self._error is not None:
+                finished = self._finished.popleft() if self._finished else ()
+                descriptors = tuple(file.fileno() for file in finished)
+                if not finished:
+                    descriptors, self._descriptors = self._descriptors, ()
+                if not descriptors or (self._error is not None and not finished):
                     self._thread = None
                     return
             try:
                 for descriptor in descriptors:
                     os.fsync(descriptor)
             except OSError as error:
-                self._error = error
+                self._error = self._error or error
+            for file in finished:
+                with contextlib.suppress(OSError):
+                    file.close()

@@ -14,6 +14,7 @@ import zlib
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import IO
 
 from skincal.model.errors import InputError
 from skincal.model.given import read_regular
@@ -57,10 +58,15 @@ class LineWriter:
     def fileno(self) -> int:
         return self._file.fileno()
 
+    def end(self, items: int) -> IO[bytes]:
+        """Write the closing line, and hand everything to the system; return the file, which is still open."""
+        self._write(b"%d,%s" % (items, _CLOSED_MARK))
+        self.flush()
+        return self._file
+
     def close(self, items: int) -> None:
         """Write the closing line, and close the file."""
-        self._write(b"%d,%s" % (items, _CLOSED_MARK))
-        self.flush(sync=True)
+        os.fsync(self.end(items).fileno())
         self._file.close()
 
     def abandon(self) -> None:

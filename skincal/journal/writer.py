@@ -9,9 +9,10 @@ The MCAP file holds the inputs: chunks of bytes as read (`/raw/LINK`) and events
 `/joints`, `/temperature`), which skincal does not read. The line file holds events and results: see `line_file`.
 
 The buffer is written every 0.5 s and at every event and result: first the MCAP chunk, then the line that confirms it. Contacts
-also force both files onto the disk; for a window a thread does (`disk_sync`). A crash loses at most 0.5 s of bytes, and every
-confirmed item is in the MCAP file. A session that is imported from another program's recording can be imported again: it is
-written every 2 s, forced onto the disk only at the end, and has no decoded readings.
+also force both files onto the disk; for a window a thread does (`disk_sync`), also at the end of a segment that another
+follows. A crash loses at most 0.5 s of bytes, and every confirmed item is in the MCAP file. A session that is imported from
+another program's recording can be imported again: it is written every 2 s, forced onto the disk only at the end, and has no
+decoded readings.
 """
 
 from __future__ import annotations
@@ -138,7 +139,13 @@ def _require_no_session(folder: Path) -> None:
 
 
 def open_segment(
-    folder: Path, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock, *, copy: bool = False
+    folder: Path,
+    scene: Scene,
+    links: Sequence[LinkSpec],
+    lock: SessionLock,
+    *,
+    copy: bool = False,
+    disk: DiskSync | None = None,
 ) -> JournalWriter:
     """Open the segment after the last of a session. Raises InputError: it cannot be written.
 
@@ -146,11 +153,12 @@ def open_segment(
     ----------
     lock : of the folder; the new segment owns it from then on
     copy : as in `create_session`
+    disk : forces the journal onto the disk in the background; without one the caller waits
     """
     number = len(list(folder.glob("segment-*.mcap"))) + 1
     path = folder / SEGMENT_NAME.format(number)
     try:
-        return JournalWriter(path, number, scene, links, lock, copy=copy)
+        return JournalWriter(path, scene, links, lock, copy=copy, disk=disk)
     except OSError as error:
         why = error.strerror
         raise InputError(f"{path}: cannot be written ({why}); check the folder's rights and the space on the disk.") from None
@@ -182,10 +190,11 @@ class JournalWriter:
 
     Parameters
     ----------
-    path, number : of the first segment, a new file, from 1
+    path : of the first segment, a new file, with its number in its name
     scene, links : written at the start of each segment
     lock : of the session's folder, released at the end
     copy : as in `create_session`
+    disk : as in `open_segment`
 
     Raises
     ------
@@ -194,19 +203,28 @@ class JournalWriter:
     """
 
     def __init__(
-        self, path: Path, number: int, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock, *, copy: bool = False
+        self,
+        path: Path,
+        scene: Scene,
+        links: Sequence[LinkSpec],
+        lock: SessionLock,
+        *,
+        copy: bool = False,
+        disk: DiskSync | None = None,
     ) -> None:
         self.path = path
         self.failed = ""
         """Sentence on the disk error that stopped the recording; empty without one."""
-        self._number = number
+        self._number = int(path.stem.removeprefix("segment-"))
         self._scene, self._links = scene, tuple(links)
         self._frames = 0
         # Chunks have the monotonic clock; other programs need the time of day. One pair of both maps them.
         self._monotonic_ns, self._unix_ns = time.monotonic_ns(), time.time_ns()
         self._flushed_ns: int | None = None
         self._watched_ns = 0
-        self.disk = DiskSync()
+        self.syncs_in_background = disk is not None
+        """A thread forces the files onto the disk, as a window needs it; its error stops the recording later."""
+        self.disk = disk or DiskSync()
         self._lock = lock
         self._holds_lock = True
         self._copy, self._flush_ns = copy, IMPORT_FLUSH_PERIOD_NS if copy else FLUSH_PERIOD_NS
@@ -293,19 +311,20 @@ class JournalWriter:
     def sync(self) -> None:
         """Force everything onto the disk, unless the session can be imported again."""
         if not self._copy:
-            self._flush(sync=True)
+            self._sync()
 
-    @_stops_on_disk_error
-    def sync_in_background(self) -> None:
-        """Hand everything to the system, and force it onto the disk in a thread; its error stops the recording later."""
-        if not self._copy:
-            self._flush()
+    def _sync(self) -> None:
+        self._flush(sync=not self.syncs_in_background)
+        if self.syncs_in_background:
             self.disk.request(self._file.fileno(), self._lines.fileno())
 
     def close(self) -> None:
-        """Finish the segment, with its index, and release the lock."""
-        if not self._file.closed:
-            self._close_segment()
+        """Finish the segment, with its index, and release the lock.
+
+        It is on the disk then, unless another segment of the session follows.
+        """
+        if self._is_open:
+            self._close_segment(waits=self._holds_lock)
         self._release_lock()
 
     def stop_recording(self, error: OSError) -> NoReturn:
@@ -327,7 +346,8 @@ class JournalWriter:
         """
         if self.failed:
             raise InputError(self.failed)
-        following = open_segment(self.path.parent, scene, links, self._lock)
+        disk = self.disk if self.syncs_in_background else None
+        following = open_segment(self.path.parent, scene, links, self._lock, disk=disk)
         self._holds_lock = False
         return following
 
@@ -348,6 +368,7 @@ class JournalWriter:
         lines = lines_path(self.path)
         with ExitStack() as on_error:
             self._file: BufferedWriter = self.path.open("xb")
+            self._is_open = True
             on_error.callback(self.path.unlink)
             on_error.callback(self._abandon)
             self._lines = LineWriter(lines)
@@ -380,10 +401,10 @@ class JournalWriter:
         self._channels[EVENT_TOPIC] = self._mcap.register_channel(EVENT_TOPIC, "json", json_schema)
         self._add_event({"host_ns": host_ns, "type": "segment", **about})
         # On the disk at once: a session needs the beginning of its first segment.
-        self._flush(sync=True)
+        self._sync()
 
     def _continue_in_next(self, host_ns: int) -> None:
-        self._close_segment()
+        self._close_segment(waits=False)
         self._number += 1
         self.path = self.path.with_name(SEGMENT_NAME.format(self._number))
         self._open_files(host_ns, continues=True)
@@ -414,16 +435,25 @@ class JournalWriter:
         self._buffered = False
 
     @_stops_on_disk_error
-    def _close_segment(self) -> None:
-        self.disk.wait()
-        self.disk.raise_error()
+    def _close_segment(self, *, waits: bool) -> None:
+        """Finish the segment. With `waits`, or without a thread for it, it is on the disk then."""
+        waits = waits or not self.syncs_in_background
+        if waits:
+            self.disk.wait()
+            self.disk.raise_error()
         self._flush()
         self._mcap.finish()
         self._file.flush()
+        if not waits:
+            self._is_open = False
+            # Before the next segment begins: a segment without its closing line hides the later ones.
+            self.disk.force_and_close(self._file, self._lines.end(self._items))
+            return
         os.fsync(self._file.fileno())
         # Last: "closed" confirms the end of the MCAP file.
         self._lines.close(self._items)
         self._file.close()
+        self._is_open = False
 
     def _check_file_still_there(self) -> None:
         """Raise OSError if the file is no longer in its folder: later data would be lost."""
@@ -434,6 +464,7 @@ class JournalWriter:
 
     def _abandon(self) -> None:
         """Close the files without an end; errors of the last write are ignored."""
+        self._is_open = False
         self.disk.wait()
         with contextlib.suppress(OSError):
             self._file.close()

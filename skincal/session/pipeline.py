@@ -94,8 +94,6 @@ class Pipeline:
         self.scene = scene
         self.session = Session(scene, surface)
         self.journal = journal
-        self.syncs_in_background = False
-        """Contacts and actions are forced onto the disk in a thread, as a window needs it."""
         self.journal_failure = ""
         """Why recording has ended, for the operator; empty without a failure."""
         self.findings: tuple[str, ...] = ()
@@ -287,7 +285,7 @@ class Pipeline:
         self._commit(TimedAction(host_ns, action), self._detector.ignore_channels(self.session.dead.keys()))
         # A request needs no fsync: without the bytes after it, it is useless.
         if not isinstance(action, AskLandmark | AskPoke):
-            self._force_onto_disk()
+            self.sync()
 
     def note_skipped_pose(self, action: Action) -> None:
         """Remember the arm pose of a skipped landmark."""
@@ -548,7 +546,7 @@ class Pipeline:
         self._write_waiting()
         self._record(lambda journal: journal.write(item, notes))
         if any(isinstance(outcome, Contact) for outcome in outcomes):
-            self._force_onto_disk()
+            self.sync()
 
     def _taxel_places(self) -> Mapping[int, FloatArray]:
         """Planned places of the taxels, (3,) float, metres, by channel."""
@@ -614,10 +612,7 @@ class Pipeline:
 
     def sync(self) -> None:
         """Flush the journal to the disk; on failure recording ends and `journal_failure` says why."""
-        self._record(lambda journal: journal.sync())
-
-    def _force_onto_disk(self) -> None:
-        self._record(JournalWriter.sync_in_background if self.syncs_in_background else JournalWriter.sync)
+        self._record(JournalWriter.sync)
 
     def _record(self, work: Callable[[JournalWriter], None]) -> None:
         """Run `work` on the journal, if there is one; a full disk ends the recording and nothing else."""

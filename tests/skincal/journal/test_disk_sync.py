@@ -2,22 +2,26 @@
 
 import os
 import threading
+from pathlib import Path
 
 import pytest
 
+from app.session.recording import Recording
 from skincal.contacts.outcome import Contact
+from skincal.journal import writer
 from skincal.journal.disk_sync import DiskSync
 from skincal.journal.line_file import lines_path
+from skincal.model.actions import Exclude
 from skincal.session.replay import load
 from tests.skincal.journal.journal_support import assert_same, feed, new_session, refuse
-from tests.skincal.poke_script import some_pokes, write_scene
+from tests.skincal.poke_script import as_chunks, some_pokes, write_scene
 
 
 class Disk:
-    """A disk that forces nothing before `go_on`; `forced` are the threads, the endings of the files and their sizes."""
+    """A disk that forces nothing before `go_on`; `forced` are the threads, the names of the files and their sizes."""
 
     def __init__(self, folder, monkeypatch):
-        self._names = {path.stat().st_ino: path.suffix for path in folder.glob("segment-*")}
+        self._folder = folder
         self.begun, self._may_work, self._force = threading.Event(), threading.Event(), os.fsync
         self.forced = []
         monkeypatch.setattr(os, "fsync", self.force)
@@ -28,7 +32,8 @@ class Disk:
             assert self._may_work.wait(60.0)
         self._force(descriptor)
         stat = os.fstat(descriptor)
-        self.forced.append((threading.current_thread().name, self._names[stat.st_ino], stat.st_size))
+        (name,) = (path.name for path in self._folder.glob("segment-*") if path.stat().st_ino == stat.st_ino)
+        self.forced.append((threading.current_thread().name, name, stat.st_size))
 
     def go_on(self):
         self._may_work.set()
@@ -38,7 +43,7 @@ class Disk:
 def live(tmp_path):
     """A pipeline as a window has it."""
     pipeline = new_session(write_scene(tmp_path / "source"), tmp_path / "s")
-    pipeline.syncs_in_background = True
+    pipeline.journal.syncs_in_background = True
     return pipeline
 
 
@@ -53,7 +58,7 @@ def test_a_slow_disk_does_not_delay_pokes_and_gets_the_bytes_first(live, tmp_pat
     confirmed = lines.stat().st_size
     disk.go_on()
     live.journal.disk.wait()
-    by_thread = [(thread, suffix) for thread, suffix, _ in disk.forced]
+    by_thread = [(thread, Path(name).suffix) for thread, name, _ in disk.forced]
     # How many requests become one depends on when the thread begins.
     assert by_thread == [("skincal-disk", ".mcap"), ("skincal-disk", ".jsonl")] * (len(by_thread) // 2)
     assert disk.forced[-1][2] == confirmed
@@ -76,6 +81,54 @@ def test_closing_waits_for_the_disk(live, tmp_path, monkeypatch):
     assert threads[-2:] == ["MainThread"] * 2
     assert set(threads[:-2]) == {"skincal-disk"}
     assert_same(live, load(tmp_path / "s"))
+
+
+def into_next_segment(live, how, monkeypatch):
+    """Let the next segment begin: after a pause, or because this one is long enough."""
+    if how == "pause":
+        monkeypatch.setattr(Recording, "start", lambda _: None)
+        Recording(live, None).resume()
+    else:
+        monkeypatch.setattr(writer, "SEGMENT_MAX_DURATION_NS", 0)
+
+
+@pytest.mark.parametrize("how", ["pause", "length"])
+def test_the_next_segment_does_not_wait_for_the_disk(live, tmp_path, monkeypatch, how):
+    feed(live, some_pokes(live.scene, 1))
+    live.journal.disk.wait()
+    disk = Disk(tmp_path / "s", monkeypatch)
+    into_next_segment(live, how, monkeypatch)
+    live.act(Exclude(1), 10**12)
+    assert (tmp_path / "s" / "segment-0002.mcap").exists()
+    assert disk.forced == []
+    # Another program, also after this one is killed, reads both.
+    assert load(tmp_path / "s").session.excluded == (1,)
+    disk.go_on()
+    live.journal.disk.wait()
+    names = [name for _, name, _ in disk.forced]
+    assert names[names.index("segment-0001.mcap") + 1] == "segment-0001.jsonl"
+    assert names[-2:] == ["segment-0002.mcap", "segment-0002.jsonl"]
+    live.close()
+    assert_same(live, load(tmp_path / "s"))
+
+
+@pytest.mark.parametrize("how", ["pause", "length"])
+def test_a_disk_that_refuses_the_end_of_a_segment_ends_the_recording(live, monkeypatch, how):
+    feed(live, some_pokes(live.scene, 1))
+    live.journal.disk.wait()
+    monkeypatch.setattr(os, "fsync", refuse)
+    into_next_segment(live, how, monkeypatch)
+    journal = live.journal
+    # As many as fill a segment without a length.
+    for chunk in as_chunks(some_pokes(live.scene, 1, seed=6).samples):
+        live.feed(chunk)
+        if journal.path.name != "segment-0001.mcap":
+            break
+    journal.disk.wait()
+    live.tick(10**12)
+    assert journal.path.name != "segment-0001.mcap"
+    assert "No space left" in live.journal_failure
+    live.close()
 
 
 def test_requests_during_an_earlier_one_become_one(tmp_path, monkeypatch):
@@ -107,7 +160,7 @@ def test_a_disk_that_refuses_in_the_background_ends_the_recording_and_says_so_on
 def test_a_disk_that_refused_before_the_end_is_noticed_at_the_end(live, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", refuse)
-        live.journal.sync_in_background()
+        live.journal.sync()
         live.journal.disk.wait()
     live.close()
     assert "No space left" in live.journal_failure
