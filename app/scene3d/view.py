@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 AnyAnswer = TypeVar("AnyAnswer")
 VTK_CLOSE_TIMEOUT_S = 60.0  # Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes
+SETTLED_AFTER_MS = 5_000  # At the latest: a driver may hang, and readings of the session come
 MAX_CLICK_MOVE_PX = 4.0  # A press that moves less before its release is a click: hands tremble by two or three pixels
 ROTATION_PER_FULL_DRAG_DEG = 220.0
 """A drag across the shorter side of the view turns the part by this much: a bit more than to its far side."""
@@ -133,7 +134,7 @@ class View3D(QWidget):
     surface_picked = Signal(object)
     """(3,) float, metres, link frame: the point of the part that was clicked while one was wanted (`set_picking`)."""
     ready = Signal()  # The picture is there
-    settled = Signal()  # The picture is there, or why there is none
+    settled = Signal()  # The picture is there, or why there is none; in any case after `SETTLED_AFTER_MS`, and then twice
 
     def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
         super().__init__(parent)
@@ -151,6 +152,8 @@ class View3D(QWidget):
         self._renderer: SceneRenderer | None = None
         self._canvas: AnyCanvas | None = None
         self._threads: ThreadService | None = None  # Loads the picture; one for each `begin`
+        self._late = QTimer(self, singleShot=True, interval=SETTLED_AFTER_MS)
+        self._late.timeout.connect(self.settled)
         self._message = QLabel("The 3D view is loading …", self, alignment=Qt.AlignmentFlag.AlignCenter, wordWrap=True)
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._message)
@@ -183,12 +186,14 @@ class View3D(QWidget):
             threads.submit(work, self._settling(self._mount), self._settling(self._message.setText), dropped=release)
 
         self._threads = threads = ThreadService("scene3d", self)
+        self._late.start()
         prepare_import(choice, self, start)
 
     def _settling(self, receive: Callable[[AnyAnswer], None]) -> Callable[[AnyAnswer], None]:
         """Make a receiver of an answer that emits `settled` after it, once the picture is painted."""
 
         def receive_and_settle(answer: AnyAnswer) -> None:
+            self._late.stop()
             try:
                 receive(answer)
             finally:
@@ -314,6 +319,7 @@ class View3D(QWidget):
 
     def close_view(self) -> None:
         """Stop the 3D view and release its resources; the empty widget stays. Safe at any time and more than once."""
+        self._late.stop()
         threads, self._threads = self._threads, None
         if threads is not None:
             threads.close(VTK_CLOSE_TIMEOUT_S)

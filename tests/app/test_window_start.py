@@ -216,6 +216,22 @@ def test_a_session_begins_also_where_nothing_draws(bench, monkeypatch):
     assert bench.controller.running is Running.STREAMING
 
 
+def test_a_session_begins_also_while_a_driver_hangs(bench, monkeypatch):
+    may_end = threading.Event()
+
+    def hang(*_):
+        may_end.wait()
+        raise OSError("there is no driver")
+
+    monkeypatch.setattr("app.scene3d.view.load", hang)
+    monkeypatch.setattr("app.scene3d.view.SETTLED_AFTER_MS", 300)
+    try:
+        bench.open_served("flat-patch")
+        assert bench.controller.running is Running.STREAMING
+    finally:
+        may_end.set()
+
+
 def test_the_guide_of_a_new_session_is_made_beside_the_windows_thread(bench, monkeypatch):
     makers: list[threading.Thread] = []
     make = SessionGuide._new_guide
