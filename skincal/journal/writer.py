@@ -441,6 +441,8 @@ class JournalWriter:
         if waits:
             self.disk.wait()
             self.disk.raise_error()
+        # A system writes a deleted file without an error.
+        self._check_file_still_there()
         self._flush()
         self._mcap.finish()
         self._file.flush()

@@ -1,6 +1,8 @@
 """A window records on while a thread forces the journal onto the disk."""
 
 import os
+import shutil
+import sys
 import threading
 from pathlib import Path
 
@@ -164,6 +166,15 @@ def test_a_disk_that_refused_before_the_end_is_noticed_at_the_end(live, monkeypa
         live.journal.disk.wait()
     live.close()
     assert "No space left" in live.journal_failure
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows deletes no open file")
+def test_a_folder_that_is_deleted_just_before_the_end_is_noticed_at_the_end(live, tmp_path):
+    feed(live, some_pokes(live.scene, 1))
+    live.journal.disk.wait()
+    shutil.rmtree(tmp_path / "s")
+    live.close()
+    assert "deleted, moved or unmounted" in live.journal_failure
 
 
 def test_no_thread_stays(tmp_path):
