@@ -9,6 +9,7 @@ After a request for a landmark (`AskLandmark`) the pipeline finds which poke was
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -421,7 +422,8 @@ class Pipeline:
         """
         # Closing the new segment releases the folder's lock.
         if journal is not None and self.journal_failure:
-            journal.close()
+            with contextlib.suppress(JournalFailure):
+                journal.close()
             self.require_intact_journal()
         # Before the new intake, which counts from zero.
         self._earlier = self.totals()

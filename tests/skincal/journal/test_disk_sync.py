@@ -13,8 +13,11 @@ from skincal.contacts.outcome import Contact
 from skincal.journal import writer
 from skincal.journal.disk_sync import DiskSync
 from skincal.journal.line_file import lines_path
+from skincal.journal.lock import SessionLock
 from skincal.model.actions import Exclude
+from skincal.model.errors import InputError
 from skincal.session.replay import load
+from tests.approved import approved_pattern
 from tests.skincal.journal.journal_support import assert_same, feed, new_session, refuse
 from tests.skincal.poke_script import as_chunks, some_pokes, write_scene
 
@@ -118,7 +121,13 @@ def test_the_next_segment_does_not_wait_for_the_disk(live, tmp_path, monkeypatch
 def test_a_disk_that_refuses_the_end_of_a_segment_ends_the_recording(live, monkeypatch, how):
     feed(live, some_pokes(live.scene, 1))
     live.journal.disk.wait()
-    monkeypatch.setattr(os, "fsync", refuse)
+    may_refuse = threading.Event()
+
+    def refuse_then(_):
+        assert may_refuse.wait(60.0)
+        refuse()
+
+    monkeypatch.setattr(os, "fsync", refuse_then)
     into_next_segment(live, how, monkeypatch)
     journal = live.journal
     # As many as fill a segment without a length.
@@ -126,11 +135,28 @@ def test_a_disk_that_refuses_the_end_of_a_segment_ends_the_recording(live, monke
         live.feed(chunk)
         if journal.path.name != "segment-0001.mcap":
             break
+    may_refuse.set()
     journal.disk.wait()
     live.tick(10**12)
     assert journal.path.name != "segment-0001.mcap"
     assert "No space left" in live.journal_failure
     live.close()
+
+
+def test_a_disk_that_refuses_while_the_next_segment_opens_ends_the_recording(live, tmp_path, monkeypatch):
+    open_next = writer.JournalWriter.open_next
+
+    def opened(journal, *given):
+        following = open_next(journal, *given)
+        following.disk.wait()
+        return following
+
+    monkeypatch.setattr(writer.JournalWriter, "open_next", opened)
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(InputError, match=approved_pattern("session.open_again")):
+        into_next_segment(live, "pause", monkeypatch)
+    assert "No space left" in live.journal_failure
+    SessionLock(tmp_path / "s").release()
 
 
 def test_requests_during_an_earlier_one_become_one(tmp_path, monkeypatch):
