@@ -183,13 +183,20 @@ def test_a_right_scene_is_not_doubted(rig):
     assert check_setup(contacts, part.scene, None, part.surface) is None
 
 
+def snapshot_of(contacts, corrections=None):
+    """What the follower reads of a session whose pokes are contacts that count."""
+    counting = SimpleNamespace(counting=np.ones(len(contacts), dtype=bool))
+    decisions = Decisions(corrections=corrections or {})
+    return SimpleNamespace(contacts=contacts, columns=counting, decisions=decisions, value_order=None)
+
+
 def test_an_open_session_says_it_once(rig):
     part, contacts = rig
     _, _, wrong = turned("z", 90)(part, contacts)
     follower = SetupFollower(part, run_at_once)
     said = []
     for count in range(len(wrong) + 1):
-        follower.check_snapshot(SimpleNamespace(contacts=wrong[:count], decisions=Decisions(), value_order=None))
+        follower.check_snapshot(snapshot_of(wrong[:count]))
         said.append(follower.take_news())
     assert [count for count, news in enumerate(said) if news] == [SETUP_CHECK_MIN_POKES]
     assert "about its z axis" in follower.sentences[0]
@@ -202,7 +209,7 @@ def test_a_finding_goes_when_a_correction_begins_and_returns_when_it_ends(rig):
     follower = SetupFollower(part, lambda work, done, *, ended: jobs.append((work, done, ended)))
 
     def follow(seen, corrections):
-        follower.check_snapshot(SimpleNamespace(contacts=seen, decisions=Decisions(corrections=corrections), value_order=None))
+        follower.check_snapshot(snapshot_of(seen, corrections))
 
     def work_off():
         while jobs:
@@ -243,7 +250,7 @@ def test_a_check_that_fails_is_made_again_with_more_pokes(rig, monkeypatch):
         raise RuntimeError("of the check")
 
     def follow(count):
-        follower.check_snapshot(SimpleNamespace(contacts=wrong[:count], decisions=Decisions(), value_order=None))
+        follower.check_snapshot(snapshot_of(wrong[:count]))
 
     with monkeypatch.context() as fault:
         fault.setattr("skincal.following.setup_follower.check_setup", broken)
