@@ -71,8 +71,10 @@ class _KnownRound(NamedTuple):
     """A closing check with what it was determined from."""
 
     progress: ClosingProgress
+    channels: frozenset[int]
+    """Of its taxels."""
     places: dict[int, bytes]
-    """Position of each of its taxels, as bytes."""
+    """Position of each of them that has one, as bytes."""
     last: int | None
     """Later pokes change nothing; `None` while any poke may."""
 
@@ -94,14 +96,15 @@ class ClosingRounds:
         kept, closings = self._unchanged(snapshot), snapshot.decisions.closings
         # Each check leaves out the pokes of those before it.
         self._rounds = [
-            *takewhile(lambda known: known.places == _places_of(snapshot, known.progress), self._rounds[:kept]),
+            *takewhile(lambda known: known.places == _places_of(snapshot, known.channels), self._rounds[:kept]),
         ]
         for begun, following in list(zip_longest(closings, closings[1:]))[len(self._rounds) :]:
             check = begin_check(begun, [known.progress for known in self._rounds])
             progress = _progress(snapshot, check, following, self._noise)
             last = int(snapshot.columns.numbers.max(initial=0)) if progress.is_finished else None
             last = last if following is None else following.after
-            self._rounds.append(_KnownRound(progress, _places_of(snapshot, progress), last))
+            channels = frozenset(strongest_of(snapshot, progress.pokes))
+            self._rounds.append(_KnownRound(progress, channels, _places_of(snapshot, channels), last))
         self._seen = snapshot
         return [known.progress for known in self._rounds]
 
@@ -114,10 +117,9 @@ class ClosingRounds:
         return len(list(takewhile(lambda known: known.last is not None and known.last < first, self._rounds)))
 
 
-def _places_of(snapshot: Snapshot, check: ClosingProgress) -> dict[int, bytes]:
-    """Look up the positions of the taxels of a check's pokes, as bytes by channel."""
-    found = positions_of(snapshot, strongest_of(snapshot, check.pokes))
-    return {channel: position.tobytes() for channel, position in found.items()}
+def _places_of(snapshot: Snapshot, channels: Collection[int]) -> dict[int, bytes]:
+    """Look up the positions of some channels, as bytes."""
+    return {channel: position.tobytes() for channel, position in positions_of(snapshot, channels).items()}
 
 
 def begin_check(begun: ClosingRound, rounds: Sequence[ClosingProgress]) -> ClosingProgress:
