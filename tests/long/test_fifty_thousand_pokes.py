@@ -62,6 +62,8 @@ NEAR_M = 0.02
 """m, from the box around the body, at which a tip may touch it."""
 PERIOD_S, PERIODS_PER_FRAME, PERIODS_AT_ONCE = 0.02, 3, 3
 """s, of the robot's control and wrenches; a skin frame every third period, as the guide looks."""
+REST_PERIODS = 8
+"""Control periods between two pokes without a target of the guide."""
 OPENING_MAX_S = 8.0
 """s of processor time to open the session of 40,000 pokes, with its first snapshot."""
 GROWTH_MAX_MB = 150.0
@@ -137,7 +139,7 @@ class Robot:
         self.arm, self._rig = BodyArm(rig, surface, seed), rig
         self._answers: list[RobotLine | RobotChange | str] = [RobotChange.CAME]
         self._client = PokingClient(self.arm, surface, self._answers.append, replace(QUICK, frame=rig.scene.link))
-        self._own, self._is_free = 1_000_000_000 + seed, False
+        self._own, self._is_free, self._rested = 1_000_000_000 + seed, False, 0
 
     def send(self, lines):
         for line in lines:
@@ -154,12 +156,13 @@ class Robot:
 
     def run(self, periods):
         for _ in range(periods):
-            if self._is_free and self._client.phase is Phase.IDLE:
-                # When the guide has enough, the robot presses one taxel after another.
+            self._rested = self._rested + 1 if self._client.phase is Phase.IDLE else 0
+            if self._is_free and self._rested > REST_PERIODS:
+                # When the guide has enough, the robot presses one taxel after another. Between them skincal tares.
                 self._own += 1
                 row = self._own % len(self._rig.channels)
                 place, normal = self._rig.places[row], self._rig.normals[row]
-                self._client.receive_line(PokeTarget(self._own, None, place, -normal, frame=self._rig.scene.link))
+                self._client.receive_line(PokeTarget(self._own, None, place, -normal, hold=0.3, frame=self._rig.scene.link))
             self._client.run_period()
 
 
